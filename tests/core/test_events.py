@@ -13,16 +13,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import HostDied, Loaded, Stepped, TrialDone
 from swarmd.core.messages import Body, Epoch, Latch, Reason
-from swarmd.core.values import (
-    Neighbor,
-    Odometry,
-    Outputs,
-    PeerPlace,
-    Pose,
-    Scan,
-    SharedPose,
-    Twist,
-)
+from swarmd.core.values import Neighbor, Odometry, Outputs, PeerPlace, Pose, Scan, SharedPose, Twist
 from swarmd.core.verbs import StopRequest
 from swarmd.robot import robot
 

@@ -14,11 +14,7 @@ from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.daemon.driver import make_driver
 from swarmd.driver_api.driver import Sink
-from swarmd.driver_api.watchdog import (
-    ZERO_PERIOD,
-    WatchdogTimer,
-    watchdog_name,
-)
+from swarmd.driver_api.watchdog import ZERO_PERIOD, WatchdogTimer, watchdog_name
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.settings.driver_options import (
     IDLE_ZEROS_PERIOD,
@@ -163,10 +159,7 @@ def test_only_an_idle_robot_is_silent() -> None:
         ),
         ({"command_timeout": True}, "here: command_timeout is True; expected "),
         ({"idle_output": "off"}, "here: idle_output is 'off'; expected "),
-        (
-            {"command_timeout": "none", "idle_output": "silent"},
-            "here: idle_output is silent",
-        ),
+        ({"command_timeout": "none", "idle_output": "silent"}, "here: idle_output is silent"),
     ],
 )
 def test_refuses(options: Mapping[str, Value], fault: str) -> None:

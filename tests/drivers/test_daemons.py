@@ -21,24 +21,10 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Rig, is_running
 from tests.drivers.ros1.rig import RosRobot
 from tests.drivers.ros2.dds_rig import DdsRobot
-from tests.drivers.ros2.robots import (
-    RAYS,
-    BridgedRobot,
-    Robot,
-    ZenohRobot,
-    command,
-    odometry,
-    scan,
-)
+from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, command, odometry, scan
 from tests.support import ros2_types as dds
 from tests.support.drive_daemon import ROBOT, drive, status
-from tests.support.processes import (
-    DaemonProcess,
-    children,
-    unique_swarm,
-    wait_until,
-    watchdogs,
-)
+from tests.support.processes import DaemonProcess, children, unique_swarm, wait_until, watchdogs
 from tests.support.ros2_bridge import why_no_bridge
 
 pytestmark = pytest.mark.integration
@@ -131,9 +117,6 @@ KINDS: dict[str, Callable[[pytest.FixtureRequest], Setup]] = {
     "ros2dds": lambda request: ros2("ros2dds", BridgedRobot()),
     "ros2dds, real bridge": lambda request: ros2("ros2dds", DdsRobot()),
     "rmw_zenoh": lambda request: ros2("rmw_zenoh", ZenohRobot()),
-    "rmw_zenoh, Humble, stamped": lambda request: ros2(
-        "rmw_zenoh", ZenohRobot(is_humble=True, is_stamped=True)
-    ),
     "ros1": ros1,
 }
 

@@ -25,12 +25,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
-from swarmd.recording.frames import (
-    Begin,
-    TextEntry,
-    as_json,
-    input_entry,
-)
+from swarmd.recording.frames import Begin, TextEntry, as_json, input_entry
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -25,17 +25,12 @@ from swarmd.driver_api.hw_codec import (
     encode_scan,
 )
 from swarmd.driver_api.watchdog_client import WatchedDriver
-from swarmd.drivers.simulated import SENSOR_TIMEOUT, SimulatedDriver
+from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
-from swarmd.testing import driver_contract
-from swarmd.testing.driver_contract import (
-    POLL_PERIOD,
-    TIMEOUT,
-    DriverContract,
-    DriverHarness,
-)
+from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness
 from tests.support.range_ring import with_ring
+from tests.support.stories import story
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -121,57 +116,37 @@ def make(**options: Value) -> SimulatedDriver:
     return SimulatedDriver(swarm="s", robot="r", platform=PLATFORM, options=options)
 
 
-def play(
-    story: Callable[[DriverHarness, Body], Awaitable[None]], *, connected: bool = True
+@story(Body)
+async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot: Body) -> None:
+    neighbors = (Neighbor("x", 0.0, 1.0, 0.5), Neighbor("y", 0.0))
+    sink = harness.sink
+
+    def have_arrived() -> bool:
+        """Whether each sense has come; the link drops samples while its queue is full."""
+        robot.send("scan", encode_scan(scan(77)))
+        robot.send("odometry", encode_odometry(ODOMETRY))
+        robot.send("neighbors", encode_neighbors(neighbors))
+        robot.send("pose", encode_pose(POSE))
+        robot.send("readings", encode_readings({"light": 0.25}))
+        is_last = sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY
+        return bool(is_last and sink.neighborhoods and sink.poses and sink.values)
+
+    await harness.until(have_arrived)
+    np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
+    np.testing.assert_allclose(sink.scans[-1].bearings, SPEC.bearings, atol=1e-9)
+    assert sink.neighborhoods[0] == neighbors
+    assert sink.poses[0] == POSE
+    assert sink.values[0] == {"light": 0.25}
+
+
+@story(Body)
+async def test_a_command_carries_the_scans_it_is_based_on(
+    harness: DriverHarness, robot: Body
 ) -> None:
-    body = Body()
-    driver_contract.play(body, lambda harness: story(harness, body), connected=connected)
-
-
-def test_all_senses_arrive_as_they_were_sent() -> None:
-    async def story(harness: DriverHarness, body: Body) -> None:
-        neighbors = (Neighbor("x", 0.0, 1.0, 0.5), Neighbor("y", 0.0))
-        sink = harness.sink
-
-        def have_arrived() -> bool:
-            """Whether each sense has come; the link drops samples while its queue is full."""
-            body.send("scan", encode_scan(scan(77)))
-            body.send("odometry", encode_odometry(ODOMETRY))
-            body.send("neighbors", encode_neighbors(neighbors))
-            body.send("pose", encode_pose(POSE))
-            body.send("readings", encode_readings({"light": 0.25}))
-            is_last = sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY
-            return bool(is_last and sink.neighborhoods and sink.poses and sink.values)
-
-        await harness.until(have_arrived)
-        np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
-        np.testing.assert_allclose(sink.scans[-1].bearings, SPEC.bearings, atol=1e-9)
-        assert sink.neighborhoods[0] == neighbors
-        assert sink.poses[0] == POSE
-        assert sink.values[0] == {"light": 0.25}
-
-    play(story)
-
-
-def test_the_driver_reports_its_endpoint_and_the_reason_of_a_loss() -> None:
-    async def story(harness: DriverHarness, body: Body) -> None:
-        await harness.until(lambda: bool(harness.sink.states))
-        assert body.endpoint in harness.sink.states[0][1]
-        await harness.connect()
-        await harness.until(lambda: not harness.sink.is_up)
-        assert f"for {SENSOR_TIMEOUT:g} s" in harness.sink.states[-1][1]
-
-    play(story, connected=False)
-
-
-def test_a_command_carries_the_scans_it_is_based_on() -> None:
-    async def story(harness: DriverHarness, body: Body) -> None:
-        harness.driver.send(Twist(0.2), 5, 4)
-        await harness.until(lambda: bool(body.link.payloads))
-        command = decode_command(body.link.payloads[0])
-        assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
-
-    play(story)
+    harness.driver.send(Twist(0.2), 5, 4)
+    await harness.until(lambda: bool(robot.link.payloads))
+    command = decode_command(robot.link.payloads[0])
+    assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
 
 
 @pytest.mark.parametrize(
@@ -220,41 +195,39 @@ def test_a_platform_with_a_ring_is_refused() -> None:
         SimulatedDriver(swarm="s", robot="r", platform=with_ring(PLATFORM), options={})
 
 
-def test_the_radio_of_the_world_carries_messages_in_their_order() -> None:
-    body = Body()
+@story(Body, radio=True)
+async def test_the_radio_of_the_world_carries_messages_in_their_order(
+    harness: DriverHarness, robot: Body
+) -> None:
+    driver = harness.driver
+    assert isinstance(driver, SimulatedDriver)
+    watched = WatchedDriver(driver, ZeroSenderSpec("none", {}), name="none")
+    assert message_carrier(watched) is driver
+    sent: list[bytes] = []
 
-    async def story(harness: DriverHarness) -> None:
-        driver = harness.driver
-        assert isinstance(driver, SimulatedDriver)
-        watched = WatchedDriver(driver, ZeroSenderSpec("none", {}), name="none")
-        assert message_carrier(watched) is driver
-        sent: list[bytes] = []
+    def exchange(*numbers: int) -> None:
+        for number in numbers:
+            driver.send_message("vote/opinion", bytes([number]))
+        wires = [MessageWire("other", "vote/opinion", bytes([one])) for one in numbers]
+        robot.link.messages("r", wires)
 
-        def exchange(*numbers: int) -> None:
-            for number in numbers:
-                driver.send_message("vote/opinion", bytes([number]))
-            wires = [MessageWire("other", "vote/opinion", bytes([one])) for one in numbers]
-            body.link.messages("r", wires)
+    def has_come(number: int) -> bool:
+        sent.extend(wire.payload for wire in robot.link.take_messages())
+        last = ("other", "vote/opinion", bytes([number]))
+        return sent[-1:] == [bytes([number])] and harness.sink.messages[-1:] == [last]
 
-        def has_come(number: int) -> bool:
-            sent.extend(wire.payload for wire in body.link.take_messages())
-            last = ("other", "vote/opinion", bytes([number]))
-            return sent[-1:] == [bytes([number])] and harness.sink.messages[-1:] == [last]
+    def is_linked() -> bool:
+        exchange(99)
+        return has_come(99)
 
-        def is_linked() -> bool:
-            exchange(99)
-            return has_come(99)
-
-        await harness.until(is_linked)
-        many = 120  # more than fit into one packet
-        exchange(*(number for number in range(many) if number != 99))
-        await harness.until(lambda: has_come(many - 1))
-        wanted = [bytes([number]) for number in range(many) if number != 99]
-        assert [one for one in sent if one != bytes([99])] == wanted
-        received = [payload for _, _, payload in harness.sink.messages]
-        assert [one for one in received if one != bytes([99])] == wanted
-        body.send("received", b"garbage")
-        await harness.until(lambda: "hw/received" in harness.sink.lost)
-
-    driver_contract.play(body, story, radio=True)
+    await harness.until(is_linked)
+    many = 120  # more than fit into one packet
+    exchange(*(number for number in range(many) if number != 99))
+    await harness.until(lambda: has_come(many - 1))
+    wanted = [bytes([number]) for number in range(many) if number != 99]
+    assert [one for one in sent if one != bytes([99])] == wanted
+    received = [payload for _, _, payload in harness.sink.messages]
+    assert [one for one in received if one != bytes([99])] == wanted
+    robot.send("received", b"garbage")
+    await harness.until(lambda: "hw/received" in harness.sink.lost)
     assert message_carrier(make()) is None

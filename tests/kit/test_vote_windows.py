@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.kit.vote_windows import (
-    ROUNDS,
-    Rounds,
-    RoundVote,
-    Ties,
-    VoteWindow,
-    majority,
-    tally,
-)
+from swarmd.kit.vote_windows import ROUNDS, Rounds, RoundVote, Ties, VoteWindow, majority, tally
 
 
 def rng() -> np.random.Generator:

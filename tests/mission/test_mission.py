@@ -224,9 +224,7 @@ def test_a_repeating_sequence_continues_after_a_done_part(tmp_path: Path) -> Non
     assert [one.report["brief.count"] for one in found] == [1, 2, 3, 4, 5]
 
 
-def test_a_branch_restarts_when_chosen_and_rests_when_ended(
-    tmp_path: Path,
-) -> None:
+def test_a_branch_restarts_when_chosen_and_rests_when_ended(tmp_path: Path) -> None:
     text = parts("go", "other") + (
         "switch: [{when: {nearer: 0.5}, part: go, until: {timeout: 1}}, other]\n"
     )

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from swarmd.pattern_host.plugin_inspector import check_mission
 from swarmd.settings.settings import load_platform
+from tests.support.swarmctl import swarmctl
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "config" / "missions").glob("*.yaml"))
@@ -36,27 +34,21 @@ def test_the_page_shows_some() -> None:
     assert len(SHOWN) == 3
 
 
-def ctl(*args: str) -> subprocess.CompletedProcess[str]:
-    code = "from swarmd.cli.swarmctl import main; main()"
-    command = [sys.executable, "-c", code, *args]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-
-
 def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> None:
     path = tmp_path / "low.yaml"
     path.write_text(SHOWN[0].replace("0.6, 1.0", "0.4, 0.5").replace("timeout", "timeot"))
-    done = ctl("mission", "check", str(path))
-    assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 3
-    assert "sequence[0].until " in done.stderr
+    done = swarmctl("mission", "check", str(path))
+    assert done.code == 2
+    assert len(done.err.splitlines()) == 3
+    assert "sequence[0].until " in done.err
     path.write_text(SHOWN[0])
-    done = ctl("mission", "check", str(path), "-o", "json")
-    assert (done.returncode, json.loads(done.stdout)["faults"]) == (0, [])
+    done = swarmctl("mission", "check", str(path), "-o", "json")
+    assert (done.code, done.json["faults"]) == (0, [])
 
 
 def test_patterns_show_lists_its_kind_as_mission() -> None:
-    done = ctl("patterns", "show", "discuss_then_disperse", "-o", "json")
-    row = json.loads(done.stdout)["pattern"]
+    done = swarmctl("patterns", "show", "discuss_then_disperse", "-o", "json")
+    row = done.json["pattern"]
     assert (row["kind"], row["needs"]) == ("mission", ["scan"])
     assert row["summary"].startswith("Votes on a distance")
 
@@ -64,5 +56,5 @@ def test_patterns_show_lists_its_kind_as_mission() -> None:
 def test_text_of_a_file_is_printed_without_control_characters(tmp_path: Path) -> None:
     path = tmp_path / "red.yaml"
     path.write_text('mission: "\\e[31mred"\nparts: {b: {pattern: drive}}\npart: b\n')
-    done = ctl("patterns", "show", "red", "--plugin-dir", str(tmp_path))
-    assert done.stdout.startswith("red: ?[31mred\n")
+    done = swarmctl("patterns", "show", "red", "--plugin-dir", str(tmp_path))
+    assert done.out.startswith("red: ?[31mred\n")

@@ -22,6 +22,7 @@ class TestCircleFormation(PatternContract):
 
 class TestCircleFormationOfARadius(PatternContract):
     pattern = CircleFormation
+    platforms = ("burger", "jackal")
     params = {"radius": 2.0}  # noqa: RUF012 - read only
 
 

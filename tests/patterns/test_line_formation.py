@@ -22,6 +22,7 @@ class _ByBearing(LineFormation):
 
 class TestLineFormationByBearing(PatternContract):
     pattern = _ByBearing
+    platforms = ("burger", "jackal")
 
 
 def test_its_place_is_one_spacing_from_the_others() -> None:

@@ -15,7 +15,8 @@ from hypothesis.extra.numpy import arrays
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.barrier import CREEP_SPEED
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import DecisionContext, ToldObstacle
+from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from tests.support.barrier_parts import interpreted, separation
@@ -26,6 +27,11 @@ PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_p
 BURGER, WAFFLE, JACKAL = PLATFORMS
 SIDEWAYS = replace(BURGER, limits=Limits(0.22, 2.84, 0.2))
 WEAK = under_barrier(WAFFLE, braking_linear=0.3)
+VARIANTS = [
+    under_barrier(BURGER, responsibility="reciprocal"),
+    under_barrier(WAFFLE, keep_out=0.5),
+    under_barrier(JACKAL, keep_out=None, envelope_within=0.2),
+]
 PLATFORM = st.sampled_from(PLATFORMS)
 AGE = st.floats(0.0, 0.3)
 SHARE = st.floats(-1, 1)
@@ -160,6 +166,21 @@ def test_robot_can_stop_before_every_return(
         own = closing * TICK + closing**2 / (2.0 * braking)
         theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
         assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
+
+
+@given(
+    st.sampled_from([*VARIANTS, SIDEWAYS, WEAK]), RETURNS, SHARE, SHARE, SHARE, AGE, SWEEP, DELAY,
+    st.lists(st.builds(ToldObstacle, SHARE, SHARE, st.floats(0, 0.4), AGE), max_size=2),
+)  # fmt: skip
+def test_every_setting_decides_alike_compiled_and_interpreted(
+    platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float,
+    sweep: float, delay: float, told: list[ToldObstacle],
+) -> None:  # fmt: skip
+    """`decided` compares both paths."""
+    scan, straight = sweeping(seeing(platform, returns), sweep), request_of(platform, v, w)
+    requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
+    safe = decided(platform, scan, requested, age=age, delay=delay, told=tuple(told)).safe
+    assert platform.limits.clip(safe) == safe
 
 
 @given(PLATFORM, NEAR_RETURNS, SHARE, SHARE)
@@ -309,7 +330,10 @@ def test_surface_speed_holds_near_every_obstacle(
 def test_reported_constraints_are_sorted_by_cap(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
-    decision = decided(platform, seeing(platform, returns), request_of(platform, v, w))
+    scan = seeing(platform, returns)
+    decision = decided(platform, scan, request_of(platform, v, w))
+    gap = Footprint(platform.footprint).min_gap(scan, ScanGeometry(platform.scan))
+    assert decision.min_gap == (None if gap is None else pytest.approx(gap, abs=1e-12))
     caps = [row.cap for row in decision.rows]
     assert caps == sorted(caps)
     assert all(row.gap >= 0.0 <= row.cap for row in decision.rows)

@@ -17,6 +17,7 @@ from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.settings.settings import load_platform
+from tests.support.examples import part
 from tests.support.filter_sim import (
     HERE,
     FilterRun,
@@ -48,7 +49,7 @@ def extent(platform: Platform, way: int) -> float:
 
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
 @pytest.mark.parametrize("way", [1, -1], ids=["ahead", "reversing"])
-@pytest.mark.parametrize("distance", [0.05, 0.4, 1.1])
+@pytest.mark.parametrize("distance", part([0.05, 1.1], [0.4]))
 def test_stops_at_a_wall_with_the_margin_left(
     platform: Platform, way: int, distance: float
 ) -> None:
@@ -67,13 +68,13 @@ def short_sighted(linear: float, others_speed: float, braking: float) -> tuple[P
     return platform, BindingRange(platform, barrier, TICK).for_sensor()
 
 
-def hardest_touch(platform: Platform, range_max: float) -> float:
+def hardest_touch(platform: Platform, range_max: float, phases: int = 4) -> float:
     """The own speed in m/s at the touch of walls that come into sight as scans begin to be lost."""
     platform = replace(platform, scan=replace(platform.scan, range_max=range_max))
     speed, others = platform.limits.linear, platform.protection["barrier"]["others_speed"]
     touches = [0.0]
     for coming in (0.0, others):
-        for later in np.arange(0.0, 0.2, 0.05):
+        for later in 0.05 * np.arange(phases):
             front = range_max + 3.0 * (speed + coming)  # in sight after 3 s
             wall = box(0.2, 40.0, Pose(front + 0.1), velocity=(-coming, 0.0))
             sim = FilterSim(platform, [wall])
@@ -89,18 +90,16 @@ def hardest_touch(platform: Platform, range_max: float) -> float:
 
 @pytest.mark.parametrize(
     ("linear", "others_speed", "braking"),
-    [
-        (2.0, 1.2, 1.0),
-        (1.0, 0.3, 0.5),
-        pytest.param(2.0, 0.3, 0.7, marks=pytest.mark.evidence),
-    ],
+    part([(2.0, 1.2, 1.0)], [(1.0, 0.3, 0.5), (2.0, 0.3, 0.7)]),
 )
 def test_a_sensor_that_sees_as_far_as_needed_sees_far_enough(
     linear: float, others_speed: float, braking: float
 ) -> None:
     platform, needed = short_sighted(linear, others_speed, braking)
     assert hardest_touch(platform, needed) <= NO_FAULT
-    assert hardest_touch(platform, 0.6 * needed) > 0.4  # so the distance is not by far too long
+    assert (
+        hardest_touch(platform, 0.6 * needed, phases=1) > 0.4
+    )  # so the distance is not by far too long
 
 
 @pytest.mark.parametrize("late", [0.2, 0.4])
@@ -132,7 +131,7 @@ def test_corner_does_not_swing_into_an_obstacle_beside(platform: Platform, side:
         assert run.min_gap >= MARGIN - ROUNDING
 
 
-@pytest.mark.parametrize("bearing", [0.0, 0.6, -0.9, 2.6, math.pi])
+@pytest.mark.parametrize("bearing", part([0.0, 0.6, math.pi], [-0.9, 2.6]))
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
 def test_rammed_robot_does_not_close_on_the_other(platform: Platform, bearing: float) -> None:
     speed = platform.protection["barrier"]["others_speed"]
@@ -185,7 +184,7 @@ def test_frozen_lidar_stops_the_robot_in_time() -> None:
     assert run.decisions[-1][1].reason is Reason.STALE_SCAN
 
 
-@pytest.mark.parametrize("at", [0.4, 0.9, 1.4, 1.9, 2.4])
+@pytest.mark.parametrize("at", part([0.4, 1.4, 2.4], [0.9, 1.9]))
 def test_lost_odometry_stops_the_robot_with_the_margin_left(at: float) -> None:
     sim = FilterSim(standing(BURGER), [box(0.1, 4.0, Pose(0.6))])
     sim.run(Twist(0.22), at)
@@ -201,7 +200,7 @@ ZONE_AHEAD = Permit(touch=TouchZone(0.0, math.radians(20.0), TOUCH_SPEED))
 
 @pytest.mark.parametrize("permit", [NO_PERMIT, ZONE_AHEAD], ids=["no touch", "touch ahead"])
 @pytest.mark.parametrize("side", [1.0, -1.0])
-@pytest.mark.parametrize("distance", [1.0, 1.1, 1.2, 1.3, 1.4])
+@pytest.mark.parametrize("distance", part([1.0, 1.2, 1.4], [1.1, 1.3]))
 def test_spinning_robot_stops_before_its_corner_can_hit(
     side: float, distance: float, permit: Permit
 ) -> None:
@@ -246,7 +245,7 @@ def seen_whole(name: str, **settings: object) -> Platform:
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
-@pytest.mark.parametrize("start", [1.20, 1.25, 1.30, 1.35])
+@pytest.mark.parametrize("start", part([1.20, 1.30], [1.25, 1.35]))
 @pytest.mark.parametrize("name", ["burger", "waffle_pi"])
 def test_corner_does_not_swing_into_an_obstacle_that_stopped_beside(
     name: str, start: float, turn: float
@@ -276,7 +275,7 @@ class Lossy(FilterSim):
         return replace(scan, ranges=ranges)
 
 
-@pytest.mark.parametrize("distance", [0.2, 0.3, 0.4, 0.5])
+@pytest.mark.parametrize("distance", part([0.2, 0.4], [0.3, 0.5]))
 @pytest.mark.parametrize("name", ["burger", "waffle_pi"])
 def test_sectors_lost_in_turn_hide_no_obstacle(name: str, distance: float) -> None:
     """First behind, then ahead: each scan is newer than the last whole one, but not ahead."""
@@ -364,14 +363,14 @@ def random_run(kind: str, seed: int, share: float, seconds: float) -> FilterRun:
     return sim.run(twists(platform, rng), seconds)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", part([0, 1], [2, 3, 4]))
 @pytest.mark.parametrize("kind", KINDS)
 def test_standing_obstacles_are_never_touched(kind: str, seed: int) -> None:
     done = random_run(kind, seed, 0.0, 10.0)
     assert done.touch is None
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", part(range(5), range(5, 10)))
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
 def test_obstacles_at_the_assumed_speed_are_not_closed_on(kind: str, seed: int) -> None:
     """Not for a Jackal, which does not see obstacles within 0.8 m."""
@@ -387,7 +386,7 @@ def test_only_a_slow_request_creeps_up_to_the_contact_gap(speed: float, gap: flo
     assert run.min_gap == pytest.approx(gap, abs=0.004)
 
 
-@pytest.mark.parametrize("begin", [2.0, 6.0, 9.97, 10.03])
+@pytest.mark.parametrize("begin", part([6.0, 9.97, 10.03], [2.0]))
 @pytest.mark.parametrize("aside", [0.0, 0.2])
 def test_a_creeping_robot_is_not_at_fault(aside: float, begin: float) -> None:
     """A box starts to approach at the assumed speed, straight or past a front corner."""

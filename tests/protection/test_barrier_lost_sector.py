@@ -69,9 +69,7 @@ def test_newer_partial_scan_counts_with_its_age(platform: Platform) -> None:
     assert last(0.2, 0.2, 0.2) > last(None, None, None)
 
 
-def test_remembered_sector_of_a_newer_scan_widens_the_gap(
-    platform: Platform,
-) -> None:
+def test_remembered_sector_of_a_newer_scan_widens_the_gap(platform: Platform) -> None:
     """The sector is placed at the pose of the scan, although it was seen earlier."""
     whole = drive(platform, [0.0, 0.0, 0.0, 0.0], distance=0.52)[-1]
     lags = drive(platform, [0.0, 0.2, 0.2, 0.2], distance=0.52)[-1]

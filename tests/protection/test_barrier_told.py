@@ -28,6 +28,7 @@ from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
+from tests.support.examples import part
 from tests.support.filter_sim import (
     DT,
     FilterRun,
@@ -235,8 +236,9 @@ def unseen(radius: float, x: float, **motion: object) -> Shape:
 
 
 @pytest.mark.parametrize("platform", [BURGER, JACKAL], ids=lambda platform: platform.name)
-@pytest.mark.parametrize("place_age", [0.1, 0.4])
-@pytest.mark.parametrize("place", [(0.0, 5.0), (2.0, 0.0), (-50.0, 0.0)])
+@pytest.mark.parametrize(
+    ("place", "place_age"), [((0.0, 5.0), 0.1), ((2.0, 0.0), 0.4), ((-50.0, 0.0), 0.4)]
+)
 def test_place_in_a_shared_frame_hides_no_peer_that_is_sensed(
     platform: Platform, place: tuple[float, float], place_age: float
 ) -> None:
@@ -247,7 +249,7 @@ def test_place_in_a_shared_frame_hides_no_peer_that_is_sensed(
 
 
 @pytest.mark.parametrize("speed", [-1.2, 0.0])
-@pytest.mark.parametrize("linear", [0.5, 2.0])
+@pytest.mark.parametrize("linear", part([2.0], [0.5]))
 @pytest.mark.parametrize("source", ["sensed", "located"])
 def test_peer_is_regarded_from_where_the_robot_must_brake(
     source: str, linear: float, speed: float

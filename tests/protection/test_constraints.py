@@ -214,10 +214,7 @@ TRIANGLE = np.array([[0.2, -0.1], [0.2, 0.1], [-0.2, 0.0]])
 
 @pytest.mark.parametrize(
     ("outline", "ends"),
-    [
-        (BURGER_OUTLINE, {(0.038, -0.089), (0.038, 0.089)}),
-        (TRIANGLE, {(0.2, -0.1), (0.2, 0.1)}),
-    ],
+    [(BURGER_OUTLINE, {(0.038, -0.089), (0.038, 0.089)}), (TRIANGLE, {(0.2, -0.1), (0.2, 0.1)})],
     ids=["rectangle", "triangle"],
 )
 def test_touch_directions_hold_both_ends_of_a_face(

@@ -15,6 +15,7 @@ from swarmd.protection.decision import DecisionContext, Permit
 from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW, FollowingMonitor, _Axis
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
+from tests.support.examples import part
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
 
@@ -137,7 +138,7 @@ def waves(time: float) -> Twist:
 @pytest.mark.parametrize("command", [ahead, turning, to_and_fro, restless, waves])
 @pytest.mark.parametrize("delay", [0.04, 0.3])
 @pytest.mark.parametrize("acceleration", [(0.26, 0.8), (1.0, 3.0), (10.0, 30.0)])
-@pytest.mark.parametrize("rate", [5.0, 50.0])
+@pytest.mark.parametrize("rate", part([5.0], [50.0]))
 def test_a_slow_or_late_base_is_none_that_does_not_follow(
     command: Motion, delay: float, acceleration: tuple[float, float], rate: float
 ) -> None:

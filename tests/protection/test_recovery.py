@@ -64,9 +64,7 @@ def nook() -> list[Shape]:
 
 
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
-def test_recovery_keeps_the_margin(
-    platform: Platform,
-) -> None:
+def test_recovery_keeps_the_margin(platform: Platform) -> None:
     run = FilterSim(still(platform), nook()).run(AHEAD, 25.0, MAY)
     assert any(decision.is_recovering for _, decision in run.decisions)
     assert run.min_gap >= 0.025

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.events import ForgetInput, LatchesInput, LeaseInput, LeaveInput, RequestInput
+from swarmd.core.events import ForgetInput, LeaseInput, LeaveInput, RequestInput
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
 from swarmd.core.host_messages import Load, Loaded
 from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State
@@ -173,17 +173,6 @@ def test_a_robot_that_starts_with_a_latch_loads_nothing() -> None:
     harness.find(goal(2, **JOINED), 1.0)
     harness.advance(0.5)
     assert harness.sent == []
-
-
-def test_the_latch_of_a_peer_ends_a_run_that_was_joined() -> None:
-    harness = ready()
-    harness.is_hung = True  # it is still loading
-    harness.find(goal(**JOINED))
-    harness.is_hung = False
-    latches = {"e1": Latch(issuer="anna", scope="swarm")}
-    harness.step(LatchesInput(latches))
-    harness.advance(1.0)
-    assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
 
 
 def test_a_greater_goal_ends_the_run_of_a_lesser_one_and_says_which() -> None:
@@ -727,9 +716,7 @@ def test_a_pattern_that_loads_until_after_its_time_does_not_start() -> None:
     harness.advance(0.8)
     harness.is_hung = False
     load = harness.sent[-1]
-    event = harness._runner.send(load)
-    assert event is not None
-    harness.host_says(event)
+    harness.host_answers(load)
     assert harness.reply_to(request).refusal is Refusal.TOO_LATE
     harness.advance(0.5)
     assert harness.twist.is_zero
@@ -743,10 +730,8 @@ def test_a_goal_that_peers_run_and_this_robot_cannot_load_is_the_reason() -> Non
     harness.send(request)
     harness.find(wanted)
     assert told(harness).state is GoalState.LOADING
-    event = harness._runner.send(harness.sent[-1])
     harness.is_hung = False
-    assert event is not None
-    harness.host_says(event)
+    harness.host_answers(harness.sent[-1])
     assert harness.reply_to(request).refusal is Refusal.UNKNOWN_PATTERN
     assert told(harness).state is GoalState.ENDED
     assert "unheard_of" in told(harness).reason

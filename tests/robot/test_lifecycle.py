@@ -15,9 +15,7 @@ BACK = {"speed": -0.1}
 
 
 @pytest.mark.parametrize("is_stopped_first", [True, False])
-def test_run_while_the_host_hangs_loads_in_a_fresh_host(
-    is_stopped_first: bool,
-) -> None:
+def test_run_while_the_host_hangs_loads_in_a_fresh_host(is_stopped_first: bool) -> None:
     harness = started()
     harness.is_hung = True
     harness.advance(0.5)
@@ -103,10 +101,7 @@ def test_param_request_that_the_pattern_does_not_answer_fails_after_3_s() -> Non
 
 @pytest.mark.parametrize(
     ("late", "state"),
-    [
-        (0.99, (State.RUNNING, None)),
-        (1.0 + 1e-6, (State.STOPPED, Reason.LOOP_STALLED)),
-    ],
+    [(0.99, (State.RUNNING, None)), (1.0 + 1e-6, (State.STOPPED, Reason.LOOP_STALLED))],
 )
 def test_loop_over_1_s_late_is_stalled(late: float, state: tuple[State, Reason | None]) -> None:
     harness = started()

@@ -15,7 +15,7 @@ from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, Sta
 from swarmd.core.verbs import StopRequest
 from swarmd.robot.latches import MAX_HELD
 from tests.support.robot_harness import RobotHarness
-from tests.support.stub_patterns import PATTERNS, Forward, standing_state, started
+from tests.support.stub_patterns import PATTERNS, Forward, idle, standing_state, started
 
 
 class NeedsRadio(Forward):
@@ -28,8 +28,7 @@ class Broken(Forward):
 
 
 def test_stale_epoch_is_refused_and_names_the_operator() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     seen = harness.epoch
     first = harness.send(harness.request("run", seen, pattern="forward", operator="alice"))
     second = harness.send(harness.request("run", seen, pattern="finisher", operator="bob"))
@@ -44,8 +43,7 @@ def test_stale_epoch_is_refused_and_names_the_operator() -> None:
 
 
 def test_replayed_run_never_moves_the_robot() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     request = harness.request("run", pattern="forward")
     harness.send(request)
     harness.ask("stop")
@@ -155,8 +153,7 @@ def test_a_stop_ends_a_run_whose_request_was_issued_earlier_and_came_sooner(verb
 
 @pytest.mark.parametrize(("age", "ends"), [(12.0, False), (9.0, True)])
 def test_a_stop_ends_a_joined_run_if_it_is_newer_than_the_goal(age: float, ends: bool) -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.find(JOINED, 10.0)
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
@@ -224,9 +221,7 @@ def test_a_stop_between_a_run_and_a_load_ends_the_run_alone() -> None:
     assert late_stop(harness, 2.0).refusal is Refusal.OVERTAKEN
     assert (harness.status.state, harness.twist.is_zero) == (State.STOPPED, True)
     harness.is_hung = False
-    event = harness._runner.send(harness.sent[-1])
-    assert event is not None
-    harness.host_says(event)
+    harness.host_answers(harness.sent[-1])
     assert harness.reply_to(request).code is Code.APPLIED
     assert harness.status.state is State.RUNNING
 
@@ -350,8 +345,7 @@ def test_swarm_wide_latch_of_a_peer_is_adopted_unless_reset() -> None:
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_stop_cancels_a_load(verb: str) -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.is_hung = True
     run = harness.request("run", pattern="forward")
     assert harness.send(run) is None
@@ -375,8 +369,7 @@ def test_run_during_a_load_is_refused_and_names_the_operator() -> None:
 
 
 def test_load_that_hangs_in_an_idle_robot_fails_after_3_s() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.is_hung = True
     run = harness.request("run", pattern="forward")
     assert harness.send(run) is None
@@ -411,18 +404,12 @@ def test_outputs_of_an_older_generation_are_dropped() -> None:
 
 
 @pytest.mark.parametrize(("speed", "is_noted"), [(0.9, True), (-0.9, True), (0.26, False)])
-def test_speed_above_the_limit_is_noted_in_the_reply(speed: float, is_noted: bool) -> None:
-    reply = started(speed=0.1).ask("param", params={"speed": speed})
-    assert reply is not None
-    assert reply.code is Code.APPLIED
+@pytest.mark.parametrize(("verb", "fields"), [("param", {}), ("run", {"pattern": "forward"})])
+def test_speed_above_the_limit_is_noted_in_the_reply(
+    verb: str, fields: dict[str, Any], speed: float, is_noted: bool
+) -> None:
+    reply = started(speed=0.1).applied(verb, params={"speed": speed}, **fields)
     assert ("waffle_pi is limited to 0.26 m/s" in reply.text) is is_noted
-
-
-def test_run_above_the_limit_is_noted_in_the_reply() -> None:
-    reply = started(speed=0.1).ask("run", pattern="forward", params={"speed": 0.9})
-    assert reply is not None
-    assert reply.code is Code.APPLIED
-    assert "waffle_pi is limited to 0.26 m/s" in reply.text
 
 
 def test_param_set_holds_until_the_next_run() -> None:
@@ -472,8 +459,7 @@ def test_a_roster_ends_the_run_and_one_without_the_robot_refuses_further_ones() 
 
 
 def test_change_of_the_network_cancels_a_load() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.is_hung = True
     run = harness.request("run", pattern="forward")
     assert harness.send(run) is None
@@ -582,8 +568,7 @@ FOUND = "braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00"
 
 def slowed() -> RobotHarness:
     """An idle robot whose monitor has found weak brakes."""
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     monitor = harness.robot._protection._monitor
     assert monitor is not None
     monitor._linear.braking, monitor._linear.evidence = 0.56, FOUND

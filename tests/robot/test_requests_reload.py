@@ -81,8 +81,7 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "refusal"),
-    [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)],
+    ("pattern", "refusal"), [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)]
 )
 def test_code_that_cannot_be_loaded_leaves_the_run_alone(pattern: str, refusal: Refusal) -> None:
     harness = driving()
@@ -146,9 +145,7 @@ def test_copies_of_an_emergency_stop_that_holds_the_robot_leave_the_trial_alone(
     harness.ask("estop", id="e1")
     request = harness.request("reload", pattern="own")
     harness.robot.step(RequestInput(request), harness.now)
-    copy = harness.ask("estop", id="e1")
-    assert copy is not None
-    assert copy.code is Code.APPLIED
+    harness.applied("estop", id="e1")
     assert not harness.is_answered(request)
     harness.ask("estop", id="e2")
     assert harness.reply_to(request).refusal is Refusal.OVERTAKEN

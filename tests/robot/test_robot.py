@@ -14,7 +14,7 @@ from swarmd.core.messages import Code, Reason, Refusal, State, Status
 from swarmd.core.values import ZERO, Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
 from tests.support.robot_harness import RobotHarness, acted
-from tests.support.stub_patterns import PATTERNS, standing_state, started
+from tests.support.stub_patterns import PATTERNS, idle, standing_state, started
 
 
 def test_never_moves_before_a_run() -> None:
@@ -127,8 +127,7 @@ def test_dead_host_zeroes_at_once_and_is_replaced() -> None:
 
 
 def test_non_finite_command_is_a_fault() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.ask("run", pattern="not_finite")
     harness.advance(0.1)
     assert harness.twist.is_zero
@@ -265,8 +264,7 @@ def test_age_of_a_late_step_counts_from_its_start() -> None:
 
 
 def test_load_outlives_the_end_of_the_run_before() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.ask("run", pattern="forward", seconds=0.5)
     harness.advance(0.2)
     harness.is_hung = True

@@ -47,11 +47,7 @@ def test_every_other_trigger_leaves_running(event: Trigger) -> None:
     machine.apply(event, Reason.OPERATOR, "why", 2.0)
     if event is not Trigger.RESET:
         assert machine.state is not State.RUNNING
-        assert (machine.reason, machine.detail, machine.since) == (
-            Reason.OPERATOR,
-            "why",
-            2.0,
-        )
+        assert (machine.reason, machine.detail, machine.since) == (Reason.OPERATOR, "why", 2.0)
 
 
 def test_trigger_without_a_change_keeps_the_older_reason() -> None:

@@ -95,14 +95,6 @@ def test_a_damaged_or_public_identity_is_refused_in_one_line(
         load_identity(tmp_path / "r01")
 
 
-def test_an_authority_with_a_passphrase_opens_with_it_alone(tmp_path: Path) -> None:
-    Authority.create(tmp_path / "a", "meadow", b"secret")
-    assert Authority(tmp_path / "a", b"secret").roster.swarm == "meadow"
-    for wrong in (None, b"other"):
-        with pytest.raises(ConfigError, match=r"authority\.key"):
-            Authority(tmp_path / "a", wrong)
-
-
 def test_a_revoked_name_returns_only_after_its_certificate_has_ended(authority: Authority) -> None:
     authority.issue("r01", days=1)
     authority.change(remove=["r01", "r02"])
@@ -179,9 +171,7 @@ def test_a_full_disk_keeps_the_keys_of_a_name_that_stays(
 _P256, _P239 = bytes.fromhex("06082a8648ce3d030107"), bytes.fromhex("06082a8648ce3d030106")
 _KEY = ec.generate_private_key(ec.SECP256R1())
 _DER = _KEY.private_bytes(
-    serialization.Encoding.DER,
-    serialization.PrivateFormat.PKCS8,
-    serialization.NoEncryption(),
+    serialization.Encoding.DER, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
 )
 
 

@@ -68,9 +68,6 @@ def test_what_does_not_fit_together_is_not_installed(keys: SwarmKeys, tmp_path: 
     folder = tmp_path / "identities/meadow"
     for change in wrong:
         bundle = msgspec.structs.replace(r1.bundle, **change)
-        with (
-            pytest.raises(ConfigError),
-            replaced_identity(folder, OpenedBundle(bundle, r1.roster)),
-        ):
+        with pytest.raises(ConfigError), replaced_identity(folder, OpenedBundle(bundle, r1.roster)):
             pass
         assert not list(folder.parent.iterdir())

@@ -62,9 +62,7 @@ def test_another_roster_of_the_same_generation_is_refused(keys: SwarmKeys, tmp_p
         take_roster(taken, shared_of(older))
 
 
-def test_a_roster_with_another_signature_or_encoding_keeps_no_real_one_out(
-    keys: SwarmKeys,
-) -> None:
+def test_a_roster_with_another_signature_or_encoding_keeps_no_real_one_out(keys: SwarmKeys) -> None:
     """A holder of the roster can make these without the key of the authority."""
     keys.authority.change(add={"r3": Role.ROBOT})
     real, before = shared_of(keys.authority), keys["r1"]

@@ -68,15 +68,6 @@ def with_value(path: str, value: object) -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal", "waffle_pi_lds02"])
-def test_shipped_platforms_load(name: str) -> None:
-    platform = load_platform(name)
-    assert name in platform_names()
-    assert platform.name == name
-    assert platform.limits.linear > 0.0
-    assert platform.scan.range_min < float(platform.protection["threshold"]) < 4.0
-
-
 def test_gives_every_value_in_its_type(folder: Path) -> None:
     platform = load_platform(write(folder, GOOD))
     assert platform.name == "x"
@@ -275,11 +266,6 @@ def test_refuses_near_lost_with_zeros_that_mean_too_close(folder: Path) -> None:
         load_platform(write(folder, data))
 
 
-@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
-def test_shipped_lidars_lose_objects_below_range_min(name: str) -> None:
-    assert load_platform(name).scan.near == "lost"
-
-
 @pytest.mark.parametrize("name", ["wafle_pi", "Waffle_Pi", "../platforms/waffle_pi", ""])
 def test_refuses_unknown_names(name: str) -> None:
     with pytest.raises(ConfigError, match=rf"^no platform '{name}'; "):
@@ -314,15 +300,6 @@ def test_drivers_accept_the_options_of_shipped_platforms(name: str) -> None:
         made = make(swarm="s", robot="r-1", platform=platform, options=rest)
         assert made.is_simulated or base.command_timeout is not None, f"{driver}: how does it stop?"
         assert base.command_timeout != "none" or isinstance(made, ZeroSenderProvider)
-
-
-@pytest.mark.parametrize("name", ["burger_lds02", "waffle_pi_lds02"])
-def test_an_lds_02_variant_changes_only_the_sensor(name: str) -> None:
-    variant, base = load_platform(name), load_platform(name.removesuffix("_lds02"))
-    assert np.array_equal(variant.footprint, base.footprint)
-    assert (variant.scan.range_min, variant.scan.range_max) == (0.16, 8.0)
-    assert variant.scan.offset == base.scan.offset
-    assert variant.scan.zero == "lds"
 
 
 @pytest.mark.parametrize(

@@ -47,9 +47,7 @@ def test_an_invalid_host_name_requires_an_id(monkeypatch: pytest.MonkeyPatch) ->
         load()
 
 
-def test_command_line_overrides_file_overrides_included_file(
-    folder: Path,
-) -> None:
+def test_command_line_overrides_file_overrides_included_file(folder: Path) -> None:
     (folder / "swarm.yaml").write_text("swarm: lab\nprofile: dev\nroster: [r1, r2]\nlease: 3")
     settings = load("id: r1\nswarm_file: swarm.yaml\nplatform: burger\nlease: 4", id="r2")
     assert (settings.id, settings.network.swarm, settings.network.lease) == ("r2", "lab", 4.0)
@@ -60,9 +58,7 @@ def test_command_line_overrides_file_overrides_included_file(
     assert settings.provenance["seeds"] == "default"
 
 
-def test_driver_options_of_the_platform_name_it_as_source(
-    folder: Path,
-) -> None:
+def test_driver_options_of_the_platform_name_it_as_source(folder: Path) -> None:
     def source(text: str = "", **overrides: object) -> str:
         given = {"id": "r1", "platform": "burger", "driver": "ros2dds", **overrides}
         return load(text, **given).provenance["driver_options"]
@@ -171,10 +167,6 @@ def test_a_robots_file_can_change_and_revoke_grants(folder: Path) -> None:
     settings = load("id: r1\nswarm_file: swarm.yaml\ntouch: {dock: null, push: {speed: 0.05}}")
     assert settings.touch_zones == {"push": TouchZone(0.0, math.radians(20.0), 0.05)}
     assert settings.provenance["touch"] == "r.yaml"
-
-
-def test_nothing_may_be_touched_by_default(folder: Path) -> None:
-    assert load("id: r1").touch_zones == {}
 
 
 def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:

@@ -1,7 +1,11 @@
-"""How many examples a property test draws: as many as it names under `make evidence` alone."""
+"""How much a long test does: all that it names under `make evidence` alone."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
 from hypothesis import settings
 
 FULL = 100
@@ -11,3 +15,11 @@ FULL = 100
 def examples(full: int) -> int:
     """The number of examples under the profile that is loaded, at least 5."""
     return max(full * settings().max_examples // FULL, 5)
+
+
+def part(short: Sequence[Any], more: Sequence[Any]) -> list[Any]:
+    """Parameters of a long test; those of `more` are evidence."""
+    marks = pytest.mark.evidence
+    rest = (pytest.param(*one, marks=marks) if isinstance(one, tuple) else
+            pytest.param(one, marks=marks) for one in more)  # fmt: skip
+    return [*short, *rest]

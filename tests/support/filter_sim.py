@@ -12,8 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import (
     ZERO,
     Array,
@@ -25,14 +27,23 @@ from swarmd.core.values import (
     TouchZone,
     Twist,
 )
+from swarmd.protection import barrier
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, ToldObstacle
+from swarmd.protection.decision import (
+    NO_PERMIT,
+    Decision,
+    DecisionContext,
+    ModeDecision,
+    Permit,
+    ToldObstacle,
+)
 from swarmd.robot.sensors import Sensors
 from swarmd.testing.scans import trembling
 
 DT = 0.01
 TICK = 0.05
 HERE = Pose()
+IS_COMPILED = load_kernel("swarmd.protection.barrier") is not barrier
 RequestedCommand = Twist | Callable[[float], Twist]
 
 
@@ -55,19 +66,39 @@ def decided(
 ) -> Decision:
     """The decision of new protection for a robot at rest, `age` s after its first scan.
 
-    `delay` s: by how much more than the platform's latency the scan is late.
+    `delay` s: by how much more than the platform's latency the scan is late. Mode `barrier`
+    decides compiled and interpreted, and alike.
     """
-    protection, begin = Protection(platform), 10.0
-    odometry = Odometry(begin, HERE, ZERO)
-    protection.observe(scan, DecisionContext(begin, 0.0, odometry, 0.0, delay))
+    protections, begin = [Protection(platform)], 10.0
+    if platform.protection["mode"] == "barrier" and IS_COMPILED:
+        protections.append(Protection(platform))
+        protections[1]._arbiter = barrier.Barrier(platform)
+    first = Odometry(begin, HERE, ZERO)
     later = Odometry(begin + age, HERE, ZERO)
-    return protection.decide(
-        requested,
-        DecisionContext(begin + age, age, later, 0.0, delay, told),
-        is_running=True,
-        hold=None,
-        permit=Permit(touch=touch),
-    )
+    decisions: list[Decision] = []
+    for protection in protections:
+        protection.observe(scan, DecisionContext(begin, 0.0, first, 0.0, delay))
+        context = DecisionContext(begin + age, age, later, 0.0, delay, told)
+        decisions.append(
+            protection.decide(
+                requested, context, is_running=True, hold=None, permit=Permit(touch=touch)
+            )
+        )
+    if len(decisions) > 1:
+        assert_alike(*decisions)
+    return decisions[0]
+
+
+def assert_alike(one: Decision | ModeDecision, other: Decision | ModeDecision) -> None:
+    """Commands, activity and reported constraints agree to within rounding."""
+    assert one.is_active == other.is_active
+    assert _numbers(one) == pytest.approx(_numbers(other), abs=1e-12, rel=0.0, nan_ok=True)
+
+
+def _numbers(decision: Decision | ModeDecision) -> list[float]:
+    twist = decision.safe if isinstance(decision, Decision) else decision.twist
+    rows = [number for row in decision.rows for number in (row.bearing, row.gap, row.cap)]
+    return [twist.linear, twist.angular, twist.lateral, *rows]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import selectors
-from collections.abc import Callable, Coroutine
+from collections.abc import Awaitable, Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -48,7 +48,7 @@ class HandLoop(asyncio.SelectorEventLoop):
         return self._skipping.now
 
 
-def run(story: Coroutine[Any, Any, None]) -> None:
+def run(story: Awaitable[None]) -> None:
     loop = HandLoop()
     try:
         loop.run_until_complete(story)

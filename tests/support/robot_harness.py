@@ -227,6 +227,12 @@ class RobotHarness:
         """An event of the pattern host arrives now."""
         self.step(HostInput(event))
 
+    def host_answers(self, command: HostCommand) -> None:
+        """The pattern host answers a command, also a late one."""
+        event = self._runner.send(command)
+        assert event is not None
+        self.host_says(event)
+
     def carry_out(self, actions: Actions, now: float | None = None) -> None:
         """Do the work of the shell, in this process."""
         self.twist = actions.twist

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Pattern, Twist, about
-from swarmd.core.messages import Code, Reason, State
+from swarmd.core.messages import Reason, State
 from tests.support.robot_harness import RobotHarness
 
 
@@ -74,13 +74,17 @@ PATTERNS: dict[str, type[Pattern[Any]]] = {
 }
 
 
-def started(pattern: str = "forward", **params: float) -> RobotHarness:
-    """A harness half a second after its robot was asked to run one of PATTERNS."""
+def idle() -> RobotHarness:
+    """A harness of a robot with PATTERNS that was started a second ago."""
     story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
-    reply = story.ask("run", pattern=pattern, params=params)
-    assert reply is not None
-    assert reply.code is Code.APPLIED, reply.text
+    return story
+
+
+def started(pattern: str = "forward", **params: float) -> RobotHarness:
+    """A harness half a second after its robot was asked to run one of PATTERNS."""
+    story = idle()
+    story.applied("run", pattern=pattern, params=params)
     story.advance(0.5)
     return story
 

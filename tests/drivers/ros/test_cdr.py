@@ -76,9 +76,7 @@ def test_bytes_are_those_of_the_second_library_both_ways(
 
 
 @pytest.mark.parametrize(
-    "kind",
-    [dds.Imu, dds.BatteryState, dds.Range],
-    ids=lambda kind: kind.__name__,
+    "kind", [dds.Imu, dds.BatteryState, dds.Range], ids=lambda kind: kind.__name__
 )
 def test_other_messages_are_the_second_librarys_too(kind: Any) -> None:
     value = kind(header=dds.stamped(1.5, "sensor"))

@@ -226,9 +226,7 @@ class TestRangeRingDecoder:
         assert np.isnan(scan.ranges[6])
         np.testing.assert_allclose(scan.ranges[:6], 0.2, rtol=1e-6)
 
-    def test_the_distance_from_the_origin_is_added_to_measured_ranges_only(
-        self,
-    ) -> None:
+    def test_the_distance_from_the_origin_is_added_to_measured_ranges_only(self) -> None:
         ring = self.ring(0.08)
         given = [0.1, 0.0, math.inf, -math.inf, math.nan, 0.2, 0.3]
         scan = None

@@ -14,7 +14,6 @@ from swarmd.drivers.ros.options import (
     DEFAULT_ENDPOINT,
     RmwOptions,
     Ros1Options,
-    RosOptions,
     TopicOptions,
     read_options,
 )
@@ -36,12 +35,6 @@ def read_ros1(options: Mapping[str, Value]) -> Ros1Options:
 
 
 both = pytest.mark.parametrize("read_any", [read, read_ros1], ids=["rmw_zenoh", "ros1"])
-
-
-def test_defaults_are_those_of_a_bridge_on_this_machine() -> None:
-    options = read_options(RosOptions, {}, "ros2dds", "r")
-    assert options.endpoint == "tcp/127.0.0.1:7447"
-    assert options.topic(options.scan_topic) == "/scan"
 
 
 def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:

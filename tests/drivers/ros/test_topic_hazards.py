@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,27 +19,17 @@ from swarmd.core.values import Value
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import ros2_types as dds
 from tests.support.examples import examples
 from tests.support.vendor_messages import PACKAGE, vendor_folder, write_package
 
-CREATE: dict[str, Value] = {
-    "topic": "hazard_detection",
-    "type": f"{PACKAGE}/HazardDetectionVector",
-    "list": "detections",
-    "field": "type",
-    "means": {"1": "bump", "2": "cliff", "3": "stall", "4": "wheel_drop"},
-    "place_field": "header.frame_id",
-    "stale_after": 0.5,
-}
-KIDNAP: dict[str, Value] = {
-    "topic": "kidnap_status",
-    "type": f"{PACKAGE}/KidnapStatus",
-    "field": "is_kidnapped",
-    "means": "lifted",
-}
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "robots" / "turtlebot4.md"
+SHOWN: Any = yaml.safe_load(re.findall(r"^```yaml\n(.*?)^```", PAGE.read_text(), re.M | re.S)[0])
+CREATE: dict[str, Value] = SHOWN["driver_options"]["hazards"]["base"]
+KIDNAP: dict[str, Value] = SHOWN["driver_options"]["hazards"]["kidnap"]
 BUMPER: dict[str, Value] = {"topic": "bumper", "type": "std_msgs/Bool", "means": "bump front"}
 BUMP = Hazard(HazardKind.BUMP, "front")
 SILENT = Hazard(HazardKind.NOT_HEARD, "/bumper")
@@ -94,8 +86,13 @@ class Heard:
         return self._types.kind(name)(header=self.header(), **fields)
 
 
-def test_a_list_of_detections_tells_kind_and_place(folder: Path) -> None:
-    heard = Heard(options({"base": CREATE, "kidnap": KIDNAP}, folder))
+def test_a_turtlebot_4_as_its_page_tells_gives_kind_and_place(folder: Path) -> None:
+    given = {**load_platform("turtlebot4").drivers["ros2dds"], **SHOWN["driver_options"]}
+    del given["command_timeout"]
+    heard = Heard(read_options(RosOptions, {**given, "message_path": str(folder)}, "ros2dds", "r"))
+    silent = heard.at(0.0)
+    assert {one.kind for one in silent} == {HazardKind.NOT_HEARD}
+    assert len(silent) == 2
     heard.tell("kidnap", heard.message(f"{PACKAGE}/KidnapStatus", is_kidnapped=False), 0.0)
     assert heard.tell("base", heard.vector(), 0.0) == ()
     assert heard.tell("base", heard.vector((1, "bump_front_left"), (3, "left_wheel")), 0.1) == (
@@ -123,10 +120,7 @@ def test_numbers_limits_and_signs_of_one_message(folder: Path) -> None:
 
     assert told(0, 50.0, 0.0) == ()
     assert told(1, 50.0, 0.1) == (BUMP,)
-    assert told(2, 10.0, 0.2) == (
-        Hazard(HazardKind.BUMP, "rear"),
-        Hazard(HazardKind.CLIFF),
-    )
+    assert told(2, 10.0, 0.2) == (Hazard(HazardKind.BUMP, "rear"), Hazard(HazardKind.CLIFF))
 
 
 def test_a_silent_topic_is_a_hazard_before_its_first_message_and_after_its_last() -> None:

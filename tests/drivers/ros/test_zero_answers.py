@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-
-import pytest
 
 from swarmd.core.values import ZERO, Twist
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.drivers.ros import zero_answers
-from swarmd.drivers.ros.zero_answers import ZeroAnswers
-
-CAP = 5.0
+from swarmd.drivers.ros.zero_answers import LASTING, PERIOD, ZeroAnswers
+from tests.support import hand_clock
+from tests.support.stories import Tell, Test, as_test
 
 
 class Base:
@@ -27,67 +23,41 @@ class Base:
     def _take(self) -> None:
         self.zeros += 1
 
-    async def gets(self, count: int) -> None:
-        async with asyncio.timeout(CAP):
-            while self.zeros < count:
-                await asyncio.sleep(0.001)
-
-    async def gets_no_more(self) -> None:
-        async with asyncio.timeout(CAP):
-            before = -1
-            while before < self.zeros:
-                before = self.zeros
-                await asyncio.sleep(10.0 * zero_answers.PERIOD)
+    async def zeros_within(self, seconds: float) -> int:
+        before = self.zeros
+        await asyncio.sleep(seconds)
+        return self.zeros - before
 
 
-def run(story: Callable[[Base], Awaitable[None]]) -> None:
-    async def play() -> None:
-        await story(Base())
-
-    asyncio.run(play())
+def timed(tell: Tell) -> Test:
+    """A test of what happens to a base, in virtual time."""
+    return as_test(tell, lambda told, _: hand_clock.run(told(base=Base())), ("base",))
 
 
-def test_a_command_of_another_node_is_answered_at_once_and_again() -> None:
-    async def story(base: Base) -> None:
+@timed
+async def test_each_command_of_another_node_is_answered_at_once_and_again(base: Base) -> None:
+    for count in (1, 2, 3):
         base.answers.answer()
-        assert base.zeros == 1
-        await base.gets(10)
-
-    run(story)
+        assert base.zeros == count
+    assert await base.zeros_within(10.5 * PERIOD) == 10, "one repetition, not three"
 
 
-def test_each_command_has_its_own_zero_at_once() -> None:
-    async def story(base: Base) -> None:
-        for _ in range(3):
-            base.answers.answer()
-        assert base.zeros == 3
-
-    run(story)
-
-
-def test_zeros_end_after_the_last_command_and_begin_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(zero_answers, "LASTING", 0.02)
-
-    async def story(base: Base) -> None:
+@timed
+async def test_zeros_end_after_the_last_command_and_begin_again(base: Base) -> None:
+    for _ in range(2):
         base.answers.answer()
-        await base.gets_no_more()
-        before = base.zeros
+        await asyncio.sleep(0.5 * LASTING)
         base.answers.answer()
-        await base.gets(before + 3)
-        await base.gets_no_more()
+        assert await base.zeros_within(0.9 * LASTING) > 30
+        await asyncio.sleep(0.2 * LASTING)
+        assert await base.zeros_within(1.0) == 0
 
-    run(story)
 
-
-def test_a_robot_that_may_move_gets_no_zeros() -> None:
-    async def story(base: Base) -> None:
-        base.answers.answer()
-        base.gate.open()
-        base.gate.filter(Twist(0.1))
-        await base.gets_no_more()
-        before = base.zeros
-        base.answers.answer()
-        await base.gets_no_more()
-        assert base.zeros == before
-
-    run(story)
+@timed
+async def test_a_robot_that_may_move_gets_no_zeros(base: Base) -> None:
+    base.answers.answer()
+    base.gate.open()
+    base.gate.filter(Twist(0.1))
+    assert await base.zeros_within(1.0) == 0
+    base.answers.answer()
+    assert await base.zeros_within(1.0) == 0

@@ -11,11 +11,16 @@ import subprocess
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+from rosbags.typesys.stores import ros1_noetic as noetic
 
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.values import Scan, Twist, Value
+from swarmd.drivers.ros import messages
+from swarmd.drivers.ros.from_ros import command_message
 from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.drivers.ros1.serialization import definition, type_name
+from swarmd.drivers.ros1.serialization import definition, encode, encode_twist, type_name
 from swarmd.settings.platforms import load_platform
 from tests.support.processes import CAP, wait_until
 from tests.support.roscore import PYTHON, RosCore
@@ -104,6 +109,37 @@ class RosRobot:
         names = {"_type": type_name(kind), "_md5sum": md5sum, "_full_text": text}
         self.do("raw", topic=topic, kind=names, bytes=data.hex())
 
+    def command(self, topic: str, linear: float) -> None:
+        message = command_message(Twist(linear), messages.Twist, "")
+        self.put(topic, message, encode_twist(Twist(linear)))
+
+    def report_goal(self, *, is_active: bool) -> None:
+        time = noetic.builtin_interfaces__msg__Time(1, 0)
+        goal = noetic.actionlib_msgs__msg__GoalID(time, "goal")
+        goals: list[Any] = [noetic.actionlib_msgs__msg__GoalStatus(goal, 1 if is_active else 3, "")]
+        header: Any = noetic.std_msgs__msg__Header(1, time, "")
+        message = messages.ActionlibStatusArray(header, goals)  # of ROS 1, in the class of both
+        self.put("dock/status", message, encode(message))
+
+    @property
+    def cancels(self) -> str:
+        return f"rostopic pub -1 {self.namespace}/dock/cancel actionlib_msgs/GoalID"
+
+    def other_node(self, *, has_lidar: bool) -> RosRobot:
+        """Its end is a SIGKILL: the master still lists it."""
+        words = [] if has_lidar else ["--no-sensors"]
+        return RosRobot(self.core, "--name", "other", "--no-base", *words, namespace=self.namespace)
+
+    def dock(self, *, is_latched: bool) -> Dock:
+        words = [
+            "--name",
+            "dock",
+            "--no-base",
+            "--no-sensors",
+            *(["--latch"] if is_latched else []),
+        ]
+        return Dock(RosRobot(self.core, *words, namespace=self.namespace))
+
     def publish_odometry(self) -> None:
         self.do("odometry")
 
@@ -129,6 +165,24 @@ class RosRobot:
                     pipe.close()
                 except BrokenPipeError:
                     continue
+
+
+class Dock:
+    """A node that publishes `dock`."""
+
+    def __init__(self, node: RosRobot) -> None:
+        self._node = node
+
+    def put(self, is_docked: bool) -> None:
+        self._node.do("dock", docked=is_docked)
+
+    def close(self) -> None:
+        self._node.close()
+
+
+def ros_robot(roscore: RosCore) -> RosRobot:
+    """A robot as the maker of a story takes it."""
+    return RosRobot(roscore)
 
 
 def _read(process: subprocess.Popen[bytes], lines: list[str], ready: threading.Event) -> None:

@@ -8,8 +8,9 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,6 +20,7 @@ from swarmd.drivers.ros1 import adapter_process as ros1_adapter
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, is_running
+from tests.support.stories import Tell, Test, as_test
 
 FAKE_ADAPTER = Path(__file__).with_name("fake_adapter.py")
 PLATFORM = load_platform("burger")
@@ -28,28 +30,30 @@ def make(**options: Value) -> Ros1Driver:
     return Ros1Driver(swarm="s", robot="r", platform=PLATFORM, options=options)
 
 
-def play(
-    monkeypatch: pytest.MonkeyPatch,
-    kind: str,
-    story: Callable[[Ros1Driver, CollectingSink], Awaitable[None]],
-    **options: Value,
-) -> None:
-    monkeypatch.setattr(ros1_adapter, "__file__", str(FAKE_ADAPTER))
-    monkeypatch.setenv("FAKE_ADAPTER", kind)
+def playing(kind: str) -> Callable[[Tell], Test]:
+    """A test of a story with an adapter of that kind; it takes `driver`, `sink` and fixtures."""
 
-    async def run() -> None:
-        driver, sink = make(**{"python": sys.executable, **options}), CollectingSink()
+    async def played(told: Tell) -> None:
+        driver, sink = make(python=sys.executable), CollectingSink()
         task = asyncio.create_task(driver.run(sink))
         try:
             async with asyncio.timeout(TIMEOUT):
-                await story(driver, sink)
+                await told(driver=driver, sink=sink)
         finally:
             pid = driver.adapter_pid
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
             assert pid is None or not is_running(pid)
 
-    asyncio.run(run())
+    def of(tell: Tell) -> Test:
+        def run(told: Tell, given: Mapping[str, Any]) -> None:
+            given["monkeypatch"].setattr(ros1_adapter, "__file__", str(FAKE_ADAPTER))
+            given["monkeypatch"].setenv("FAKE_ADAPTER", kind)
+            asyncio.run(played(told))
+
+        return as_test(tell, run, ("driver", "sink"), ("monkeypatch",))
+
+    return of
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -61,56 +65,49 @@ def texts(sink: CollectingSink) -> list[str]:
     return [text for _, text in sink.states]
 
 
-def test_garbage_is_counted_and_later_events_are_read(
-    monkeypatch: pytest.MonkeyPatch,
+@playing("garbage")
+async def test_garbage_is_counted_and_later_events_are_read(sink: CollectingSink) -> None:
+    await until(lambda: any("a fake adapter" in text for text in texts(sink)))
+    assert sink.lost.count("ros1/garbage") >= 60
+    assert not sink.is_up
+    assert not sink.scans
+
+
+@playing("dies")
+async def test_the_last_words_of_an_adapter_are_reported(sink: CollectingSink) -> None:
+    await until(lambda: any("it cannot go on" in text for text in texts(sink)))
+
+
+@playing("mute")
+async def test_a_silent_adapter_is_killed(
+    sink: CollectingSink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
-        await until(lambda: any("a fake adapter" in text for text in texts(sink)))
-        assert sink.lost.count("ros1/garbage") >= 60
-        assert not sink.is_up
-        assert not sink.scans
-
-    play(monkeypatch, "garbage", story)
-
-
-def test_the_last_words_of_an_adapter_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
-        await until(lambda: any("it cannot go on" in text for text in texts(sink)))
-
-    play(monkeypatch, "dies", story)
-
-
-def test_a_silent_adapter_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros1_child, "START_TIMEOUT", 0.3)
-
-    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
-        await until(lambda: any("SIGKILL" in text for text in texts(sink)))
-        assert any("did not answer" in text for text in texts(sink))
-
-    play(monkeypatch, "mute", story)
+    await until(lambda: any("SIGKILL" in text for text in texts(sink)))
+    assert any("did not answer" in text for text in texts(sink))
 
 
-def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
-        await until(lambda: any("a fake adapter" in text for text in texts(sink)))
-        assert driver.adapter_pid is not None  # `play` sees that it has ended
+@playing("deaf")
+async def test_an_adapter_that_does_not_leave_is_killed(
+    driver: Ros1Driver, sink: CollectingSink
+) -> None:
+    await until(lambda: any("a fake adapter" in text for text in texts(sink)))
+    assert driver.adapter_pid is not None  # `playing` sees that it has ended
 
-    play(monkeypatch, "deaf", story)
 
-
-def test_a_full_machine_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+@playing("mute")
+async def test_a_full_machine_ends_no_daemon(
+    driver: Ros1Driver, sink: CollectingSink, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
-        await until(lambda: driver.adapter_pid is not None)
-        with monkeypatch.context() as full:
-            full.setattr(socket, "socketpair", refuse)
-            os.kill(driver.adapter_pid or 0, signal.SIGKILL)
-            await until(lambda: any("is the machine full?" in text for text in texts(sink)))
-        await until(lambda: driver.adapter_pid is not None)
-
-    play(monkeypatch, "mute", story)
+    await until(lambda: driver.adapter_pid is not None)
+    with monkeypatch.context() as full:
+        full.setattr(socket, "socketpair", refuse)
+        os.kill(driver.adapter_pid or 0, signal.SIGKILL)
+        await until(lambda: any("is the machine full?" in text for text in texts(sink)))
+    await until(lambda: driver.adapter_pid is not None)
 
 
 @pytest.mark.parametrize(
@@ -124,8 +121,3 @@ def test_an_interpreter_without_rospy_is_named(
     findings = asyncio.run(make(python=python).check(TIMEOUT))
     assert [finding.is_well for finding in findings] == [False]
     assert remedy in findings[0].text
-
-
-def test_the_adapter_is_the_watchdog_of_a_real_robot() -> None:
-    assert not make().is_simulated
-    assert make().zero_sender() is None

@@ -9,14 +9,13 @@ import asyncio
 import os
 import socket
 import struct
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Mapping
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros1 import adapter as ros1_child
@@ -28,6 +27,7 @@ from swarmd.drivers.ros1.serialization import encode_twist
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
 from tests.support import hand_clock as handclock
+from tests.support.stories import Tell, Test, as_test
 
 MOVING = Twist(0.1, -0.2)
 FIRST = [encode_twist(Twist()), encode_twist(MOVING)]
@@ -88,9 +88,9 @@ class Scene:
     def report(self, state: MasterState = WELL) -> None:
         self.adapter.listener.on_event(state)
 
-    def connect(self) -> None:
+    def connect(self, state: MasterState = WELL) -> None:
         """The master, the base and all needed messages arrive."""
-        self.report()
+        self.report(state)
         for topic, data in enumerate((scan(1.0), odometry())):
             self.adapter.listener.on_message(topic, data)
 
@@ -106,30 +106,35 @@ class Scene:
         return self.adapter.sent
 
 
-def play(
-    monkeypatch: pytest.MonkeyPatch, story: Callable[[Scene], Awaitable[None]], **options: Value
-) -> None:
-    started: list[Adapter] = []
+def playing(**options: Value) -> Callable[[Tell], Test]:
+    """A test of a story with a driver; the story takes `scene` and fixtures."""
 
-    def start(*given: Any) -> Adapter:
-        started.append(Adapter(*given))
-        return started[-1]
+    def of(tell: Tell) -> Test:
+        def run(told: Tell, given: Mapping[str, Any]) -> None:
+            started: list[Adapter] = []
 
-    monkeypatch.setattr(ros1, "AdapterProcess", start)
+            def start(*args: Any) -> Adapter:
+                started.append(Adapter(*args))
+                return started[-1]
 
-    async def run() -> None:
-        given = {"master": "http://127.0.0.1:9", **options}
-        driver = Ros1Driver(swarm="s", robot="r", platform=load_platform("burger"), options=given)
-        scene = Scene(driver, started)
-        await asyncio.sleep(0.01)
-        try:
-            await story(scene)
-        finally:
-            scene.task.cancel()
-            await asyncio.gather(scene.task, return_exceptions=True)
-        assert scene.adapter.is_closed_politely, "a clean end sends zero"
+            given["monkeypatch"].setattr(ros1, "AdapterProcess", start)
+            handclock.run(_played(told, started, {"master": "http://127.0.0.1:9", **options}))
 
-    handclock.run(run())
+        return as_test(tell, run, ("scene",), ("monkeypatch",))
+
+    return of
+
+
+async def _played(told: Tell, started: list[Adapter], options: Mapping[str, Value]) -> None:
+    driver = Ros1Driver(swarm="s", robot="r", platform=load_platform("burger"), options=options)
+    scene = Scene(driver, started)
+    await asyncio.sleep(0.01)
+    try:
+        await told(scene=scene)
+    finally:
+        scene.task.cancel()
+        await asyncio.gather(scene.task, return_exceptions=True)
+    assert scene.adapter.is_closed_politely, "a clean end sends zero"
 
 
 @pytest.mark.parametrize(
@@ -142,119 +147,91 @@ def play(
     ],
     ids=["master", "other publisher", "no base", "end"],
 )
-def test_the_loss_of_the_base_ends_commands_at_once(
-    monkeypatch: pytest.MonkeyPatch, lost: Any
+@playing()
+async def test_the_loss_of_the_base_ends_commands_at_once(scene: Scene, lost: Any) -> None:
+    scene.connect()
+    scene.command()
+    scene.report(lost)
+    assert not scene.sink.is_up
+    assert not scene.is_moved()
+    if isinstance(lost, MasterState):
+        scene.report()
+        assert scene.command() == FIRST
+
+
+@playing()
+async def test_one_cause_of_a_loss_is_one_line_in_the_log(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.command()
-        scene.report(lost)
-        assert not scene.sink.is_up
-        assert not scene.is_moved()
-        if isinstance(lost, MasterState):
-            scene.report()
-            assert scene.command() == FIRST
-
-    play(monkeypatch, story)
-
-
-def test_one_cause_of_a_loss_is_one_line_in_the_log(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def now() -> float:
-        return asyncio.get_running_loop().time()
-
-    monkeypatch.setattr(ros1, "time", SimpleNamespace(monotonic=now))
-
-    async def story(scene: Scene) -> None:
-        for _ in range(40):
-            scene.report(replace(WELL, publishers={}))
-            await asyncio.sleep(0.1)
-
-    play(monkeypatch, story)
-    (line,) = [
-        record.getMessage() for record in caplog.records if "no /scan" in record.getMessage()
-    ]
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr(ros1, "time", SimpleNamespace(monotonic=loop.time))
+    for _ in range(40):
+        scene.report(replace(WELL, publishers={}))
+        await asyncio.sleep(0.1)
+    texts = [record.getMessage() for record in caplog.records]
+    (line,) = [text for text in texts if "no /scan" in text]
     assert "driver_options" in line
 
 
-def test_the_base_is_lost_2_and_a_half_s_after_a_topic_falls_silent(
-    monkeypatch: pytest.MonkeyPatch,
+@playing()
+async def test_the_base_is_lost_2_and_a_half_s_after_a_topic_falls_silent(scene: Scene) -> None:
+    scene.connect()
+    await asyncio.sleep(2.45)
+    assert scene.sink.is_up
+    scene.adapter.listener.on_message(0, scan(1.0))
+    await asyncio.sleep(0.2)
+    assert not scene.sink.is_up, "scans come, odometry does not"
+    assert not scene.is_moved()
+
+
+@playing()
+async def test_an_adapter_that_was_connected_is_replaced_after_the_first_pause(
+    scene: Scene,
 ) -> None:
-    async def story(scene: Scene) -> None:
+    assert not scene.adapter.config["holds"]
+    for count in range(1, 8):
         scene.connect()
-        await asyncio.sleep(2.45)
-        assert scene.sink.is_up
-        scene.adapter.listener.on_message(0, scan(1.0))
-        await asyncio.sleep(0.2)
-        assert not scene.sink.is_up, "scans come, odometry does not"
+        assert scene.command() == FIRST
+        scene.adapter.is_dead = True
+        await asyncio.sleep(ros1.MIN_RESTART_DELAY + 0.01)
+        assert not scene.sink.is_up
+        scene.driver.send(MOVING, 1, 1)
+        await asyncio.sleep(0.19)
+        assert len(scene.started) == count + 1, "the pause does not grow"
+        assert scene.adapter.config["holds"], "the robot was driven"
         assert not scene.is_moved()
 
-    play(monkeypatch, story)
+
+@playing()
+async def test_an_adapter_without_a_base_is_replaced_after_growing_pauses(scene: Scene) -> None:
+    for pause in (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0):
+        known = len(scene.started)
+        scene.adapter.is_dead = True
+        await asyncio.sleep(pause - 0.01)
+        assert len(scene.started) == known
+        await asyncio.sleep(0.22)
+        assert len(scene.started) == known + 1
 
 
-def test_an_adapter_that_was_connected_is_replaced_after_the_first_pause(
-    monkeypatch: pytest.MonkeyPatch,
+@playing()
+async def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
+    scene: Scene,
 ) -> None:
-    async def story(scene: Scene) -> None:
-        assert not scene.adapter.config["holds"]
-        for count in range(1, 8):
-            scene.connect()
-            assert scene.command() == FIRST
-            scene.adapter.is_dead = True
-            await asyncio.sleep(ros1.MIN_RESTART_DELAY + 0.01)
-            assert not scene.sink.is_up
-            scene.driver.send(MOVING, 1, 1)
-            await asyncio.sleep(0.19)
-            assert len(scene.started) == count + 1, "the pause does not grow"
-            assert scene.adapter.config["holds"], "the robot was driven"
-            assert not scene.is_moved()
-
-    play(monkeypatch, story)
+    scene.report()
+    listener = scene.adapter.listener
+    listener.on_event(ForeignMessage("/odom", "/base", "nav_msgs/Odometry", "0" * 32))
+    listener.on_message(0, scan(1.0)[:-1])
+    listener.on_message(3, odometry())
+    assert scene.sink.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
+    assert not scene.sink.is_up
 
 
-def test_an_adapter_without_a_base_is_replaced_after_growing_pauses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        for pause in (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0):
-            known = len(scene.started)
-            scene.adapter.is_dead = True
-            await asyncio.sleep(pause - 0.01)
-            assert len(scene.started) == known
-            await asyncio.sleep(0.22)
-            assert len(scene.started) == known + 1
-
-    play(monkeypatch, story)
-
-
-def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        scene.report()
-        listener = scene.adapter.listener
-        listener.on_event(ForeignMessage("/odom", "/base", "nav_msgs/Odometry", "0" * 32))
-        listener.on_message(0, scan(1.0)[:-1])
-        listener.on_message(3, odometry())
-        assert scene.sink.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
-        assert not scene.sink.is_up
-
-    play(monkeypatch, story)
-
-
-def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        scene.report(replace(WELL, command_type="geometry_msgs/TwistStamped"))
-        for topic, data in enumerate((scan(1.0), odometry())):
-            scene.adapter.listener.on_message(topic, data)
-        for count, data in enumerate(scene.command(), 1):
-            assert struct.unpack_from("<I", data)[0] == count
-            assert data[12:20] == b"\x04\0\0\0base"
-
-    play(monkeypatch, story, cmd_vel_frame="base")
+@playing(cmd_vel_frame="base")
+async def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(scene: Scene) -> None:
+    scene.connect(replace(WELL, command_type="geometry_msgs/TwistStamped"))
+    for count, data in enumerate(scene.command(), 1):
+        assert struct.unpack_from("<I", data)[0] == count
+        assert data[12:20] == b"\x04\0\0\0base"
 
 
 def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
@@ -296,134 +273,46 @@ CONTENDED = replace(WELL, others=["/teleop"])
 COMMAND_INDEX = 2  # after scan and odometry
 
 
-def test_a_stopped_robot_gets_zero_at_once_after_each_command_of_another(
-    monkeypatch: pytest.MonkeyPatch,
+@playing()
+async def test_a_stopped_robot_gets_zero_at_once_after_each_command_of_another(
+    scene: Scene,
 ) -> None:
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.command()
-        scene.driver.send(ZERO, 2, 2, is_stopped=True)
-        scene.report(CONTENDED)
-        assert not scene.sink.is_up
-        for foreign in (encode_twist(MOVING), b"", b"of another type"):
-            scene.adapter.sent.clear()
-            scene.adapter.listener.on_message(COMMAND_INDEX, foreign)
-            assert scene.adapter.sent == FIRST[:1]
-        assert scene.sink.gets_zero
-        scene.report(CONTENDED)
-        assert scene.sink.states[-1][1].startswith("someone else drives: ")
+    scene.connect()
+    scene.command()
+    scene.driver.send(ZERO, 2, 2, is_stopped=True)
+    scene.report(CONTENDED)
+    assert not scene.sink.is_up
+    for foreign in (encode_twist(MOVING), b"", b"of another type"):
         scene.adapter.sent.clear()
-        scene.adapter.listener.on_message(COMMAND_INDEX, encode_twist(ZERO))
-        assert not scene.adapter.sent, "zeros do no harm"
-
-    play(monkeypatch, story)
-
-
-def test_a_stopped_robot_gets_each_zero_while_another_publishes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.command()
-        scene.report(CONTENDED)
-        for _ in range(100):  # 5 s at 20 Hz
-            scene.adapter.sent.clear()
-            scene.driver.send(ZERO, 2, 2, is_stopped=True)
-            assert scene.adapter.sent == FIRST[:1]
-            await asyncio.sleep(0.05)
-
-    play(monkeypatch, story)
+        scene.adapter.listener.on_message(COMMAND_INDEX, foreign)
+        assert scene.adapter.sent == FIRST[:1]
+    assert scene.sink.gets_zero
+    scene.report(CONTENDED)
+    assert scene.sink.states[-1][1].startswith("someone else drives: ")
+    scene.adapter.sent.clear()
+    scene.adapter.listener.on_message(COMMAND_INDEX, encode_twist(ZERO))
+    assert not scene.adapter.sent, "zeros do no harm"
 
 
-def test_a_robot_that_need_not_stand_is_left_to_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        ros1, "time", SimpleNamespace(monotonic=lambda: asyncio.get_running_loop().time())
-    )
-
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.command()
-        scene.report(CONTENDED)
-        await asyncio.sleep(2.1)
-        scene.adapter.sent.clear()
-        scene.adapter.listener.on_message(COMMAND_INDEX, encode_twist(MOVING))
-        assert not scene.is_moved()
-        assert not scene.adapter.sent
-
-    play(monkeypatch, story)
-
-
-def test_odometry_arrives_while_another_publishes(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.report(CONTENDED)
-        known = len(scene.sink.odometries)
-        scene.adapter.listener.on_message(1, odometry(0.7))
-        assert len(scene.sink.odometries) == known + 1
-
-    play(monkeypatch, story)
-
-
-def test_zeros_are_not_promised_without_a_base(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.report(replace(WELL, listeners=[], connected=0))
-        assert (scene.sink.is_up, scene.sink.gets_zero) == (False, False)
-
-    play(monkeypatch, story)
-
-
-def test_two_publishers_of_the_scan_hold_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
-    both = {**WELL.publishers, "/scan": ["/lidar", "/rival"]}
-
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        assert scene.sink.hold is None
-        scene.report(replace(WELL, publishers=both))
-        assert scene.sink.hold is Reason.SCAN_CONFLICT
-        assert scene.sink.is_up
-        assert scene.sink.states[-1][1].startswith("2 nodes publish /scan: /lidar, /rival; ")
-        scene.report()
-        assert scene.sink.hold is None
-        assert scene.sink.states[-1][1].startswith("drives on ")
-
-    play(monkeypatch, story)
-
-
-def test_no_motion_reaches_two_bases(monkeypatch: pytest.MonkeyPatch) -> None:
-    two = replace(WELL, listeners=["/base", "/other"], connected=2)
-
-    async def story(scene: Scene) -> None:
-        scene.report(two)
-        for topic, data in enumerate((scan(1.0), odometry())):
-            scene.adapter.listener.on_message(topic, data)
-        assert scene.sink.is_up
-        assert scene.sink.hold is Reason.BASE_CONFLICT
-        assert not scene.is_moved()
-        assert "2 nodes take /cmd_vel: /base, /other; " in scene.sink.states[-1][1]
-        scene.report()
-        assert scene.sink.hold is None
-        assert scene.is_moved()
-        scene.report(two)
-        assert not scene.is_moved()
-
-    play(monkeypatch, story)
+@playing()
+async def test_zeros_are_not_promised_without_a_base(scene: Scene) -> None:
+    scene.connect()
+    scene.report(replace(WELL, listeners=[], connected=0))
+    assert (scene.sink.is_up, scene.sink.gets_zero) == (False, False)
 
 
 @pytest.mark.parametrize("listener", ["/record_1609459200123456789", "/ekf"])
-def test_a_node_that_records_commands_holds_nothing_and_is_no_base(
-    monkeypatch: pytest.MonkeyPatch, listener: str
+@playing(cmd_vel_listeners=["ekf"])
+async def test_a_node_that_records_commands_holds_nothing_and_is_no_base(
+    scene: Scene, listener: str
 ) -> None:
-    async def story(scene: Scene) -> None:
-        scene.connect()
-        scene.report(replace(WELL, listeners=[*WELL.listeners, listener], connected=2))
-        assert scene.sink.hold is None
-        assert scene.is_moved()
-        scene.report(replace(WELL, listeners=[listener], connected=1))
-        assert not scene.sink.is_up
-        assert f"only {listener} takes /cmd_vel" in scene.sink.states[-1][1]
-
-    play(monkeypatch, story, cmd_vel_listeners=["ekf"])
+    scene.connect()
+    scene.report(replace(WELL, listeners=[*WELL.listeners, listener], connected=2))
+    assert scene.sink.hold is None
+    assert scene.is_moved()
+    scene.report(replace(WELL, listeners=[listener], connected=1))
+    assert not scene.sink.is_up
+    assert f"only {listener} takes /cmd_vel" in scene.sink.states[-1][1]
 
 
 def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:

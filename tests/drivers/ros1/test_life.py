@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import os
 import signal
 import socket
-import subprocess
 import threading
 import time
 import xmlrpc.client
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -27,23 +25,18 @@ from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1.adapter_process import COMMAND_TIMEOUT
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.serialization import definition, type_name
-from swarmd.testing import driver_contract
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running
-from tests.drivers.ros1.rig import RosRobot
-from tests.support.processes import CAP, wait_until
+from tests.drivers.ros1.rig import RosRobot, ros_robot
+from tests.support.processes import CAP
 from tests.support.roscore import RosCore
+from tests.support.stories import story
 
 
-def play(
-    rig: RosRobot,
-    story: Callable[[DriverHarness, RosRobot], Awaitable[None]],
-    **options: Any,
-) -> None:
-    async def run(harness: DriverHarness) -> None:
-        rig.do("rate", hz=10)
-        await story(harness, rig)
-
-    driver_contract.play(rig, run, **options)
+def speaking(roscore: RosCore) -> RosRobot:
+    """A robot that publishes by itself."""
+    robot = RosRobot(roscore)
+    robot.do("rate", hz=10)
+    return robot
 
 
 async def drive(harness: DriverHarness, body: RosRobot) -> None:
@@ -104,49 +97,51 @@ def test_a_master_that_starts_late_ends_and_restarts(roscore: RosCore, tmp_path:
     asyncio.run(run())
 
 
-def test_a_master_that_restarts_at_once_is_noticed(roscore: RosCore, tmp_path: Path) -> None:
-    with RosCore(tmp_path, is_whole=False) as core:
+@pytest.fixture
+def core(roscore: RosCore, tmp_path: Path) -> Iterator[RosCore]:
+    """A master that a test may end."""
+    with RosCore(tmp_path, is_whole=False) as own:
+        yield own
 
-        async def story(harness: DriverHarness, body: RosRobot) -> None:
-            await drive(harness, body)
-            first = adapter(harness.driver)
-            core.kill()
-            await asyncio.to_thread(core.start)
-            with closing(RosRobot(core, namespace=body.namespace)) as again:
-                again.do("rate", hz=10)
-                await harness.until(lambda: not is_running(first))
-                await harness.until(lambda: harness.sink.is_up)
-                assert adapter(harness.driver) != first
-                assert not any(twist.is_zero is False for twist in again.commands())
-                harness.driver.send(Twist(0.1), 1, 1)
-                assert (
-                    await DriverHarness(again, harness.driver, harness.sink, harness.task).command()
-                ).is_zero
 
-        play(RosRobot(core), story)
+@story(lambda core: speaking(core))
+async def test_a_master_that_restarts_at_once_is_noticed(
+    harness: DriverHarness, robot: RosRobot
+) -> None:
+    await drive(harness, robot)
+    first = adapter(harness.driver)
+    robot.core.kill()
+    await asyncio.to_thread(robot.core.start)
+    with closing(RosRobot(robot.core, namespace=robot.namespace)) as again:
+        again.do("rate", hz=10)
+        await harness.until(lambda: not is_running(first))
+        await harness.until(lambda: harness.sink.is_up)
+        assert adapter(harness.driver) != first
+        assert all(twist.is_zero for twist in again.commands())
+        harness.driver.send(Twist(0.1), 1, 1)
+        beside = DriverHarness(again, harness.driver, harness.sink, harness.task)
+        assert (await beside.command()).is_zero
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
-def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
-    roscore: RosCore, number: signal.Signals
+@story(speaking)
+async def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
+    harness: DriverHarness, robot: RosRobot, number: signal.Signals
 ) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
-        first = adapter(harness.driver)
-        os.kill(first, number)
-        await harness.until(lambda: not harness.sink.is_up)
-        assert "adapter" in why(harness.sink)
-        while not (await harness.command()).is_zero:  # nothing is sent: the next adapter's
-            pass  # sent before the adapter was harmed
-        await harness.until(lambda: harness.sink.is_up)
-        assert adapter(harness.driver) != first
-        assert not is_running(first)
-        harness.driver.send(Twist(0.1), 1, 1)
-        await asyncio.sleep(0.1)
-        assert all(twist.is_zero for twist in body.commands())
-        await drive(harness, body)
-
-    play(RosRobot(roscore), story)
+    await drive(harness, robot)
+    first = adapter(harness.driver)
+    os.kill(first, number)
+    await harness.until(lambda: not harness.sink.is_up)
+    assert "adapter" in why(harness.sink)
+    while not (await harness.command()).is_zero:  # nothing is sent: the next adapter's
+        pass  # sent before the adapter was harmed
+    await harness.until(lambda: harness.sink.is_up)
+    assert adapter(harness.driver) != first
+    assert not is_running(first)
+    harness.driver.send(Twist(0.1), 1, 1)
+    await asyncio.sleep(0.1)
+    assert all(twist.is_zero for twist in robot.commands())
+    await drive(harness, robot)
 
 
 def is_stopped(pid: int) -> bool:
@@ -155,97 +150,82 @@ def is_stopped(pid: int) -> bool:
     return all(stat.rpartition(")")[2].split()[0] == "T" for stat in stats)
 
 
-def test_a_frozen_adapter_delivers_no_late_command(roscore: RosCore) -> None:
+@story(speaking)
+async def test_a_frozen_adapter_delivers_no_late_command(
+    harness: DriverHarness, robot: RosRobot
+) -> None:
     """Frozen for less than the time after which it is replaced."""
+    await drive(harness, robot)
+    last = Twist(0.1, 0.5)  # once it has come, no command is on its way
+    harness.driver.send(last, 1, 1)
+    await harness.until(lambda: last in robot.commands())
+    pid = adapter(harness.driver)
+    os.kill(pid, signal.SIGSTOP)
+    await harness.until(lambda: is_stopped(pid))
+    for number in range(12):
+        harness.driver.send(Twist(0.1, 0.01 * number), 1, 1)
+        await asyncio.sleep(0.05)
+    robot.commands()
+    os.kill(pid, signal.SIGCONT)
+    taken: list[Twist] = []
 
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
-        pid = adapter(harness.driver)
-        os.kill(pid, signal.SIGSTOP)
-        await harness.until(lambda: is_stopped(pid))
-        await asyncio.sleep(0.05)  # what it sent before arrives
-        for number in range(12):
-            harness.driver.send(Twist(0.1, 0.01 * number), 1, 1)
-            await asyncio.sleep(0.05)
-        body.commands()
-        os.kill(pid, signal.SIGCONT)
-        taken: list[Twist] = []
+    def drives_on() -> bool:
+        harness.driver.send(Twist(0.2), 1, 1)
+        taken.extend(robot.commands())
+        return bool(taken) and taken[-1].linear == 0.2
 
-        def drives_on() -> bool:
-            harness.driver.send(Twist(0.2), 1, 1)
-            taken.extend(body.commands())
-            return bool(taken) and taken[-1].linear == 0.2
-
-        await harness.until(drives_on, publishing=True)
-        late = [twist for twist in taken if twist.linear == 0.1 and twist.angular < 0.075]
-        assert not late, "0.25 s old or older"
-
-    play(RosRobot(roscore), story)
+    await harness.until(drives_on, publishing=True)
+    late = [twist for twist in taken if twist.linear == 0.1 and twist.angular < 0.075]
+    assert not late, "0.25 s old or older"
 
 
-def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
-        nodes = roscore.topics()[f"{body.namespace}/cmd_vel"]
-        with xmlrpc.client.ServerProxy(roscore.uri) as master:
-            uri = str(_value(master.lookupNode("/test", nodes[0])))
-        with xmlrpc.client.ServerProxy(uri) as node, contextlib.suppress(OSError):
-            node.shutdown("/test", "as rosnode kill does")
-        taken: list[Twist] = []
+@story(speaking)
+async def test_an_adapter_that_ros_shuts_down_stops_the_base_first(
+    harness: DriverHarness, robot: RosRobot, roscore: RosCore
+) -> None:
+    await drive(harness, robot)
+    nodes = roscore.topics()[f"{robot.namespace}/cmd_vel"]
+    with xmlrpc.client.ServerProxy(roscore.uri) as master:
+        uri = str(_value(master.lookupNode("/test", nodes[0])))
+    with xmlrpc.client.ServerProxy(uri) as node, contextlib.suppress(OSError):
+        node.shutdown("/test", "as rosnode kill does")
+    taken: list[Twist] = []
 
-        def is_stopped() -> bool:
-            taken.extend(body.commands())
-            return bool(taken) and taken[-1].is_zero
+    def is_stopped() -> bool:
+        taken.extend(robot.commands())
+        return bool(taken) and taken[-1].is_zero
 
-        await harness.until(is_stopped)
-        await harness.until(lambda: not harness.sink.is_up)
-        await harness.until(lambda: harness.sink.is_up)
-
-    play(RosRobot(roscore), story)
-
-
-def test_a_killed_node_no_longer_counts_though_the_master_lists_it(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        other = body.make({})
-        second = asyncio.create_task(other.run(second_sink := CollectingSink()))
-        await harness.until(lambda: not harness.sink.is_up)
-        await harness.until(lambda: bool(second_sink.states) and "someone else" in why(second_sink))
-        os.kill(adapter(other), signal.SIGKILL)
-        second.cancel()
-        await asyncio.gather(second, return_exceptions=True)
-        await harness.until(lambda: harness.sink.is_up)
-        assert len(roscore.topics()[f"{body.namespace}/cmd_vel"]) > 1
-
-    play(RosRobot(roscore), story)
+    await harness.until(is_stopped)
+    await harness.until(lambda: not harness.sink.is_up)
+    await harness.until(lambda: harness.sink.is_up)
 
 
-def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
+@story(speaking, cmd_vel_listeners=["second"])
+async def test_a_base_that_connects_while_driving_gets_zero_first(
+    harness: DriverHarness, robot: RosRobot, roscore: RosCore
+) -> None:
+    await drive(harness, robot)
 
-        def second() -> RosRobot:
-            words = "--no-sensors", "--name", "second"
-            return RosRobot(roscore, *words, namespace=body.namespace)
+    def second() -> RosRobot:
+        words = "--no-sensors", "--name", "second"
+        return RosRobot(roscore, *words, namespace=robot.namespace)
 
-        starting = asyncio.create_task(asyncio.to_thread(second))
-        while not starting.done():
-            harness.driver.send(Twist(0.1), 1, 1)
-            await asyncio.sleep(0.05)
-        base, taken = starting.result(), list[Twist]()
+    starting = asyncio.create_task(asyncio.to_thread(second))
+    while not starting.done():
+        harness.driver.send(Twist(0.1), 1, 1)
+        await asyncio.sleep(0.05)
+    base, taken = starting.result(), list[Twist]()
 
-        def drives() -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            taken.extend(base.commands())
-            return any(not twist.is_zero for twist in taken)
+    def drives() -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        taken.extend(base.commands())
+        return any(not twist.is_zero for twist in taken)
 
-        try:
-            await harness.until(drives)
-        finally:
-            base.close()
-        assert taken[0].is_zero
-
-    # Two bases would be held: this driver counts one as a listener.
-    play(RosRobot(roscore), story, cmd_vel_listeners=["second"])
+    try:
+        await harness.until(drives)
+    finally:
+        base.close()
+    assert taken[0].is_zero
 
 
 async def moving(
@@ -268,145 +248,69 @@ async def moving(
     return taken
 
 
-def test_another_driver_gets_the_base_after_zeros_and_is_logged_once(
-    roscore: RosCore, caplog: pytest.LogCaptureFixture
+@story(speaking)
+async def test_another_driver_gets_the_base_after_zeros_and_is_logged_once(
+    harness: DriverHarness, robot: RosRobot, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
-        other = body.make({})
-        second = asyncio.create_task(other.run(CollectingSink()))
-        await moving(harness, 0.0, lambda: not harness.sink.is_up)
-        taken = await moving(harness, ZERO_REPEAT_TIME + COMMAND_TIMEOUT, lambda: True)
-        while not taken[0].is_zero:  # sent before
-            del taken[0]
-        assert len(taken) > 10
-        assert all(twist.is_zero for twist in taken)
-        assert not await moving(harness, 3.0 * COMMAND_TIMEOUT, lambda: not body.commands())
-        second.cancel()
-        await asyncio.gather(second, return_exceptions=True)
-        await harness.until(lambda: harness.sink.is_up)
-
-    with caplog.at_level("INFO", "swarmd.drivers.ros1.driver"):
-        play(RosRobot(roscore), story)
+    caplog.set_level("INFO", "swarmd.drivers.ros1.driver")
+    await drive(harness, robot)
+    other = robot.make({})
+    second = asyncio.create_task(other.run(CollectingSink()))
+    await moving(harness, 0.0, lambda: not harness.sink.is_up)
+    taken = await moving(harness, ZERO_REPEAT_TIME + COMMAND_TIMEOUT, lambda: True)
+    while not taken[0].is_zero:  # sent before
+        del taken[0]
+    assert len(taken) > 10
+    assert all(twist.is_zero for twist in taken)
+    assert not await moving(harness, 3.0 * COMMAND_TIMEOUT, lambda: not robot.commands())
+    second.cancel()
+    await asyncio.gather(second, return_exceptions=True)
+    await harness.until(lambda: harness.sink.is_up)
     lines = [record.getMessage() for record in caplog.records]
     named = [line for line in lines if "someone else" in line and "is also published by" in line]
     assert 1 <= len(named) <= 2  # by each of the two
     assert lines[-1].startswith("driver ros1: drives on ")
 
 
-def test_a_stopped_robot_gets_zero_after_each_command_of_another_node(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
-        other = body.make({"shared_cmd_vel": True})
-        second = asyncio.create_task(other.run(CollectingSink()))
-        taken: list[Twist] = []
-        polls = itertools.count()
-
-        def is_answered() -> bool:
-            """Zero follows each of three commands, though ten come for each of the daemon's."""
-            count = next(polls)
-            if count % 50 == 0:
-                harness.driver.send(Twist(), 1, 1, is_stopped=True)
-            if count % 5 == 0:
-                other.send(Twist(0.3), 1, 1)
-            taken.extend(body.commands())
-            speeds = [twist.linear for twist in taken[-60:]]
-            pairs = [*itertools.pairwise(speeds)]
-            return pairs.count((0.3, 0.0)) >= 3 and (0.3, 0.3) not in pairs
-
-        await harness.until(is_answered, publishing=True)
-        await harness.until(lambda: "someone else drives" in why(harness.sink))
-        assert harness.sink.gets_zero
-        second.cancel()
-        await asyncio.gather(second, return_exceptions=True)
-        await harness.until(lambda: harness.sink.is_up, publishing=True)
-
-    play(RosRobot(roscore), story)
-
-
-def test_a_second_lidar_holds_the_robot_until_its_node_is_killed(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        def rival() -> RosRobot:
-            return RosRobot(roscore, "--name", "rival", "--no-base", namespace=body.namespace)
-
-        second = await asyncio.to_thread(rival)
-        try:
-            await harness.until(lambda: harness.sink.hold is Reason.SCAN_CONFLICT, publishing=True)
-            assert harness.sink.is_up
-        finally:
-            second.close()  # SIGKILL: the master still lists it
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-
-    play(RosRobot(roscore), story)
-
-
-def test_no_motion_reaches_two_bases_and_the_end_of_one_frees_the_other(
-    roscore: RosCore,
+@story(ros_robot, connected=False)
+async def test_no_motion_reaches_two_bases_and_the_end_of_one_frees_the_other(
+    harness: DriverHarness, robot: RosRobot
 ) -> None:
-    body = RosRobot(roscore)
-    other = RosRobot(roscore, "--name", "other", namespace=body.namespace)
+    other = RosRobot(robot.core, "--name", "other", namespace=robot.namespace)
     taken: list[Twist] = []
 
-    async def story(harness: DriverHarness) -> None:
-        def is_held() -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            taken.extend([*body.commands(), *other.commands()])
-            return harness.sink.hold is Reason.BASE_CONFLICT
+    def is_held() -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        taken.extend([*robot.commands(), *other.commands()])
+        return harness.sink.hold is Reason.BASE_CONFLICT
 
-        await harness.until(is_held, publishing=True)
-        await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
-        assert all(twist.is_zero for twist in taken)
-        await harness.until(lambda: "/other, " in why(harness.sink), publishing=True)
-        other.close()  # SIGKILL: the master still lists it
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-        await drive(harness, body)
-
-    driver_contract.play(body, story, connected=False)
+    await harness.until(is_held, publishing=True)
+    await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
+    assert all(twist.is_zero for twist in taken)
+    await harness.until(lambda: "/other, " in why(harness.sink), publishing=True)
+    other.close()  # SIGKILL: the master still lists it
+    await harness.until(lambda: harness.sink.hold is None, publishing=True)
+    await drive(harness, robot)
 
 
-def test_rostopic_echo_holds_nothing(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        topic = f"{body.namespace}/cmd_vel"
-        with subprocess.Popen(
-            ["rostopic", "echo", topic], env=roscore.environ, stdout=subprocess.DEVNULL
-        ) as echo:
-            try:
-                await asyncio.to_thread(
-                    wait_until, lambda: len(_takers(roscore, topic)) == 2, "an echo"
-                )
-                await drive(harness, body)
-                assert harness.sink.hold is None
-            finally:
-                echo.kill()
-
-    play(RosRobot(roscore), story)
-
-
-def _takers(core: RosCore, topic: str) -> list[str]:
-    """The nodes that subscribe to a topic, without adapters."""
-    with xmlrpc.client.ServerProxy(core.uri) as master:
-        _, subscribers, _ = _value(master.getSystemState("/test"))
-    return [node for node in dict(subscribers).get(topic, []) if "swarmd" not in node]
-
-
-def test_a_node_that_connects_and_sends_nothing_blocks_no_base(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        topic = f"{body.namespace}/cmd_vel"
-        port = _port_of(roscore, topic)
-        with (
-            socket.create_connection(("127.0.0.1", port)),
-            socket.create_connection(("127.0.0.1", port)) as noisy,
-        ):
-            noisy.send(b"\xff" * 2000)
-            body.disconnect()
-            await moving(harness, 0.0, lambda: not harness.sink.is_up)
-            await asyncio.to_thread(body.reconnect)
-            body.do("rate", hz=10)
-            await harness.until(lambda: harness.sink.is_up)
-            harness.driver.send(Twist(0.1), 1, 1)
-            assert (await harness.command()).is_zero
-
-    play(RosRobot(roscore), story)
+@story(speaking)
+async def test_a_node_that_connects_and_sends_nothing_blocks_no_base(
+    harness: DriverHarness, robot: RosRobot, roscore: RosCore
+) -> None:
+    topic = f"{robot.namespace}/cmd_vel"
+    port = _port_of(roscore, topic)
+    with (
+        socket.create_connection(("127.0.0.1", port)),
+        socket.create_connection(("127.0.0.1", port)) as noisy,
+    ):
+        noisy.send(b"\xff" * 2000)
+        robot.disconnect()
+        await moving(harness, 0.0, lambda: not harness.sink.is_up)
+        await asyncio.to_thread(robot.reconnect)
+        robot.do("rate", hz=10)
+        await harness.until(lambda: harness.sink.is_up)
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert (await harness.command()).is_zero
 
 
 class EndlessPublisher(threading.Thread):
@@ -449,47 +353,42 @@ def _sized(text: str) -> bytes:
     return len(text).to_bytes(4, "little") + text.encode()
 
 
-def test_a_master_that_hangs_stops_the_robot_until_it_answers(
-    roscore: RosCore, tmp_path: Path
+@story(lambda core: speaking(core))
+async def test_a_master_that_hangs_stops_the_robot_until_it_answers(
+    harness: DriverHarness, robot: RosRobot
 ) -> None:
-    with RosCore(tmp_path, is_whole=False) as core:
-
-        async def story(harness: DriverHarness, body: RosRobot) -> None:
-            await drive(harness, body)
-            first = adapter(harness.driver)
-            core.send(signal.SIGSTOP)
-            try:
-                taken = await moving(harness, 1.0, lambda: not harness.sink.is_up)
-                assert taken[-1].is_zero
-                text = harness.sink.states[-1][1]
-                assert f"{core.uri} (timed out)" in text
-            finally:
-                core.send(signal.SIGCONT)
-            await harness.until(lambda: harness.sink.is_up)
-            body.commands()
-            harness.driver.send(Twist(0.1), 1, 1)
-            assert (await harness.command()).is_zero
-            assert adapter(harness.driver) == first
-            core.send(signal.SIGSTOP)
-            await harness.end()
-            assert not is_running(first)
-            core.send(signal.SIGCONT)
-
-        play(RosRobot(core), story)
+    await drive(harness, robot)
+    first, core = adapter(harness.driver), robot.core
+    core.send(signal.SIGSTOP)
+    try:
+        taken = await moving(harness, 1.0, lambda: not harness.sink.is_up)
+        assert taken[-1].is_zero
+        assert f"{core.uri} (timed out)" in why(harness.sink)
+    finally:
+        core.send(signal.SIGCONT)
+    await harness.until(lambda: harness.sink.is_up)
+    robot.commands()
+    harness.driver.send(Twist(0.1), 1, 1)
+    assert (await harness.command()).is_zero
+    assert adapter(harness.driver) == first
+    core.send(signal.SIGSTOP)
+    await harness.end()
+    assert not is_running(first)
+    core.send(signal.SIGCONT)
 
 
-def test_an_endless_message_fills_no_memory(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        await drive(harness, body)
-        with closing(EndlessPublisher(roscore, f"{body.namespace}/scan")) as publisher:
-            await harness.until(lambda: not publisher.is_alive())
-        status = Path(f"/proc/{adapter(harness.driver)}/status").read_text()
-        peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
-        assert peak < 1 << 20
-        known = len(harness.sink.scans)
-        await harness.until(lambda: harness.sink.is_up and len(harness.sink.scans) > known)
-
-    play(RosRobot(roscore), story)
+@story(speaking)
+async def test_an_endless_message_fills_no_memory(
+    harness: DriverHarness, robot: RosRobot, roscore: RosCore
+) -> None:
+    await drive(harness, robot)
+    with closing(EndlessPublisher(roscore, f"{robot.namespace}/scan")) as publisher:
+        await harness.until(lambda: not publisher.is_alive())
+    status = Path(f"/proc/{adapter(harness.driver)}/status").read_text()
+    peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
+    assert peak < 1 << 20
+    known = len(harness.sink.scans)
+    await harness.until(lambda: harness.sink.is_up and len(harness.sink.scans) > known)
 
 
 def test_an_address_of_a_node_instead_of_a_master_is_reported(roscore: RosCore) -> None:

@@ -1,14 +1,11 @@
-"""Readings of topics that are published on change, against a real roscore and nodes in rospy."""
+"""A vendor's message over a real roscore, and what an adapter keeps of topics without one."""
 
 from __future__ import annotations
 
-import math
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import pytest
 from rosbags.typesys import Stores
 
 from swarmd.core.values import Value
@@ -19,78 +16,6 @@ from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.roscore import RosCore
 from tests.support.vendor_messages import PACKAGE, vendor_folder
-
-DOCKED: dict[str, Value] = {
-    "docked": {"topic": "dock", "type": "std_msgs/Bool", "stale_after": "never"}
-}
-
-
-def docked(harness: DriverHarness) -> float:
-    """What patterns get: 0 or 1, NaN while nothing is known, -1 before anything was told."""
-    values = harness.sink.values
-    return values[-1].get("docked", -1.0) if values and harness.sink.is_up else -1.0
-
-
-def is_docked(harness: DriverHarness, wanted: float) -> bool:
-    return docked(harness) == wanted
-
-
-def test_a_latched_message_from_before_the_driver_counts(roscore: RosCore) -> None:
-    robot = RosRobot(roscore, "--latch")
-    robot.do("dock", docked=True)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(partial(is_docked, harness, 1.0), publishing=True)
-        robot.do("dock", docked=False)
-        await harness.until(partial(is_docked, harness, 0.0), publishing=True)
-
-    play(robot, story, readings=DOCKED)
-
-
-@pytest.mark.parametrize("is_latched", [False, True])
-def test_after_a_loss_the_newest_value_counts_and_no_earlier_one(
-    roscore: RosCore, is_latched: bool
-) -> None:
-    robot = RosRobot(roscore, *(["--latch"] if is_latched else []))
-
-    async def story(harness: DriverHarness) -> None:
-        def asks(value: bool) -> bool:
-            robot.do("dock", docked=value)
-            return is_docked(harness, float(value))
-
-        await harness.until(partial(asks, True), publishing=True)
-        robot.disconnect()
-        await harness.until(lambda: not harness.sink.is_up)
-        before = len(harness.sink.values)
-        robot.reconnect()
-        if is_latched:
-            robot.do("dock", docked=False)
-            await harness.until(partial(is_docked, harness, 0.0), publishing=True)
-        else:
-            await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
-        assert all(values["docked"] != 1.0 for values in harness.sink.values[before:])
-
-    play(robot, story, readings=DOCKED)
-
-
-def test_a_reading_shares_the_topic_of_an_option(roscore: RosCore) -> None:
-    robot = RosRobot(roscore)
-    kind: dict[str, Value] = {
-        "topic": "battery",
-        "type": "sensor_msgs/BatteryState",
-        "field": "percentage",
-    }
-
-    async def story(harness: DriverHarness) -> None:
-        def is_read() -> bool:
-            robot.do("extras")
-            return bool(harness.sink.values) and len(harness.sink.values[-1]) > 1
-
-        await harness.until(is_read, publishing=True)
-        assert harness.sink.values[-1]["share"] == pytest.approx(0.75)
-        assert harness.sink.values[-1]["battery_voltage"] == pytest.approx(12.0)
-
-    play(robot, story, battery="battery", readings={"share": kind})
 
 
 def test_a_vendors_message_is_read(roscore: RosCore, tmp_path: Path) -> None:
@@ -105,7 +30,7 @@ def test_a_vendors_message_is_read(roscore: RosCore, tmp_path: Path) -> None:
     async def story(harness: DriverHarness) -> None:
         def is_read() -> bool:
             robot.put("status", message, encode(message))
-            return is_docked(harness, 1.0)
+            return harness.sink.values[-1:] == [{"docked": 1.0}]
 
         await harness.until(is_read, publishing=True)
 

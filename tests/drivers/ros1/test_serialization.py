@@ -14,12 +14,7 @@ from hypothesis import strategies as st
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Twist
 from swarmd.drivers.ros import messages as ros
-from swarmd.drivers.ros1.serialization import (
-    decode,
-    definition,
-    encode_twist,
-    encode_twist_stamped,
-)
+from swarmd.drivers.ros1.serialization import decode, definition, encode_twist, encode_twist_stamped
 
 HEAD = struct.pack("<4I", 1, 2, 3, 2) + b"ab"
 SCAN = HEAD + struct.pack("<7f", *range(1, 8))

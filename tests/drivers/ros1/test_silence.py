@@ -20,13 +20,7 @@ import pytest
 from swarmd.core.values import Twist
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
 from swarmd.drivers.ros1 import serialization
-from swarmd.drivers.ros1.adapter_process import (
-    COMMAND,
-    COMMAND_HEAD,
-    FAREWELL,
-    ZERO_TIME,
-    Adapter,
-)
+from swarmd.drivers.ros1.adapter_process import COMMAND, COMMAND_HEAD, FAREWELL, ZERO_TIME, Adapter
 
 BEGIN = 1000.0
 MOVING = serialization.encode_twist(Twist(0.1, -0.2))
@@ -242,11 +236,7 @@ def test_no_command_is_passed_on_after_a_request_to_end(scene: Scene) -> None:
     scene.published.clear()
     scene.command(MOVING)
     assert not scene.published
-    assert scene.events[-1] == {
-        "event": "end",
-        "kind": "end",
-        "text": "a signal ended the adapter",
-    }
+    assert scene.events[-1] == {"event": "end", "kind": "end", "text": "a signal ended the adapter"}
 
 
 def test_zeros_of_its_own_are_of_the_bases_type(monkeypatch: pytest.MonkeyPatch) -> None:

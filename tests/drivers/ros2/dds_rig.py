@@ -106,8 +106,57 @@ class DdsRobot(BridgedRobot):
         names: dict[str, Value] = {"namespace": whole} if whole else {}
         return super().options({"cmd_vel_type": "auto", **names, **given})
 
+    def dock(self, *, is_latched: bool) -> DdsDock:
+        return DdsDock(self.domain, is_latched=is_latched)
+
+    def other_node(self, *, has_lidar: bool = False) -> OtherDdsNode:
+        return OtherDdsNode(self.domain, has_lidar=has_lidar)
+
     def close(self) -> None:
         self.bridge.kill()
         self.stop()
         del self._held
         self._folder.cleanup()
+
+
+class DdsDock:
+    """A node that publishes `dock` on change."""
+
+    def __init__(self, domain: int, *, is_latched: bool) -> None:
+        latched = ["/dock"] if is_latched else []
+        self._node = DdsNode(domain, "dock", {"/dock": dds.Bool}, latched=latched)
+
+    def put(self, is_docked: bool) -> None:
+        self._node.publish("/dock", dds.Bool(data=is_docked))
+
+    def is_heard(self) -> bool:
+        return self._node.is_heard("/dock")
+
+    def close(self) -> None:
+        self._node.close()
+
+
+class OtherDdsNode:
+    """A node beside the robot's own one."""
+
+    cancels = "/dock/_action/cancel_goal"
+
+    def __init__(self, domain: int, *, has_lidar: bool) -> None:
+        published = {f"/{topic}": dds.Twist for topic in ("cmd_vel", "cmd_vel_joy")}
+        lidar = {"/scan": dds.LaserScan} if has_lidar else {}
+        self._node: DdsNode | None = DdsNode(
+            domain, "other", {**published, **lidar}, actions=["/dock"]
+        )
+
+    def command(self, topic: str, linear: float) -> None:
+        assert self._node is not None
+        self._node.publish(f"/{topic}", dds.Twist(dds.Vector3(linear)))
+
+    def report_goal(self, *, is_active: bool) -> None:
+        assert self._node is not None
+        self._node.goals("/dock", 2 if is_active else 4)
+
+    def close(self) -> None:
+        if self._node is not None:
+            self._node.close()
+            self._node = None

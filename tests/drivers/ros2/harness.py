@@ -7,9 +7,8 @@ from collections.abc import Callable, Mapping
 
 from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Twist, Value
-from swarmd.drivers.ros.messages import dds_name
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
-from tests.drivers.ros2.robots import BridgedRobot, Robot
+from tests.drivers.ros2.robots import Robot
 
 PACE = 0.01
 
@@ -85,21 +84,3 @@ def check(
 def reported(harness: DriverHarness, part: str, *, is_up: bool | None = None) -> bool:
     """Whether the driver has reported this text about its base."""
     return any(part in text and is_up in (None, up) for up, text in harness.sink.states)
-
-
-def announce(
-    robot: Robot, what: str, topic: str, kind: str, domain: int = 0, zid: str = ""
-) -> None:
-    """Announce a publisher (MP) or a subscription (MS) of the robot's node, as its hub does.
-
-    `zid`: another session's, for an end of another node.
-    """
-    zid = zid or str(robot.hub.zid())
-    if isinstance(robot, BridgedRobot):
-        key, typed = topic.replace("/", "§"), kind.replace("/", "§")
-        robot.announce(f"@/{zid}/@ros2_lv/{what}/{key}/{typed}/:::1,5")
-    else:
-        key = topic.replace("/", "%")
-        robot.announce(
-            f"@ros2_lv/{domain}/{zid}/0/10/{what}/%/%/base/%{key}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
-        )

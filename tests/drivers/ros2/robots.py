@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import struct
@@ -9,18 +10,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import zenoh
+import zenoh.ext
 
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.values import Scan, Twist, Value
 from swarmd.drivers.ros import cdr
+from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
+from swarmd.network.carriers.session import has_subscriber
 from swarmd.settings.platforms import load_platform
 from tests.support import ros2_types as dds
 from tests.support.processes import free_endpoint
 
 PLATFORM = load_platform("burger")
+LASER = "sensor_msgs/msg/LaserScan"
 RAYS = 360
 HAZARDS: dict[str, Value] = {
     "bumper": {
@@ -53,6 +58,7 @@ class Robot:
     platform = PLATFORM
     hazard = Hazard(HazardKind.BUMP, "front")
     hazard_options: Mapping[str, Value] = {"hazards": HAZARDS}
+    server: tuple[str, str, str]  # the announcement of the server of action `dock`
 
     def __init__(self, *, is_stamped: bool = False) -> None:
         self.endpoint = free_endpoint()
@@ -101,8 +107,25 @@ class Robot:
             for payload in (b"", b"\xff" * 80, valid[: len(valid) // 2], valid + bytes(99)):
                 self.put(topic, payload)
 
-    def announce(self, token: str) -> None:
+    def announce(
+        self, what: str, topic: str, kind: str, domain: int = 0, zid: str = ""
+    ) -> zenoh.LivelinessToken:
+        """Announce a publisher (MP) or a subscription (MS) of its node, as its hub does.
+
+        `zid`: another session's, for an end of another node.
+        """
+        token = self.token(what, topic, kind, domain, zid or str(self.hub.zid()))
         self.tokens.append(self.hub.liveliness().declare_token(token))
+        return self.tokens[-1]
+
+    def token(self, what: str, topic: str, kind: str, domain: int, zid: str) -> str:
+        raise NotImplementedError
+
+    def dock(self, *, is_latched: bool) -> Any:
+        return Dock(self, is_latched=is_latched)
+
+    def other_node(self, *, has_lidar: bool = False) -> Any:
+        return OtherNode(self, has_lidar=has_lidar)
 
     def samples(self) -> list[zenoh.Sample]:
         taken = self._commands[:]
@@ -130,6 +153,7 @@ class BridgedRobot(Robot):
     `listed`: what `list_nodes` makes its admin space answer, payload by key.
     """
 
+    server = "AS", "dock", "irobot_create_msgs/action/Dock"
     listed: dict[str, bytes]
 
     def list_nodes(self, namespace: str = "/") -> None:
@@ -168,6 +192,10 @@ class BridgedRobot(Robot):
         self.listed[key] = json.dumps({**told, "qos": {}}).encode()
         return key
 
+    def token(self, what: str, topic: str, kind: str, domain: int, zid: str) -> str:
+        key, typed = topic.replace("/", "§"), kind.replace("/", "§")
+        return f"@/{zid}/@ros2_lv/{what}/{key}/{typed}" + ("/:::1,5" if what[0] == "M" else "")
+
     def make(self, options: Mapping[str, Value]) -> RosDriver:
         return ros2dds.make_driver(
             swarm="s", robot="r", platform=self.platform, options=self.options(options)
@@ -199,6 +227,8 @@ PACKAGES = {
 class ZenohRobot(Robot):
     """Through rmw_zenoh: a node is a peer of the router; the key contains type and hash."""
 
+    server = "MP", "dock/_action/status", "action_msgs/msg/GoalStatusArray"
+
     def __init__(
         self, *, domain: int = 0, is_humble: bool = False, is_stamped: bool = False
     ) -> None:
@@ -213,6 +243,10 @@ class ZenohRobot(Robot):
             platform=self.platform,
             options={"domain": self.domain, **self.options(options)},
         )
+
+    def token(self, what: str, topic: str, kind: str, domain: int, zid: str) -> str:
+        end = f"{what}/%/%/base/%{topic.replace('/', '%')}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
+        return f"@ros2_lv/{domain}/{zid}/0/10/{end}"
 
     def key(self, topic: str, kind: str) -> str:
         package = PACKAGES.get(kind, "sensor_msgs")
@@ -237,6 +271,54 @@ class ZenohRobot(Robot):
         )
 
 
+class Dock:
+    """A node that publishes `dock` on change at a robot's hub.
+
+    `is_latched`: with durability TRANSIENT_LOCAL, so that a cache has the last message.
+    """
+
+    def __init__(self, robot: Robot, *, is_latched: bool = False) -> None:
+        key = robot.key("dock", "Bool") if isinstance(robot, ZenohRobot) else "dock"
+        cache = zenoh.ext.CacheConfig(1) if is_latched else None
+        self._publisher = zenoh.ext.declare_advanced_publisher(robot.hub, key, cache=cache)
+        self._token = robot.announce("MP", "dock", "std_msgs/msg/Bool")
+        self._probe = robot.hub.declare_publisher(key)  # it knows of subscribers
+
+    def put(self, is_docked: bool) -> None:
+        self._publisher.put(dds.Bool(data=is_docked).serialize())
+
+    def is_heard(self) -> bool:
+        return has_subscriber(self._probe)
+
+    def close(self) -> None:
+        with contextlib.suppress(zenoh.ZError):  # its session has been closed
+            self._token.undeclare()
+            self._publisher.undeclare()
+
+
+class OtherNode:
+    """A node of its own at a robot's hub."""
+
+    cancels = "/dock/_action/cancel_goal"
+
+    def __init__(self, robot: Robot, *, has_lidar: bool) -> None:
+        self._robot, self._tokens = robot, [robot.announce(*robot.server)]
+        if has_lidar:
+            robot.announce("MP", "scan", LASER)
+            self._tokens.append(robot.announce("MP", "scan", LASER, zid="0123456789abcdef" * 2))
+
+    def command(self, topic: str, linear: float) -> None:
+        self._robot.put(topic, command(linear))
+
+    def report_goal(self, *, is_active: bool) -> None:
+        status = dds.GoalStatus(status=2 if is_active else 4)
+        self._robot.put("dock/_action/status", dds.GoalStatusArray([status]))
+
+    def close(self) -> None:
+        while self._tokens:
+            self._tokens.pop().undeclare()
+
+
 def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> dds.LaserScan:
     # Scans that repeat are those of a frozen sensor, also where some in between are lost.
     noisy = 2.0 + 0.009 * math.modf(6.18034 * stamp)[0]
@@ -249,10 +331,7 @@ def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -
 
 
 def odometry(stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1) -> dds.Odometry:
-    pose = dds.Pose(
-        dds.Vector3(x=x),
-        dds.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
-    )
+    pose = dds.Pose(dds.Vector3(x=x), dds.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)))
     moving = dds.Twist(dds.Vector3(x=speed, y=0.02), dds.Vector3(z=0.3))
     return dds.Odometry(
         dds.stamped(stamp, "odom"),

@@ -5,18 +5,18 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import pytest
 import zenoh
 
-from swarmd.core.values import ZERO, Twist, Value
+from swarmd.core.values import ZERO, Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.key_scheme import TopicEnd
-from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness, play
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness, play
+from tests.drivers.ros.contract import DOCKED, RosContract, docked
 from tests.drivers.ros2.dds_rig import SENSES, DdsRobot
 from tests.drivers.ros2.harness import check, drive_on, freeze, reported
 from tests.drivers.ros2.robots import open_session
@@ -24,6 +24,7 @@ from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.processes import wait_until
 from tests.support.ros2_bridge import why_no_bridge
+from tests.support.stories import story
 
 pytestmark = [
     pytest.mark.integration,
@@ -31,7 +32,7 @@ pytestmark = [
 ]
 
 
-class TestContract(DriverContract):
+class TestContract(RosContract):
     def rig(self) -> DdsRobot:
         return DdsRobot(published={**SENSES, "bumper": dds.Bool})
 
@@ -61,74 +62,49 @@ def test_a_namespace_is_the_robots_or_the_bridges(namespace: str, at: str) -> No
     play(DdsRobot(namespace=namespace, at=at), moves)
 
 
-def test_a_base_may_want_stamped_commands() -> None:
-    play(DdsRobot(is_stamped=True), moves)
+@story(DdsRobot)
+async def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
+    await moves(harness)
+    await freeze(harness, robot.bridge.freeze)
+    assert all(twist.is_zero for twist in await drive_on(harness, robot.bridge.thaw))
+    await harness.connect()
+    await moves(harness)
 
 
-def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        await moves(harness)
-        robot.stop()
-        await harness.until(lambda: not harness.sink.is_up)
-        await reports_lost(harness, "no /scan")
-        harness.driver.send(Twist(0.1), 1, 1)
-        robot.start()
-        await moves(harness)
-
-    play(robot, story)
-
-
-def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        await moves(harness)
-        await freeze(harness, robot.bridge.freeze)
-        assert all(twist.is_zero for twist in await drive_on(harness, robot.bridge.thaw))
-        await harness.connect()
-        await moves(harness)
-
-    play(robot, story)
-
-
-def test_a_bridge_that_freezes_under_a_command_delivers_that_one_and_zero_after_it() -> None:
+@story(DdsRobot)
+async def test_a_bridge_that_freezes_under_a_command_delivers_that_one_and_zero_after_it(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
     """No end of the link can take back a command that left while the bridge froze.
 
     The base keeps ten commands: it may see the zeros after the late command alone.
     """
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        assert isinstance(harness.driver, RosDriver)
-        await moves(harness)
-        await freeze(harness, robot.bridge.freeze)
-        harness.driver._credit.hear(asyncio.get_running_loop().time())
-        harness.driver.send(Twist(0.2), 1, 1)
-        first, *others = await drive_on(harness, robot.bridge.thaw)
-        assert first in (Twist(0.2), ZERO)
-        assert others
-        assert all(twist.is_zero for twist in others)
-
-    play(robot, story)
+    assert isinstance(harness.driver, RosDriver)
+    await moves(harness)
+    await freeze(harness, robot.bridge.freeze)
+    harness.driver._credit.hear(asyncio.get_running_loop().time())
+    harness.driver.send(Twist(0.2), 1, 1)
+    first, *others = await drive_on(harness, robot.bridge.thaw)
+    assert first in (Twist(0.2), ZERO)
+    assert others
+    assert all(twist.is_zero for twist in others)
 
 
-def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
-    robot = DdsRobot(published={})
+@story(lambda: DdsRobot(published={}), connected=False)
+async def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
     lidar = DdsNode(robot.domain, "lidar", {"/scan": dds.LaserScan})
-
-    async def story(harness: DriverHarness) -> None:
-        stop_speaking = asyncio.create_task(_spin(lidar))
-        await moves(harness)
-        robot.stop()
-        await reports_lost(harness, "no node subscribes to /cmd_vel")
-        harness.driver.send(Twist(0.1), 1, 1)
-        robot.start()
-        await moves(harness)
-        stop_speaking.cancel()
-
-    play(robot, story, connected=False)
+    stop_speaking = asyncio.create_task(_spin(lidar))
+    await moves(harness)
+    robot.stop()
+    await reports_lost(harness, "no node subscribes to /cmd_vel")
+    harness.driver.send(Twist(0.1), 1, 1)
+    robot.start()
+    await moves(harness)
+    stop_speaking.cancel()
     lidar.close()
 
 
@@ -139,47 +115,9 @@ async def _spin(lidar: DdsNode) -> None:
         step = 2.0 * math.pi / 360
         header = dds.Header(stamp, "base_scan")
         lidar.publish(
-            "/scan",
-            dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360),
+            "/scan", dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360)
         )
         await asyncio.sleep(0.02)
-
-
-@pytest.mark.parametrize("is_stamped", [False, True])
-def test_a_base_that_wants_another_type_gets_no_command(is_stamped: bool) -> None:
-    """The bridge hands on bytes as they are: a base would take a stamped twist for 1e180 m/s."""
-    robot = DdsRobot(is_stamped=is_stamped)
-
-    async def story(harness: DriverHarness) -> None:
-        await reports_lost(harness, "/cmd_vel wants geometry_msgs/msg/Twist")
-        for _ in range(20):
-            harness.driver.send(Twist(0.1), 1, 1)
-            robot.publish()
-            await asyncio.sleep(0.02)
-        assert not robot.commands()
-        assert not harness.sink.is_up
-
-    wrong = "twist" if is_stamped else "twist_stamped"
-    play(robot, story, connected=False, cmd_vel_type=wrong)
-
-
-def test_another_nodes_command_is_reported() -> None:
-    robot = DdsRobot()
-    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds.Twist})
-
-    async def story(harness: DriverHarness) -> None:
-        await moves(harness)
-
-        def is_lost() -> bool:
-            joystick.publish("/cmd_vel", dds.Twist(dds.Vector3(0.3)))
-            return not harness.sink.is_up
-
-        await harness.until(is_lost, publishing=True)
-        assert reported(harness, "someone else drives", is_up=False)
-        await harness.until(lambda: harness.sink.is_up, publishing=True)
-
-    play(robot, story)
-    joystick.close()
 
 
 def test_the_bridge_and_its_stand_in_announce_and_send_the_same() -> None:
@@ -210,24 +148,22 @@ def test_the_bridge_and_its_stand_in_announce_and_send_the_same() -> None:
     robot.close()
 
 
-def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        await moves(harness)
-        robot.disconnect()
-        await reports_lost(harness, "nothing answers at")
-        robot.stop()
-        robot.reconnect()
-        await reports_lost(harness, "announces no topic at all")
-
-    play(robot, story)
+@story(DdsRobot)
+async def test_a_restarted_bridges_announcements_are_gone_with_it(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
+    await moves(harness)
+    robot.disconnect()
+    await reports_lost(harness, "nothing answers at")
+    robot.stop()
+    robot.reconnect()
+    await reports_lost(harness, "announces no topic at all")
 
 
 @pytest.mark.parametrize(
     ("make", "wanted"),
     [
-        (lambda: DdsRobot(), {}),
+        (DdsRobot, {}),
         (
             lambda: DdsRobot(is_elsewhere=True),
             {"scan": "ROS_DOMAIN_ID", "cmd_vel": "no node subscribes to /cmd_vel; start the base"},
@@ -255,107 +191,19 @@ def test_check_of_a_robot_that_is_off_asks_to_start_it() -> None:
     assert "no node subscribes to /cmd_vel" in found["cmd_vel"].text
 
 
-def test_a_field_of_any_topic_is_a_reading() -> None:
-    robot = DdsRobot(published={**SENSES, "temp": dds.Temperature})
-    heat: Value = {"topic": "temp", "type": "sensor_msgs/Temperature", "field": "temperature"}
-
-    async def story(harness: DriverHarness) -> None:
-        def is_read() -> bool:
-            robot.put("temp", dds.Temperature(temperature=21.5))
-            return harness.sink.values[-1:] == [{"heat": 21.5}]
-
-        await harness.until(is_read, publishing=True)
-
-    play(robot, story, readings={"heat": heat})
-
-
-DOCKED: dict[str, Value] = {
-    "docked": {"topic": "dock", "type": "std_msgs/Bool", "stale_after": "never"}
-}
-
-
-@contextmanager
-def dock_node(robot: DdsRobot, *, is_latched: bool) -> Iterator[DdsNode]:
-    """A node of the robot that publishes its dock on change."""
-    latched = ["/dock"] if is_latched else []
-    node = DdsNode(robot.domain, "dock", {"/dock": dds.Bool}, latched=latched)
-    try:
-        yield node
-    finally:
-        node.close()
-
-
-def docked(harness: DriverHarness) -> float:
-    """What patterns get: 0 or 1, NaN while nothing is known, -1 before anything was told."""
-    values = harness.sink.values
-    return values[-1].get("docked", -1.0) if values and harness.sink.is_up else -1.0
-
-
-def test_a_change_before_the_base_was_connected_counts() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        with dock_node(robot, is_latched=False) as dock:
-            await harness.until(lambda: dock.is_heard("/dock"))
-            dock.publish("/dock", dds.Bool(data=True))
-            await asyncio.sleep(1.0)  # it arrives while the base says nothing
-            await harness.connect()
-            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-
-    play(robot, story, connected=False, readings=DOCKED)
-
-
-def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge() -> None:
-    """The first makes the bridge read the writer's history; for others it has a cache."""
-    robot, heard = DdsRobot(), list[zenoh.Sample]()
-    with dock_node(robot, is_latched=True) as dock:
-        session = open_session("client", "connect/endpoints", robot.endpoint)
-        session.declare_subscriber("dock", heard.append)
-        dock.publish("/dock", dds.Bool(data=True))
-        wait_until(lambda: len(heard) > 0, "another subscriber has the message")
-
-        async def story(harness: DriverHarness) -> None:
-            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-            dock.publish("/dock", dds.Bool(data=False))
-            await harness.until(lambda: docked(harness) == 0.0, publishing=True)
-
-        play(robot, story, readings=DOCKED)
-        session.close()
-
-
-@pytest.mark.parametrize("is_latched", [False, True])
-def test_after_a_restart_of_the_bridge_what_was_missed_is_known_or_unknown(
-    is_latched: bool,
+@story(DdsRobot, connected=False, readings=DOCKED)
+async def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge(
+    harness: DriverHarness, robot: DdsRobot
 ) -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        with dock_node(robot, is_latched=is_latched) as dock:
-            await harness.until(lambda: dock.is_heard("/dock"), publishing=True)
-            dock.publish("/dock", dds.Bool(data=True))
-            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-            robot.disconnect()
-            await harness.until(lambda: not harness.sink.is_up, publishing=True)
-            before = len(harness.sink.values)
-            dock.publish("/dock", dds.Bool(data=False))
-            robot.reconnect()
-            await harness.connect()
-            await harness.until(
-                lambda: docked(harness) == 0.0 if is_latched else math.isnan(docked(harness)),
-                publishing=True,
-            )
-            assert all(values["docked"] != 1.0 for values in harness.sink.values[before:])
-
-    play(robot, story, readings=DOCKED)
-
-
-def test_what_holds_ends_with_its_node() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        with dock_node(robot, is_latched=True) as dock:
-            dock.publish("/dock", dds.Bool(data=True))
-            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-        await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
-
-    play(robot, story, readings=DOCKED)
+    """The first makes the bridge read the writer's history; for others it has a cache."""
+    dock, heard = robot.dock(is_latched=True), list[zenoh.Sample]()
+    session = open_session("client", "connect/endpoints", robot.endpoint)
+    session.declare_subscriber("dock", heard.append)
+    dock.put(True)
+    wait_until(lambda: len(heard) > 0, "another subscriber has the message")
+    await harness.connect()
+    await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+    dock.put(False)
+    await harness.until(lambda: docked(harness) == 0.0, publishing=True)
+    session.close()
+    dock.close()

@@ -16,11 +16,12 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Twist
 from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2.dds_rig import DdsRobot
-from tests.drivers.ros2.harness import check, drive, reported
+from tests.drivers.ros2.harness import drive, reported
 from tests.drivers.ros2.robots import open_session
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.ros2_bridge import Bridge, why_no_bridge
+from tests.support.stories import story
 
 ROOT = Path(__file__).parents[3]
 TAKES = {"/cmd_vel": dds.Twist}
@@ -33,136 +34,51 @@ pytestmark = [
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("other", "2 nodes take /cmd_vel: /base, /other; "), ("base", "2 nodes named /base take")],
+    [
+        ("other", "2 nodes take /cmd_vel: /base, /other; "),
+        ("base", "2 living nodes named /base take"),
+        ("", "/dds_reader_python"),
+    ],
 )
-def test_no_command_but_zero_ever_reaches_two_bases(name: str, words: str) -> None:
-    robot = DdsRobot()
+@story(DdsRobot, connected=False)
+async def test_no_command_but_zero_ever_reaches_two_bases(
+    harness: DriverHarness, robot: DdsRobot, name: str, words: str
+) -> None:
     other = DdsNode(robot.domain, name, {}, TAKES)
     taken: list[float] = []
 
-    async def story(harness: DriverHarness) -> None:
-        def is_held() -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            taken.extend(command.linear.x for command in other.take("/cmd_vel"))
-            taken.extend(command.linear for command in robot.commands())
-            return harness.sink.hold is Reason.BASE_CONFLICT
+    def is_held() -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        taken.extend(command.linear.x for command in other.take("/cmd_vel"))
+        taken.extend(command.linear for command in robot.commands())
+        return harness.sink.hold is Reason.BASE_CONFLICT
 
-        await harness.until(is_held, publishing=True)
-        await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
-        assert set(taken) == {0.0}
-        await harness.until(lambda: reported(harness, words, is_up=True), publishing=True)
-        other.close()
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-
-    play(robot, story, connected=False)
-
-
-def test_a_base_that_comes_later_gets_zero_and_both_stand() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        other = DdsNode(robot.domain, "base2", {}, TAKES)
-
-        def is_held() -> bool:
-            harness.driver.send(Twist(0.1), 3, 3)
-            return harness.sink.hold is Reason.BASE_CONFLICT
-
-        await harness.until(is_held, publishing=True)
-        robot.commands()
-        assert is_held()
-        assert (await harness.command()).is_zero
-        other.close()
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-
-    play(robot, story)
-
-
-def test_no_command_but_zero_ever_reaches_a_reader_that_is_no_node() -> None:
-    robot = DdsRobot()
-    other = DdsNode(robot.domain, "", {}, TAKES)
-    taken: list[float] = []
-
-    async def story(harness: DriverHarness) -> None:
-        def is_held() -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            taken.extend(command.linear.x for command in other.take("/cmd_vel"))
-            return harness.sink.hold is Reason.BASE_CONFLICT
-
-        await harness.until(is_held, publishing=True)
-        await harness.until(lambda: is_held() and len(taken) >= 20, publishing=True)
-        assert set(taken) == {0.0}
-        assert reported(harness, "/dds_reader_python", is_up=True)
-        other.close()
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-
-    play(robot, story, connected=False)
-
-
-def test_a_reader_that_is_no_node_and_comes_later_gets_zero_once_it_is_known() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        other = DdsNode(robot.domain, "", {}, TAKES)
-
-        def is_held() -> bool:
-            harness.driver.send(Twist(0.1), 3, 3)
-            return harness.sink.hold is Reason.BASE_CONFLICT
-
-        await harness.until(is_held, publishing=True)
-        robot.commands()
-        assert is_held()
-        assert (await harness.command()).is_zero
-        other.close()
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-
-    play(robot, story)
-
-
-def test_a_second_bridge_that_takes_the_commands_holds_the_robot(tmp_path: Path) -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        with (
-            Bridge(tmp_path, robot.domain) as second,
-            open_session("client", "connect/endpoints", second.endpoint) as far,
-        ):
-            far.declare_subscriber("cmd_vel", lambda sample: None)
-            await harness.until(  # at first it is a reader of some process
-                lambda: reported(harness, "/zenoh_bridge_ros2dds takes /cmd_vel", is_up=True),
-                publishing=True,
-            )
-            assert harness.sink.hold is Reason.BASE_CONFLICT
-
-    play(robot, story)
-
-
-def test_two_lidars_hold_the_robot_and_fail_the_check() -> None:
-    robot = DdsRobot()
-    other = DdsNode(robot.domain, "lidar2", {"/scan": dds.LaserScan})
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: harness.sink.hold is Reason.SCAN_CONFLICT, publishing=True)
-        assert reported(harness, "2 nodes publish /scan: /base, /lidar2; ", is_up=True)
-
-    play(robot, story, connected=False)
+    await harness.until(is_held, publishing=True)
+    await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
+    assert set(taken) == {0.0}
+    await harness.until(lambda: reported(harness, words, is_up=True), publishing=True)
     other.close()
+    await harness.until(lambda: harness.sink.hold is None, publishing=True)
 
 
-def test_check_fails_for_two_bases_with_their_names_and_the_remedy() -> None:
-    robot = DdsRobot()
-    other = DdsNode(robot.domain, "other", {"/odom": dds.Odometry}, TAKES)
-    found = check(robot, robot.publish)
-    other.close()
-    for subject in ("cmd_vel", "odometry"):
-        assert not found[subject].is_well
-        for word in ("/base, /other", "namespace", "domain"):
-            assert word in found[subject].text
+@story(DdsRobot)
+async def test_a_second_bridge_that_takes_the_commands_holds_the_robot(
+    harness: DriverHarness, robot: DdsRobot, tmp_path: Path
+) -> None:
+    await drive(harness)
+    with (
+        Bridge(tmp_path, robot.domain) as second,
+        open_session("client", "connect/endpoints", second.endpoint) as far,
+    ):
+        far.declare_subscriber("cmd_vel", lambda sample: None)
+        await harness.until(  # at first it is a reader of some process
+            lambda: reported(harness, "/zenoh_bridge_ros2dds takes /cmd_vel", is_up=True),
+            publishing=True,
+        )
+        assert harness.sink.hold is Reason.BASE_CONFLICT
 
 
-@pytest.mark.parametrize("name", ["rosbag2_recorder", "_ros2cli_4711", "ekf_filter_node", ""])
+@pytest.mark.parametrize("name", ["rosbag2_recorder", ""])
 @pytest.mark.parametrize("is_first", [True, False])
 def test_what_records_commands_holds_nothing(name: str, is_first: bool) -> None:
     robot = DdsRobot()
@@ -179,66 +95,49 @@ def test_what_records_commands_holds_nothing(name: str, is_first: bool) -> None:
         )
         assert harness.sink.hold is None
 
-    play(robot, story, cmd_vel_listeners=["ekf_*", "dds_reader_*"])
+    play(robot, story, cmd_vel_listeners=["dds_reader_*"])
     for node in nodes:
         node.close()
 
 
-def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten() -> None:
-    robot = DdsRobot()
+@story(DdsRobot, connected=False)
+async def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
     robot.stop()
     speeds: list[str] = []
 
-    async def story(harness: DriverHarness) -> None:
-        def has_speed(speed: str) -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            return speeds[-1:] == [speed]
+    def has_speed(speed: str) -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        return speeds[-1:] == [speed]
 
-        with base_process(robot.domain, speeds):
-            await harness.until(lambda: has_speed("0.1"))
-        speeds.clear()
-        with base_process(robot.domain, speeds):
-            await harness.until(lambda: reported(harness, "/base take /cmd_vel: it crashed and is"))
-            assert harness.sink.hold is Reason.BASE_CONFLICT
-            await harness.until(lambda: has_speed("0.0"))
-            assert not reported(harness, "living")
-            await harness.until(
-                lambda: (
-                    has_speed("0.0")
-                    and reported(harness, ", but zenoh-bridge-ros2dds does not hand it on")
-                )
-            )
-
-    play(robot, story, connected=False)
-
-
-def test_two_living_bases_of_one_name_are_told_from_a_crash() -> None:
-    robot = DdsRobot()
-    other = DdsNode(robot.domain, "base", {}, TAKES)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(
-            lambda: reported(harness, "2 living nodes named /base take", is_up=True),
-            publishing=True,
-        )
+    with base_process(robot.domain, speeds):
+        await harness.until(lambda: has_speed("0.1"))
+    speeds.clear()
+    with base_process(robot.domain, speeds):
+        await harness.until(lambda: reported(harness, "/base take /cmd_vel: it crashed and is"))
         assert harness.sink.hold is Reason.BASE_CONFLICT
+        await harness.until(lambda: has_speed("0.0"))
+        assert not reported(harness, "living")
+        await harness.until(
+            lambda: (
+                has_speed("0.0")
+                and reported(harness, ", but zenoh-bridge-ros2dds does not hand it on")
+            )
+        )
 
-    play(robot, story, connected=False)
-    other.close()
 
-
-def test_another_robots_topics_are_not_proposed_after_a_crash() -> None:
-    robot = DdsRobot(namespace="/tb3_01")
+@story(lambda: DdsRobot(namespace="/tb3_01"), connected=False)
+async def test_another_robots_topics_are_not_proposed_after_a_crash(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
     others = {"/tb3_02/scan": dds.LaserScan, "/tb3_02/odom": dds.Odometry}
     other = DdsNode(robot.domain, "other", others, {"/tb3_02/cmd_vel": dds.Twist})
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        robot.stop()
-        await harness.until(lambda: reported(harness, "no /tb3_01/scan any more", is_up=False))
-        assert not reported(harness, "tb3_02")
-
-    play(robot, story)
+    await harness.connect()
+    await drive(harness)
+    robot.stop()
+    await harness.until(lambda: reported(harness, "no /tb3_01/scan any more", is_up=False))
+    assert not reported(harness, "tb3_02")
     other.close()
 
 

@@ -9,7 +9,7 @@ from importlib import import_module
 import pytest
 from cyclonedds.core import Policy, Qos
 
-from swarmd.core.values import ZERO, Twist
+from swarmd.core.values import Twist
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness, play
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.harness import check, drive, reported
@@ -18,6 +18,7 @@ from tests.support import ros2_types as dds
 from tests.support.dds_node import RELIABLE, SENSOR, DdsNode
 from tests.support.processes import wait_until
 from tests.support.ros2_bridge import why_no_bridge
+from tests.support.stories import story
 
 pytestmark = [
     pytest.mark.integration,
@@ -34,9 +35,7 @@ KEPT_BEST_EFFORT = Qos(
     Policy.Reliability.BestEffort, Policy.Durability.TransientLocal, Policy.History.KeepLast(10)
 )
 STRICT = Qos(
-    Policy.Reliability.Reliable(10**8),
-    Policy.History.KeepLast(10),
-    Policy.Deadline(5 * 10**8),
+    Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(10), Policy.Deadline(5 * 10**8)
 )
 QUALITIES = {
     "best effort": SENSOR,
@@ -61,63 +60,6 @@ def joystick() -> Iterator[Callable[[DdsRobot], DdsNode]]:
         node.close()
 
 
-def stamped(linear: float) -> object:
-    return dds.TwistStamped(dds.stamped(1.0), dds.Twist(dds.Vector3(linear)))
-
-
-def test_a_command_on_another_topic_of_the_base_is_another_nodes(
-    joystick: Callable[[DdsRobot], DdsNode],
-) -> None:
-    robot = DdsRobot()
-    node = joystick(robot)
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        for _ in range(5):
-            node.publish("/cmd_vel_stamped", stamped(0.0))
-            await asyncio.sleep(0.05)
-        assert harness.sink.is_up, "zeros do not drive"
-
-        def is_lost() -> bool:
-            node.publish("/cmd_vel_stamped", stamped(0.3))
-            return not harness.sink.is_up
-
-        await harness.until(is_lost, publishing=True)
-        assert reported(harness, "someone else drives: commands on /cmd_vel_stamped", is_up=False)
-        harness.driver.send(ZERO, 3, 3, is_stopped=True)
-        robot.commands()
-        node.publish("/cmd_vel_stamped", stamped(0.3))
-        assert (await harness.command()).is_zero
-        await harness.until(lambda: harness.sink.is_up, publishing=True)
-
-    play(robot, story, other_commands=["cmd_vel_stamped"])
-
-
-def test_a_goal_of_an_action_drives_until_it_ends() -> None:
-    robot = DdsRobot(actions=["dock"])
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        assert robot.node is not None
-        robot.node.goals("/dock", EXECUTING)
-        await harness.until(lambda: not harness.sink.is_up, publishing=True)
-        assert reported(harness, "action /dock", is_up=False)
-        assert reported(harness, "/dock/_action/cancel_goal", is_up=False)
-        robot.commands()
-        harness.driver.send(ZERO, 3, 3, is_stopped=True)
-        assert (await harness.command()).is_zero
-        harness.driver.send(Twist(0.1), 4, 4)
-        for _ in range(30):  # longer than a command of another node counts
-            robot.publish()
-            await asyncio.sleep(0.1)
-        assert not harness.sink.is_up
-        assert all(twist.is_zero for twist in robot.commands())
-        robot.node.goals("/dock", SUCCEEDED)
-        await harness.until(lambda: harness.sink.is_up, publishing=True)
-
-    play(robot, story, other_actions=["dock"])
-
-
 def test_a_goal_that_began_before_the_driver_is_known() -> None:
     robot = DdsRobot(actions=["dock"])
     assert robot.node is not None
@@ -125,7 +67,7 @@ def test_a_goal_that_began_before_the_driver_is_known() -> None:
 
     async def story(harness: DriverHarness) -> None:
         await harness.until(lambda: reported(harness, "action /dock", is_up=False), publishing=True)
-        line = {one.subject: one for one in await second.check(TIMEOUT)}["last_word"]
+        line = {one.subject: one for one in await second.check(5.0)}["last_word"]
         assert not line.is_well, "a second subscriber gets it too"
         assert "action /dock" in line.text
         robot.stop()  # with its server
@@ -152,59 +94,62 @@ def test_a_check_names_what_is_silent(joystick: Callable[[DdsRobot], DdsNode]) -
     assert "has no goal; no node serves action /undock" in line.text
 
 
-def test_a_base_that_returns_with_another_type_is_commanded_in_it() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        for is_stamped in (True, False):
-            robot.stop()
-            await harness.until(lambda: not harness.sink.is_up)
-            robot.is_stamped = is_stamped
-            robot.start()
-            await harness.until(lambda: harness.sink.is_up, publishing=True)
-            await drive(harness)
-
-    play(robot, story)
+@story(DdsRobot)
+async def test_a_base_that_returns_with_another_type_is_commanded_in_it(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
+    for is_stamped in (True, False):
+        robot.stop()
+        await harness.until(lambda: not harness.sink.is_up)
+        robot.is_stamped = is_stamped
+        robot.start()
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+        await drive(harness)
 
 
 @pytest.mark.parametrize("is_stamped", [False, True])
-def test_the_watchdogs_zero_is_zero_in_either_type(is_stamped: bool) -> None:
-    robot = DdsRobot(is_stamped=is_stamped)
+@story(lambda is_stamped: DdsRobot(is_stamped=is_stamped), connected=False)
+async def test_the_watchdogs_zero_is_zero_in_either_type(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
     spec = robot.make({}).zero_sender()
     module, _, maker = spec.maker.partition(":")
     sender = getattr(import_module(module), maker)(**spec.options)
     sender.open()
+    await harness.connect()
+    taken: list[Twist] = []
 
-    async def story(harness: DriverHarness) -> None:
-        taken: list[Twist] = []
+    def has_come() -> bool:
+        sender.send_zero()
+        taken.extend(robot.commands())
+        return bool(taken)
 
-        def has_come() -> bool:
-            sender.send_zero()
-            taken.extend(robot.commands())
-            return bool(taken)
-
-        await harness.until(has_come)
-        for twist in taken:
-            assert max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) < 1e-300
-
-    play(robot, story)
+    await harness.until(has_come)
+    for twist in taken:
+        assert max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) < 1e-300
     sender.close()
 
 
 @pytest.mark.parametrize("quality", QUALITIES)
-def test_scans_and_odometry_arrive_whatever_their_quality(quality: str) -> None:
-    robot = DdsRobot(qos={"scan": QUALITIES[quality], "odom": QUALITIES[quality]})
-    found = check(robot, robot.publish, seconds=TIMEOUT)
-    for subject in ("scan", "odometry"):
-        assert found[subject].is_well
-        assert f", {quality})" in found[subject].text
+def test_data_and_commands_arrive_whatever_their_quality(quality: str) -> None:
+    robot = DdsRobot(qos=dict.fromkeys(("scan", "odom", "cmd_vel"), QUALITIES[quality]))
+    second = robot.make({})
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        checking = asyncio.create_task(second.check(TIMEOUT))
+        await harness.until(checking.done, publishing=True)
+        found = {one.subject: one for one in checking.result()}
+        for subject in ("scan", "odometry"):
+            assert found[subject].is_well
+            assert f", {quality})" in found[subject].text
+
+    play(robot, story)
 
 
-@pytest.mark.parametrize(
-    "qos", [*QUALITIES.values(), STRICT], ids=[*QUALITIES, "reliable with a deadline"]
-)
-def test_commands_arrive_whatever_the_quality_that_the_base_wants(qos: Qos) -> None:
-    play(DdsRobot(qos={"cmd_vel": qos}), drive)
+@story(lambda: DdsRobot(qos={"cmd_vel": STRICT}))
+async def test_commands_arrive_at_a_base_that_wants_a_deadline(harness: DriverHarness) -> None:
+    await drive(harness)
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,7 @@ from collections.abc import Iterable
 import pytest
 
 from swarmd.core.values import ZERO, Twist
-from swarmd.drivers.ros2.command_credit import (
-    FRESH_TIME,
-    MAX_HELD_TIME,
-    MAX_SILENCE,
-    CommandCredit,
-)
+from swarmd.drivers.ros2.command_credit import FRESH_TIME, MAX_HELD_TIME, MAX_SILENCE, CommandCredit
 
 MOVING = Twist(0.1, -0.2)
 STEP = 0.001

@@ -11,17 +11,14 @@ import pytest
 
 from swarmd.core.values import Array, Twist, Value
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.testing.driver_contract import DriverContract, DriverHarness, play
+from swarmd.testing.driver_contract import DriverHarness
+from tests.drivers.ros.contract import RosContract
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, drive, reported
+from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.support import ros2_types as dds
 from tests.support.range_ring import RING_DEG, with_ring
-
-
-class TestContract(DriverContract):
-    def rig(self) -> BridgedRobot:
-        return BridgedRobot()
+from tests.support.stories import story
 
 
 class RobotWithRing(BridgedRobot):
@@ -43,66 +40,61 @@ class RobotWithRing(BridgedRobot):
             self.put(f"ir/s{k}", message)
 
 
-class TestContractWithRing(DriverContract):
+class TestContract(RosContract):
     def rig(self) -> RobotWithRing:
         return RobotWithRing()
 
 
-def test_all_senses_arrive_with_their_meaning() -> None:
-    robot = BridgedRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        ranges = [1.0 + 0.001 * i for i in range(250)]
-        robot.put("scan", robots.scan(500.0, ranges))
-        robot.put("odom", robots.odometry(501.0, x=2.0, yaw=1.0))
-        robot.put("imu", dds.Imu(orientation=dds.Quaternion(z=1.0, w=0.0)))
-        robot.put("battery_state", dds.BatteryState(voltage=11.5, percentage=0.5))
-        sink = harness.sink
-        await harness.until(lambda: bool(sink.values) and "battery" in sink.values[-1])
-        await harness.until(lambda: sink.odometries[-1].stamp == 501.0)
-        await harness.until(lambda: sink.scans[-1].stamp == 500.0)
-        np.testing.assert_allclose(sink.scans[-1].ranges, ranges, rtol=1e-6)
-        pose = sink.odometries[-1].pose
-        assert pose.x == 2.0
-        assert pose.yaw == pytest.approx(1.0)
-        assert sink.values[-1]["yaw"] == pytest.approx(math.pi)
-        assert sink.values[-1]["battery"] == pytest.approx(0.5)
-
-    play(robot, story, imu="imu", battery="battery_state", battery_percentage="share")
+@story(BridgedRobot, imu="imu", battery="battery_state", battery_percentage="share")
+async def test_all_senses_arrive_with_their_meaning(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    ranges = [1.0 + 0.001 * i for i in range(250)]
+    robot.put("scan", robots.scan(500.0, ranges))
+    robot.put("odom", robots.odometry(501.0, x=2.0, yaw=1.0))
+    robot.put("imu", dds.Imu(orientation=dds.Quaternion(z=1.0, w=0.0)))
+    robot.put("battery_state", dds.BatteryState(voltage=11.5, percentage=0.5))
+    sink = harness.sink
+    await harness.until(lambda: bool(sink.values) and "battery" in sink.values[-1])
+    await harness.until(lambda: sink.odometries[-1].stamp == 501.0)
+    await harness.until(lambda: sink.scans[-1].stamp == 500.0)
+    np.testing.assert_allclose(sink.scans[-1].ranges, ranges, rtol=1e-6)
+    pose = sink.odometries[-1].pose
+    assert pose.x == 2.0
+    assert pose.yaw == pytest.approx(1.0)
+    assert sink.values[-1]["yaw"] == pytest.approx(math.pi)
+    assert sink.values[-1]["battery"] == pytest.approx(0.5)
 
 
-def test_stamped_commands_are_in_the_frame_asked_for() -> None:
-    robot = BridgedRobot(is_stamped=True)
-
-    async def story(harness: DriverHarness) -> None:
-        harness.driver.send(Twist(0.1), 1, 1)
+@story(lambda: BridgedRobot(is_stamped=True), cmd_vel_frame="base_footprint")
+async def test_stamped_commands_are_in_the_frame_asked_for(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    harness.driver.send(Twist(0.1), 1, 1)
+    samples = robot.samples()
+    while not samples:
+        await asyncio.sleep(0.01)
         samples = robot.samples()
-        while not samples:
-            await asyncio.sleep(0.01)
-            samples = robot.samples()
-        message = dds.TwistStamped.deserialize(samples[0].payload.to_bytes())
-        assert message.header.frame_id == "base_footprint"
-        assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
-
-    play(robot, story, cmd_vel_frame="base_footprint")
+    message = dds.TwistStamped.deserialize(samples[0].payload.to_bytes())
+    assert message.header.frame_id == "base_footprint"
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
 
 
-def test_a_base_that_restarts_at_once_gets_zero_first() -> None:
-    robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        robot.tokens.pop().undeclare()
-        announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
-        await asyncio.sleep(0.3)
-        robot.publish()
-        assert harness.sink.is_up
-        robot.commands()
-        harness.driver.send(Twist(0.1), 2, 2)
-        assert (await harness.command()).is_zero
-
-    play(robot, story)
+@story(BridgedRobot, connected=False)
+async def test_a_base_that_restarts_at_once_gets_zero_first(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    robot.announce("MS", "cmd_vel", "geometry_msgs/msg/Twist")
+    await harness.connect()
+    await drive(harness)
+    robot.tokens.pop().undeclare()
+    robot.announce("MS", "cmd_vel", "geometry_msgs/msg/Twist")
+    await asyncio.sleep(0.3)
+    robot.publish()
+    assert harness.sink.is_up
+    robot.commands()
+    harness.driver.send(Twist(0.1), 2, 2)
+    assert (await harness.command()).is_zero
 
 
 def test_check_reports_commands_of_other_nodes() -> None:
@@ -117,19 +109,17 @@ def test_check_reports_commands_of_other_nodes() -> None:
     assert "commands of another node on /cmd_vel" in found["last_word"].text
 
 
-def test_a_missing_topic_is_reported_while_the_driver_runs() -> None:
-    robot = BridgedRobot()
-    announce(robot, "MP", "bot1/scan", "sensor_msgs/msg/LaserScan")
+@story(BridgedRobot, connected=False)
+async def test_a_missing_topic_is_reported_while_the_driver_runs(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    robot.announce("MP", "bot1/scan", "sensor_msgs/msg/LaserScan")
+    await harness.until(lambda: reported(harness, "no /scan, but /bot1/scan", is_up=False))
+    robot.publish_odometry()
+    await harness.until(lambda: harness.sink.is_up)
 
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: reported(harness, "no /scan, but /bot1/scan", is_up=False))
+    def is_reported() -> bool:
         robot.publish_odometry()
-        await harness.until(lambda: harness.sink.is_up)
+        return reported(harness, "no /scan, but /bot1/scan", is_up=True)
 
-        def is_reported() -> bool:
-            robot.publish_odometry()
-            return reported(harness, "no /scan, but /bot1/scan", is_up=True)
-
-        await harness.until(is_reported)
-
-    play(robot, story, connected=False)
+    await harness.until(is_reported)

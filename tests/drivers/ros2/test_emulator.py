@@ -186,10 +186,7 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
 
 def test_a_command_that_no_base_could_follow_is_counted_and_dropped() -> None:
     stage = Stage("ros2dds", BURGER)
-    mad = (
-        dds.Twist(linear=dds.Vector3(x=math.nan)),
-        dds.Twist(dds.Vector3(x=1e9)),
-    )
+    mad = (dds.Twist(linear=dds.Vector3(x=math.nan)), dds.Twist(dds.Vector3(x=1e9)))
     session = open_session(str(stage.side.driver_options["endpoint"]), within=10.0)
     assert session is not None
     try:

@@ -15,8 +15,9 @@ from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, drive, reported
+from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
+from tests.support.stories import story
 
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 STAMPED = "geometry_msgs/msg/TwistStamped"
@@ -54,63 +55,55 @@ async def stays_lost(harness: DriverHarness, words: str) -> None:
     assert all(twist.is_zero for twist in harness.rig.commands())
 
 
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_base_that_wants_another_type_is_not_commanded(make: Callable[[], Robot]) -> None:
-    robot = make()
-    announce(robot, "MS", "cmd_vel", STAMPED)
-
-    async def story(harness: DriverHarness) -> None:
-        await stays_lost(harness, "set driver_options.cmd_vel_type: twist_stamped")
-        announce(robot, "MS", "cmd_vel", TWIST)
-        await harness.connect()
-        harness.driver.send(Twist(0.1), 1, 1)
-        assert (await harness.command()).is_zero
-
-    play(robot, story, connected=False)
+@story(BridgedRobot, ZenohRobot, connected=False)
+async def test_a_base_that_wants_another_type_is_not_commanded(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    robot.announce("MS", "cmd_vel", STAMPED)
+    await stays_lost(harness, "set driver_options.cmd_vel_type: twist_stamped")
+    robot.announce("MS", "cmd_vel", TWIST)
+    await harness.connect()
+    harness.driver.send(Twist(0.1), 1, 1)
+    assert (await harness.command()).is_zero
 
 
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_base_that_announces_another_type_later_is_lost(make: Callable[[], Robot]) -> None:
-    robot = make()
-
-    async def story(harness: DriverHarness) -> None:
-        for seq in range(2):
-            harness.driver.send(Twist(0.1), seq, seq)
-        announce(robot, "MS", "cmd_vel", STAMPED)
-        await stays_lost(harness, f"/cmd_vel wants {STAMPED}, not {TWIST}")
-
-    play(robot, story)
+@story(BridgedRobot, ZenohRobot)
+async def test_a_base_that_announces_another_type_later_is_lost(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    for seq in range(2):
+        harness.driver.send(Twist(0.1), seq, seq)
+    robot.announce("MS", "cmd_vel", STAMPED)
+    await stays_lost(harness, f"/cmd_vel wants {STAMPED}, not {TWIST}")
 
 
-def test_the_last_zero_is_zero_also_to_a_base_that_reads_it_as_a_twist() -> None:
-    robot = BridgedRobot(is_stamped=True)
+@story(lambda: BridgedRobot(is_stamped=True))
+async def test_the_last_zero_is_zero_also_to_a_base_that_reads_it_as_a_twist(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    for seq in range(2):
+        harness.driver.send(Twist(0.1), seq, seq)
+    await harness.until(lambda: bool(robot.samples()))
+    robot.samples()
+    robot.announce("MS", "cmd_vel", TWIST)
+    await harness.until(lambda: not harness.sink.is_up, publishing=True)
+    await harness.end()
+    payloads: list[bytes] = []
 
-    async def story(harness: DriverHarness) -> None:
-        for seq in range(2):
-            harness.driver.send(Twist(0.1), seq, seq)
-        await harness.until(lambda: bool(robot.samples()))
-        robot.samples()
-        announce(robot, "MS", "cmd_vel", TWIST)
-        await harness.until(lambda: not harness.sink.is_up, publishing=True)
-        await harness.end()
-        payloads: list[bytes] = []
+    def is_reported() -> bool:
+        payloads.extend(sample.payload.to_bytes() for sample in robot.samples())
+        return len(payloads) >= 2
 
-        def is_reported() -> bool:
-            payloads.extend(sample.payload.to_bytes() for sample in robot.samples())
-            return len(payloads) >= 2
-
-        await harness.until(is_reported)
-        for payload in payloads[-2:]:
-            taken = robots.twist(payload[:52], is_stamped=False)
-            assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
-
-    play(robot, story)
+    await harness.until(is_reported)
+    for payload in payloads[-2:]:
+        taken = robots.twist(payload[:52], is_stamped=False)
+        assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
 
 
 def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
     robot = Deaf()
-    announce(robot, "MP", "scan", LASER)
-    announce(robot, "MS", "bot1/cmd_vel", TWIST)
+    robot.announce("MP", "scan", LASER)
+    robot.announce("MS", "bot1/cmd_vel", TWIST)
     words = "no node subscribes to /cmd_vel, but to /bot1/cmd_vel; correct driver_options.namespace"
     play(robot, lambda harness: stays_lost(harness, words), connected=False)
 
@@ -122,29 +115,24 @@ def test_check_does_not_count_its_own_subscription() -> None:
     assert found["cmd_vel"].text.startswith("no node subscribes to /cmd_vel; start the base, or")
 
 
-@pytest.mark.parametrize("make", MAKERS)
-def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
-    make: Callable[[], Robot],
+@story(BridgedRobot, ZenohRobot)
+async def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
+    harness: DriverHarness, robot: Robot
 ) -> None:
-    robot = make()
-
-    async def story(harness: DriverHarness) -> None:
-        until = asyncio.get_running_loop().time() + 0.5  # the driver has looked up its link
-        while asyncio.get_running_loop().time() < until:
-            harness.driver.send(Twist(0.1), 1, 1)
-            robot.publish()
-            await asyncio.sleep(0.01)
-        robot.disconnect()
-        robot.reconnect()
-        await harness.until(
-            lambda: reported(harness, "was started again", is_up=False), publishing=True
-        )
-        await harness.until(lambda: harness.sink.is_up, publishing=True)
-        robot.commands()
-        harness.driver.send(Twist(0.1), 2, 2)
-        assert (await harness.command()).is_zero
-
-    play(robot, story)
+    until = asyncio.get_running_loop().time() + 0.5  # the driver has looked up its link
+    while asyncio.get_running_loop().time() < until:
+        harness.driver.send(Twist(0.1), 1, 1)
+        robot.publish()
+        await asyncio.sleep(0.01)
+    robot.disconnect()
+    robot.reconnect()
+    await harness.until(
+        lambda: reported(harness, "was started again", is_up=False), publishing=True
+    )
+    await harness.until(lambda: harness.sink.is_up, publishing=True)
+    robot.commands()
+    harness.driver.send(Twist(0.1), 2, 2)
+    assert (await harness.command()).is_zero
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -152,8 +140,8 @@ def test_one_cause_is_one_line_in_the_log(
     make: Callable[[], Robot], caplog: pytest.LogCaptureFixture
 ) -> None:
     robot = make()
-    announce(robot, "MP", "bot1/scan", LASER)
-    announce(robot, "MP", "bot1/odom", "nav_msgs/msg/Odometry")
+    robot.announce("MP", "bot1/scan", LASER)
+    robot.announce("MP", "bot1/odom", "nav_msgs/msg/Odometry")
 
     async def story(harness: DriverHarness) -> None:
         await harness.until(
@@ -178,20 +166,16 @@ def test_one_cause_is_one_line_in_the_log(
     ],
     ids=["constant stamps", "half a scan"],
 )
-def test_scans_that_cannot_be_relied_on_are_reported_while_the_driver_runs(
-    scan: Callable[[Robot], object], words: str
+@story(BridgedRobot)
+async def test_scans_that_cannot_be_relied_on_are_reported_while_the_driver_runs(
+    harness: DriverHarness, robot: BridgedRobot, scan: Callable[[Robot], object], words: str
 ) -> None:
-    robot = BridgedRobot()
+    def is_reported() -> bool:
+        robot.publish_odometry()
+        robot.put("scan", scan(robot))
+        return reported(harness, words, is_up=True)
 
-    async def story(harness: DriverHarness) -> None:
-        def is_reported() -> bool:
-            robot.publish_odometry()
-            robot.put("scan", scan(robot))
-            return reported(harness, words, is_up=True)
-
-        await harness.until(is_reported)
-
-    play(robot, story)
+    await harness.until(is_reported)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +192,7 @@ def test_check_without_a_hub_names_what_to_start(make: Callable[[], Robot], step
 
 def test_the_command_type_of_a_base_is_known_before_its_first_message() -> None:
     robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", TWIST)
+    robot.announce("MS", "cmd_vel", TWIST)
     is_ending = threading.Event()
 
     def publish() -> None:
@@ -238,27 +222,23 @@ def test_the_command_type_of_a_base_is_known_before_its_first_message() -> None:
 @pytest.mark.parametrize("make", MAKERS)
 def test_invalid_names_add_no_second_line(make: Callable[[], Robot]) -> None:
     robot = make()
-    announce(robot, "MP", "bot1/scan\nok    scan", LASER)
-    announce(robot, "MP", "bot1/" + 2000 * "x", LASER)
+    robot.announce("MP", "bot1/scan\nok    scan", LASER)
+    robot.announce("MP", "bot1/" + 2000 * "x", LASER)
     found = check(robot, robot.publish_odometry, seconds=1.0)
     assert "announces no topic at all" in found["scan"].text
     assert found["scan"].text.isprintable()
 
 
-def test_a_base_is_found_among_more_topics_of_others_than_are_kept(
-    monkeypatch: pytest.MonkeyPatch,
+@story(BridgedRobot, connected=False, cmd_vel_type="auto")
+async def test_a_base_is_found_among_more_topics_of_others_than_are_kept(
+    harness: DriverHarness, robot: BridgedRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ros_driver, "_MAX_ENDPOINTS", 8)
-    robot = BridgedRobot()
     for count in range(20):
-        announce(robot, "MP", f"other{count}", "std_msgs/msg/Bool")
-    announce(robot, "MS", "cmd_vel", TWIST)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.connect()
-        await drive(harness)
-
-    play(robot, story, connected=False, cmd_vel_type="auto")
+        robot.announce("MP", f"other{count}", "std_msgs/msg/Bool")
+    robot.announce("MS", "cmd_vel", TWIST)
+    await harness.connect()
+    await drive(harness)
 
 
 def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(

@@ -6,7 +6,6 @@ import asyncio
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,10 +13,11 @@ import zenoh
 
 from swarmd.core.values import ZERO, Twist
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.testing.driver_contract import DriverHarness, play
+from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import drive, drive_on, freeze
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot, open_session
 from tests.support.processes import CAP
+from tests.support.stories import story
 
 ROOT = Path(__file__).parents[3]
 
@@ -57,37 +57,26 @@ class ApartZenoh(ApartRobot, ZenohRobot):
     """As with rmw_zenoh."""
 
 
-MAKERS = [ApartBridged, ApartZenoh]
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_a_frozen_hub_delivers_no_late_command(make: Callable[[], ApartRobot]) -> None:
-    robot = make()
-
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        await freeze(harness, robot.freeze)
-        assert all(twist.is_zero for twist in await drive_on(harness, robot.thaw))
-        await harness.connect()
-        await drive(harness)
-
-    play(robot, story)
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_of_a_hub_that_freezes_under_a_command_comes_that_one_and_zero_at_once(
-    make: Callable[[], ApartRobot],
+@story(ApartBridged, ApartZenoh)
+async def test_a_frozen_hub_delivers_no_late_command(
+    harness: DriverHarness, robot: ApartRobot
 ) -> None:
-    robot = make()
+    await drive(harness)
+    await freeze(harness, robot.freeze)
+    assert all(twist.is_zero for twist in await drive_on(harness, robot.thaw))
+    await harness.connect()
+    await drive(harness)
 
-    async def story(harness: DriverHarness) -> None:
-        assert isinstance(harness.driver, RosDriver)
-        await drive(harness)
-        await freeze(harness, robot.freeze)
-        harness.driver._credit.hear(asyncio.get_running_loop().time())
-        harness.driver.send(Twist(0.2), 1, 1)
-        taken = await drive_on(harness, robot.thaw)
-        assert taken[:2] == [Twist(0.2), ZERO]
-        assert all(twist.is_zero for twist in taken[1:])
 
-    play(robot, story)
+@story(ApartBridged, ApartZenoh)
+async def test_of_a_hub_that_freezes_under_a_command_comes_that_one_and_zero_at_once(
+    harness: DriverHarness, robot: ApartRobot
+) -> None:
+    assert isinstance(harness.driver, RosDriver)
+    await drive(harness)
+    await freeze(harness, robot.freeze)
+    harness.driver._credit.hear(asyncio.get_running_loop().time())
+    harness.driver.send(Twist(0.2), 1, 1)
+    taken = await drive_on(harness, robot.thaw)
+    assert taken[:2] == [Twist(0.2), ZERO]
+    assert all(twist.is_zero for twist in taken[1:])

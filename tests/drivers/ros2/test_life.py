@@ -6,7 +6,7 @@ The test controls the session and the clock; `test_dds_bridge.py` has real sessi
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -22,6 +22,7 @@ from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import hand_clock as handclock
 from tests.support import ros2_types as dds
+from tests.support.stories import Tell, Test, as_test
 
 MOVING = Twist(0.1)
 
@@ -124,30 +125,33 @@ class Scene:
         self.task = asyncio.create_task(self.driver.run(self.sink))
 
 
-def play(
-    monkeypatch: pytest.MonkeyPatch,
-    story: Callable[[Scene], Awaitable[None]],
-    *,
-    platform: Platform = robots.PLATFORM,
-    **options: Value,
-) -> None:
-    session = Session()
-    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint, within: session)
+def playing(tell: Tell) -> Test:
+    """A test of a story with a driver; the story takes `scene` and fixtures.
 
-    async def run() -> None:
-        scene = Scene(make(options, platform), session)
-        await scene.pass_time(0.0)
-        try:
-            await story(scene)
-        finally:
-            await scene.end()
-        assert session.is_closed
+    The scans come at the `rate` of a parameter, or as often as the platform's do.
+    """
 
-    handclock.run(run())
+    def run(told: Tell, given: Mapping[str, Any]) -> None:
+        session = Session()
+        given["monkeypatch"].setattr(ros_driver, "open_session", lambda endpoint, within: session)
+        platform = slow(given["rate"]) if "rate" in given else robots.PLATFORM
+        handclock.run(_played(told, make(platform), session))
+
+    return as_test(tell, run, ("scene",), ("monkeypatch",))
 
 
-def make(options: Mapping[str, Value], platform: Platform) -> RosDriver:
-    given: Mapping[str, Value] = {"cmd_vel_type": "twist", **options}
+async def _played(told: Tell, driver: RosDriver, session: Session) -> None:
+    scene = Scene(driver, session)
+    await scene.pass_time(0.0)
+    try:
+        await told(scene=scene)
+    finally:
+        await scene.end()
+    assert session.is_closed
+
+
+def make(platform: Platform) -> RosDriver:
+    given: Mapping[str, Value] = {"cmd_vel_type": "twist"}
     return ros2dds.make_driver(swarm="s", robot="r", platform=platform, options=given)
 
 
@@ -156,92 +160,78 @@ def slow(rate: float) -> Platform:
 
 
 @pytest.mark.parametrize(("rate", "seconds"), [(5.0, 1.0), (1.0, 3.5)])
-def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
-    monkeypatch: pytest.MonkeyPatch, rate: float, seconds: float
+@playing
+async def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
+    scene: Scene, rate: float, seconds: float
 ) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        await scene.pass_time(seconds - 0.02)
-        assert scene.is_up
-        await scene.pass_time(0.12)  # it looks every 0.1 s
-        assert not scene.is_up
-        assert "no scan and no odometry" in scene.sink.states[-1][1]
-
-    play(monkeypatch, story, platform=slow(rate))
+    await scene.move()
+    await scene.pass_time(seconds - 0.02)
+    assert scene.is_up
+    await scene.pass_time(0.12)  # it looks every 0.1 s
+    assert not scene.is_up
+    assert "no scan and no odometry" in scene.sink.states[-1][1]
 
 
-def test_a_link_that_is_cut_is_a_lost_base_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        scene.command()
-        scene.session.is_linked = False
-        await scene.pass_time(0.12, moving=True)
-        lost = [text for is_up, text in scene.sink.states if not is_up]
-        assert lost[-1].startswith("nothing answers at tcp/")
-        assert scene.session.taken()[0] == Twist()
-
-    play(monkeypatch, story)
+@playing
+async def test_a_link_that_is_cut_is_a_lost_base_at_once(scene: Scene) -> None:
+    await scene.move()
+    scene.command()
+    scene.session.is_linked = False
+    await scene.pass_time(0.12, moving=True)
+    lost = [text for is_up, text in scene.sink.states if not is_up]
+    assert lost[-1].startswith("nothing answers at tcp/")
+    assert scene.session.taken()[0] == Twist()
 
 
-def test_a_hub_that_restarts_instantly_gets_zeros_for_2_s(
-    monkeypatch: pytest.MonkeyPatch,
+@playing
+async def test_a_hub_that_restarts_instantly_gets_zeros_for_2_s(scene: Scene) -> None:
+    await scene.pass_time(3.0, moving=True)
+    scene.command()
+    scene.session.hub = "another"  # which may know the base only in a while
+    await scene.pass_time(1.9)
+    taken = scene.session.taken()
+    assert not scene.is_up
+    assert len(taken) > 15
+    assert all(twist.is_zero for twist in taken)
+
+
+@playing
+async def test_another_nodes_command_stops_the_driver_for_2_s(scene: Scene) -> None:
+    await scene.move()
+    scene.command()
+    scene.session.publish("cmd_vel", robots.command(0.2))
+    await handclock.settle()
+    assert not scene.is_up
+    assert scene.session.taken() == [Twist()]
+    await scene.pass_time(1.96, moving=True)
+    assert not scene.is_up
+    assert not scene.command()
+    await scene.pass_time(0.05, moving=True)
+    assert scene.is_up
+    assert scene.command() == [Twist(), MOVING]
+
+
+@playing
+async def test_a_command_that_waits_does_not_leave_once_a_second_base_is_found(
+    scene: Scene,
 ) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.pass_time(3.0, moving=True)
-        scene.command()
-        scene.session.hub = "another"  # which may know the base only in a while
-        await scene.pass_time(1.9)
-        taken = scene.session.taken()
-        assert not scene.is_up
-        assert len(taken) > 15
-        assert all(twist.is_zero for twist in taken)
-
-    play(monkeypatch, story)
-
-
-def test_another_nodes_command_stops_the_driver_for_2_s(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        scene.command()
-        scene.session.publish("cmd_vel", robots.command(0.2))
+    await scene.move()
+    scene.command()
+    await scene.pass_time(0.1)
+    for stamp in (5.0, 3.0, 4.0, 2.0):  # as of two bases that publish one odometry
+        scene.session.moves(stamp)
         await handclock.settle()
-        assert not scene.is_up
-        assert scene.session.taken() == [Twist()]
-        await scene.pass_time(1.96, moving=True)
-        assert not scene.is_up
-        assert not scene.command()
-        await scene.pass_time(0.05, moving=True)
-        assert scene.is_up
-        assert scene.command() == [Twist(), MOVING]
-
-    play(monkeypatch, story)
-
-
-def test_a_command_that_waits_does_not_leave_once_a_second_base_is_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        scene.command()
-        await scene.pass_time(0.1)
-        for stamp in (5.0, 3.0, 4.0, 2.0):  # as of two bases that publish one odometry
-            scene.session.moves(stamp)
-            await handclock.settle()
-        await scene.pass_time(0.02)
-        scene.session.on_graph_query = lambda answer: None
-        scene.driver.send(MOVING, 1, 1)  # it waits for a sign of life of the hub
-        waiting_since = asyncio.get_running_loop().time()
-        while scene.sink.hold is None:
-            await scene.pass_time(0.005)
-        scene.session.taken()
-        scene.session.moves(6.0)
-        await handclock.settle()
-        assert asyncio.get_running_loop().time() - waiting_since < MAX_HELD_TIME
-        assert all(twist.is_zero for twist in scene.session.taken())
-
-    play(monkeypatch, story)
+    await scene.pass_time(0.02)
+    scene.session.on_graph_query = lambda answer: None
+    scene.driver.send(MOVING, 1, 1)  # it waits for a sign of life of the hub
+    waiting_since = asyncio.get_running_loop().time()
+    while scene.sink.hold is None:
+        await scene.pass_time(0.005)
+    scene.session.taken()
+    scene.session.moves(6.0)
+    await handclock.settle()
+    assert asyncio.get_running_loop().time() - waiting_since < MAX_HELD_TIME
+    assert all(twist.is_zero for twist in scene.session.taken())
 
 
 @pytest.mark.parametrize(
@@ -255,70 +245,48 @@ def test_a_command_that_waits_does_not_leave_once_a_second_base_is_found(
     ],
     ids=["zero", "backwards", "a turn", "unreadable", "on every key"],
 )
-def test_any_command_but_zero_counts_as_driving(
-    monkeypatch: pytest.MonkeyPatch, message: Any, key: str | None, is_lost: bool
+@playing
+async def test_any_command_but_zero_counts_as_driving(
+    scene: Scene, message: Any, key: str | None, is_lost: bool
 ) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        scene.session.publish("cmd_vel", message, key)
-        await handclock.settle()
-        assert scene.is_up != is_lost
-
-    play(monkeypatch, story)
+    await scene.move()
+    scene.session.publish("cmd_vel", message, key)
+    await handclock.settle()
+    assert scene.is_up != is_lost
 
 
 @pytest.mark.parametrize("hub", ["hub", "another"])
-def test_a_base_is_lost_until_its_hub_has_listed_its_nodes(
-    monkeypatch: pytest.MonkeyPatch, hub: str
-) -> None:
-    async def story(scene: Scene) -> None:
-        answers: list[Any] = []
-        scene.session.on_graph_query = answers.append
-        if hub == "hub":
-            await scene.restart()
-        else:
-            await scene.pass_time(0.2, moving=True)
-            assert scene.is_up
-            scene.session.hub = hub
-        await scene.pass_time(2.5, moving=True)
-        (answer,) = answers
-        assert not scene.is_up
-        assert "has not listed its nodes yet" in scene.sink.states[-1][1]
-        answer.callback(SimpleNamespace(err="Timeout"))
-        answer.drop()
-        await scene.pass_time(0.1, moving=True)
-        assert not scene.is_up
-        assert len(answers) == 2
-        answers[-1].drop()
-        await scene.pass_time(0.1, moving=True)
+@playing
+async def test_a_base_is_lost_until_its_hub_has_listed_its_nodes(scene: Scene, hub: str) -> None:
+    answers: list[Any] = []
+    scene.session.on_graph_query = answers.append
+    if hub == "hub":
+        await scene.restart()
+    else:
+        await scene.pass_time(0.2, moving=True)
         assert scene.is_up
-
-    play(monkeypatch, story)
-
-
-def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(scene: Scene) -> None:
-        scene.session.publish("power", dds.BatteryState(percentage=0.5))
-        await handclock.settle()
-        assert not scene.is_up
-        assert not scene.sink.values
-        await scene.move()
-        scene.session.publish("power", dds.BatteryState(percentage=0.5))
-        await handclock.settle()
-        assert scene.sink.values[-1]["battery"] == 0.5
-
-    play(monkeypatch, story, battery="power", battery_percentage="share")
+        scene.session.hub = hub
+    await scene.pass_time(2.5, moving=True)
+    (answer,) = answers
+    assert not scene.is_up
+    assert "has not listed its nodes yet" in scene.sink.states[-1][1]
+    answer.callback(SimpleNamespace(err="Timeout"))
+    answer.drop()
+    await scene.pass_time(0.1, moving=True)
+    assert not scene.is_up
+    assert len(answers) == 2
+    answers[-1].drop()
+    await scene.pass_time(0.1, moving=True)
+    assert scene.is_up
 
 
-def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
-    monkeypatch: pytest.MonkeyPatch,
+@playing
+async def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
+    scene: Scene,
 ) -> None:
-    async def story(scene: Scene) -> None:
-        scene.session.publish("scan", b"\x00\x01\x00\x00rubbish")
-        scene.session.publish("odom", robots.odometry(1.0), "**")
-        await handclock.settle()
-        assert sorted(scene.sink.lost) == ["odometry:type", "scan"]
-        assert not scene.is_up
-        assert scene.sink.order.count("odometry") == 0
-
-    play(monkeypatch, story)
+    scene.session.publish("scan", b"\x00\x01\x00\x00rubbish")
+    scene.session.publish("odom", robots.odometry(1.0), "**")
+    await handclock.settle()
+    assert sorted(scene.sink.lost) == ["odometry:type", "scan"]
+    assert not scene.is_up
+    assert scene.sink.order.count("odometry") == 0

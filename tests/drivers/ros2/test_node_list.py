@@ -5,7 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import random
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from typing import Any
 
 import pytest
 import zenoh
@@ -28,9 +29,10 @@ from swarmd.drivers.ros2.admin_space import (
 )
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import DriverHarness, play
-from tests.drivers.ros2.harness import announce, check, drive, reported
+from swarmd.testing.driver_contract import DriverHarness
+from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot, open_session
+from tests.support.stories import story
 
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -97,11 +99,7 @@ def listed_once(given: Answers, now: float = 0.0) -> NodeList:
         ([("01/base", BASE), ("02/other", BASE)], Reason.BASE_CONFLICT, "/base, /other"),
         ([("01/r1/base", BASE), ("02/r2/base", BASE)], Reason.BASE_CONFLICT, "/r1/base, /r2/base"),
         ([("01/base", BASE), ("02/base", BASE)], Reason.BASE_CONFLICT, "named /base"),
-        (
-            [("01/base", BASE), ("02/a", LIDAR), ("03/b", LIDAR)],
-            Reason.SCAN_CONFLICT,
-            "/a, /b",
-        ),
+        ([("01/base", BASE), ("02/a", LIDAR), ("03/b", LIDAR)], Reason.SCAN_CONFLICT, "/a, /b"),
         *(
             ([("01/base", BASE), (f"02/{name}", BASE)], None, "")
             for name in (
@@ -132,20 +130,25 @@ def test_a_node_that_is_named_as_a_listener_is_no_second_base(given: tuple[str, 
     assert conflict(both, 0.0, cmd_vel_listeners=given) is None
 
 
-def test_a_node_that_two_bridges_of_one_domain_list_is_one_base() -> None:
+@pytest.mark.parametrize(
+    ("first", "second", "end", "wanted"),
+    [
+        (("01/base", BASE), ("01/base", BASE), "MS", None),
+        (("01/base", BASE), ("02/base2", BASE), "MS", Reason.BASE_CONFLICT),
+        (("01/l", LIDAR), ("01/l", LIDAR), "MP", Reason.SCAN_CONFLICT),
+        (None, None, "MS", Reason.BASE_CONFLICT),
+    ],
+    ids=["one base", "two bases", "scans that both hand on", "without lists"],
+)
+def test_two_bridges_of_one_domain(
+    first: tuple[str, Any] | None, second: Any, end: str, wanted: Reason | None
+) -> None:
     made = NodeList()
-    made.take({**answers(("01/base", BASE)), **answers(("01/base", BASE), zid="cd")}, (), 0.0)
-    assert conflict(made, 0.0, ("ab", "cd"), ["MS"]) is None
-
-
-def test_scans_that_two_bridges_hand_on_are_a_conflict() -> None:
-    both = {**answers(("01/l", LIDAR)), **answers(("01/l", LIDAR), zid="cd")}
-    made = NodeList()
-    made.take(both, (), 0.0)
-    found = conflict(made, 0.0, ("ab", "cd"), ["MP"])
-    assert found is not None
-    assert found.reason is Reason.SCAN_CONFLICT
-    assert "2 bridges" in found.text
+    if first is not None:
+        made.take({**answers(first), **answers(second, zid="cd")}, (), 0.0)
+    found = conflict(made, 0.0, ("ab", "cd"), [end])
+    assert (found and found.reason) == wanted
+    assert end == "MS" or "2 bridges" in (found.text if found else "")
 
 
 def test_bases_behind_two_bridges_with_namespaces_are_two_robots() -> None:
@@ -154,13 +157,6 @@ def test_bases_behind_two_bridges_with_namespaces_are_two_robots() -> None:
     first = answers(("01/base", BASE), namespace="/tb3_01")
     made.take({**first, **answers(("02/base", BASE), zid="cd", namespace="/tb3_02")}, (), 0.0)
     assert {end.topic for end in made.endpoints} == {"/tb3_01/cmd_vel", "/tb3_02/cmd_vel"}
-
-
-def test_bases_behind_two_bridges_without_namespaces_are_a_conflict() -> None:
-    made = NodeList()
-    made.take({**answers(("01/base", BASE)), **answers(("02/base2", BASE), zid="cd")}, (), 0.0)
-    assert conflict(made, 0.0, ("ab", "cd"), ["MS"]) is not None
-    assert conflict(NodeList(), 0.0, ("ab", "cd"), ["MS"]) is not None, "without lists too"
 
 
 def test_a_node_without_an_announcement_is_not_routed() -> None:
@@ -525,8 +521,8 @@ def test_in_any_history_nodes_of_one_name_live_if_both_outlast_the_lease() -> No
 
 def alone(robot: BridgedRobot) -> None:
     """One base with its lidar, announced and listed."""
-    announce(robot, "MP", "scan", LASER)
-    announce(robot, "MS", "cmd_vel", TWIST)
+    robot.announce("MP", "scan", LASER)
+    robot.announce("MS", "cmd_vel", TWIST)
     robot.list_nodes()
     robot.list_node("01", "base", {"/scan": LASER, "/odom": ODOMETRY}, {"/cmd_vel": TWIST})
 
@@ -549,94 +545,69 @@ async def only_zero_arrives(harness: DriverHarness) -> None:
     assert all(twist.is_zero for twist in taken)
 
 
-def test_no_motion_reaches_two_bases_that_are_there_from_the_start() -> None:
-    robot = BridgedRobot()
+def list_base(robot: BridgedRobot) -> str:
+    return robot.list_node("02", "base", {}, {"/cmd_vel": TWIST})
+
+
+def list_reader(robot: BridgedRobot) -> str:
+    return robot.list_reader("02")
+
+
+SECONDS = pytest.mark.parametrize(
+    ("add", "text"),
+    [(list_base, "2 nodes named /base take /cmd_vel"), (list_reader, "/dds_reader takes /cmd_vel")],
+)
+
+
+@SECONDS
+@story(BridgedRobot, connected=False)
+async def test_no_motion_reaches_two_bases_that_are_there_from_the_start(
+    harness: DriverHarness, robot: BridgedRobot, add: Callable[[BridgedRobot], str], text: str
+) -> None:
     alone(robot)
-    robot.list_node("02", "other", {}, {"/cmd_vel": TWIST})
-
-    async def story(harness: DriverHarness) -> None:
-        await only_zero_arrives(harness)
-        assert reported(harness, "2 nodes take /cmd_vel: /base, /other; ", is_up=True)
-
-    play(robot, story, connected=False)
+    add(robot)
+    await only_zero_arrives(harness)
+    assert reported(harness, text, is_up=True)
 
 
-def test_a_second_base_holds_a_robot_that_drives_and_its_end_frees_it() -> None:
-    robot = BridgedRobot()
+@SECONDS
+@story(BridgedRobot, connected=False)
+async def test_a_second_base_holds_a_robot_that_drives_and_its_end_frees_it(
+    harness: DriverHarness, robot: BridgedRobot, add: Callable[[BridgedRobot], str], text: str
+) -> None:
     alone(robot)
+    await harness.connect()
+    await drive(harness)
+    key = add(robot)
+    await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
+    robot.commands()
+    harness.driver.send(Twist(0.1), 3, 3)
+    assert (await harness.command()).is_zero
+    del robot.listed[key]
+    await harness.until(lambda: harness.sink.hold is None, publishing=True)
 
-    async def story(harness: DriverHarness) -> None:
-        await harness.connect()
-        await drive(harness)
-        key = robot.list_node("02", "base", {}, {"/cmd_vel": TWIST})
-        await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
-        assert reported(harness, "/base take /cmd_vel: it crashed and is back", is_up=True)
-        robot.commands()
-        harness.driver.send(Twist(0.1), 3, 3)
-        assert (await harness.command()).is_zero
-        del robot.listed[key]
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-        await drive_again(harness)
-
-    play(robot, story, connected=False)
-
-
-def test_no_motion_reaches_a_reader_without_a_node_that_is_there_from_the_start() -> None:
-    robot = BridgedRobot()
-    alone(robot)
-    robot.list_reader("02")
-
-    async def story(harness: DriverHarness) -> None:
-        await only_zero_arrives(harness)
-        assert reported(harness, "/dds_reader takes /cmd_vel: ", is_up=True)
-
-    play(robot, story, connected=False)
-
-
-def test_a_reader_without_a_node_holds_a_robot_that_drives_and_its_end_frees_it() -> None:
-    robot = BridgedRobot()
-    alone(robot)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.connect()
-        await drive(harness)
-        key = robot.list_reader("02")
-        await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
-        robot.commands()
-        harness.driver.send(Twist(0.1), 3, 3)
-        assert (await harness.command()).is_zero
-        del robot.listed[key]
-        await harness.until(lambda: harness.sink.hold is None, publishing=True)
-        await drive_again(harness)
-
-    play(robot, story, connected=False)
-
-
-def test_a_reader_that_gets_its_node_in_time_holds_nothing() -> None:
-    robot = BridgedRobot()
-    alone(robot)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.connect()
-        await drive(harness)
-        robot.list_reader("02")
-        await asyncio.sleep(0.2)
-        robot.list_node("02", "rviz2", {}, {"/cmd_vel": TWIST})
-        for _ in range(40):
-            robot.publish()
-            await asyncio.sleep(0.05)
-        assert harness.sink.hold is None
-        assert all("takes /cmd_vel" not in text for _, text in harness.sink.states)
-
-    play(robot, story, connected=False)
-
-
-async def drive_again(harness: DriverHarness) -> None:
     def is_moving() -> bool:
         harness.driver.send(Twist(0.1), 4, 4)
-        return any(not twist.is_zero for twist in harness.rig.commands())
+        return any(not twist.is_zero for twist in robot.commands())
 
     await harness.until(is_moving, publishing=True)
+
+
+@story(BridgedRobot, connected=False)
+async def test_a_reader_that_gets_its_node_in_time_holds_nothing(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    alone(robot)
+    await harness.connect()
+    await drive(harness)
+    robot.list_reader("02")
+    await asyncio.sleep(0.2)
+    robot.list_node("02", "rviz2", {}, {"/cmd_vel": TWIST})
+    for _ in range(40):
+        robot.publish()
+        await asyncio.sleep(0.05)
+    assert harness.sink.hold is None
+    assert all("takes /cmd_vel" not in text for _, text in harness.sink.states)
 
 
 def test_a_recorder_holds_nothing_and_the_check_names_it() -> None:
@@ -651,7 +622,7 @@ def test_a_recorder_holds_nothing_and_the_check_names_it() -> None:
 
 def test_a_recorder_alone_is_no_base() -> None:
     robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", TWIST)
+    robot.announce("MS", "cmd_vel", TWIST)
     robot.list_nodes()
     robot.list_node("02", "rosbag2_recorder", {}, {"/cmd_vel": TWIST})
     found = check(robot, robot.publish)
@@ -670,65 +641,48 @@ def test_check_fails_for_two_bases_and_names_them_and_the_remedy() -> None:
             assert word in found[subject].text
 
 
-def test_a_bridge_that_does_not_list_its_nodes_drives_and_the_check_says_so() -> None:
-    robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", TWIST)
+@story(BridgedRobot, connected=False)
+async def test_a_bridge_that_does_not_list_its_nodes_drives(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    robot.announce("MS", "cmd_vel", TWIST)
+    await harness.connect()
+    await drive(harness)
 
-    async def story(harness: DriverHarness) -> None:
-        await harness.connect()
-        await drive(harness)
 
-    play(robot, story, connected=False)
+def test_a_check_tells_that_a_bridge_does_not_list_its_nodes() -> None:
     robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", TWIST)
+    robot.announce("MS", "cmd_vel", TWIST)
     found = check(robot, robot.publish)["nodes"]
     assert (found.is_well, found.is_measured) == (True, False)
 
 
-def test_a_bridge_that_is_slow_to_answer_is_waited_for_and_not_for_ever() -> None:
-    robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", TWIST)
+@story(BridgedRobot, connected=False)
+async def test_a_bridge_that_is_slow_to_answer_is_waited_for_and_not_for_ever(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    robot.announce("MS", "cmd_vel", TWIST)
     waiting: list[zenoh.Query] = []  # a query that is kept has no end
     robot.hub.declare_queryable(f"@/{robot.hub.zid()}/ros2/**", waiting.append)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: len(waiting) >= 4 or harness.sink.is_up, publishing=True)
-        assert not harness.sink.is_up
-        await harness.connect()
-        await drive(harness)
-        waiting.clear()
-
-    play(robot, story, connected=False)
+    await harness.until(lambda: len(waiting) >= 4 or harness.sink.is_up, publishing=True)
+    assert not harness.sink.is_up
+    await harness.connect()
+    await drive(harness)
+    waiting.clear()
 
 
-def test_another_bridge_that_does_not_answer_hides_no_second_base() -> None:
-    """As one behind a slow link to the hub; it announces nothing of this robot."""
-    robot = BridgedRobot()
+@pytest.mark.parametrize("announces", [False, True])
+@story(BridgedRobot, connected=False, imu="imu")
+async def test_another_bridge_that_does_not_answer_hides_no_second_base(
+    harness: DriverHarness, robot: BridgedRobot, announces: bool
+) -> None:
+    """As one behind a slow link to the hub; it announces a topic of this robot or none."""
     alone(robot)
-    robot.list_node("02", "other", {}, {"/cmd_vel": TWIST})
+    list_base(robot)
     waiting: list[zenoh.Query] = []  # a query that is kept has no end
     with open_session("client", "connect/endpoints", robot.endpoint) as far:
+        if announces:
+            robot.announce("MP", "imu", "sensor_msgs/msg/Imu", zid=str(far.zid()))
         far.declare_queryable(f"@/{far.zid()}/ros2/**", waiting.append)
-
-        async def story(harness: DriverHarness) -> None:
-            await only_zero_arrives(harness)
-
-        play(robot, story, connected=False)
-        waiting.clear()
-
-
-def test_a_second_bridge_that_does_not_answer_hides_no_second_base() -> None:
-    """It announces a topic of this robot; of the first bridge's nodes two take the commands."""
-    robot = BridgedRobot()
-    alone(robot)
-    robot.list_node("02", "other", {}, {"/cmd_vel": TWIST})
-    waiting: list[zenoh.Query] = []
-    with open_session("client", "connect/endpoints", robot.endpoint) as far:
-        announce(robot, "MP", "imu", "sensor_msgs/msg/Imu", zid=str(far.zid()))
-        far.declare_queryable(f"@/{far.zid()}/ros2/**", waiting.append)
-
-        async def story(harness: DriverHarness) -> None:
-            await only_zero_arrives(harness)
-
-        play(robot, story, connected=False, imu="imu")
+        await only_zero_arrives(harness)
         waiting.clear()

@@ -9,17 +9,17 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-import zenoh.ext
 from rosbags.typesys import Stores
 
 from swarmd.core.values import Value
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.network.carriers.session import has_subscriber
 from swarmd.testing.driver_contract import DriverHarness, play
-from tests.drivers.ros2.harness import announce, check
-from tests.drivers.ros2.robots import HASHES, PACKAGES, BridgedRobot, Robot, ZenohRobot
+from tests.drivers.ros.contract import DOCKED, docked
+from tests.drivers.ros2.harness import check
+from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.support import ros2_types as dds
+from tests.support.stories import story
 from tests.support.vendor_messages import PACKAGE, vendor_folder
 
 OPTION: dict[str, Value] = {
@@ -31,26 +31,12 @@ OPTION: dict[str, Value] = {
         "stale_after": 0.3,
     }
 }
-MAKERS = pytest.mark.parametrize("make", [BridgedRobot, ZenohRobot])
 
 
-DOCKED: dict[str, Value] = {
-    "docked": {"topic": "dock", "type": "std_msgs/Bool", "stale_after": "never"}
-}
-
-
-@pytest.fixture(autouse=True)
-def _hash(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("sensor_msgs/msg/Temperature", "std_msgs/msg/Bool"):
-        kind = cdr.store().types[name]
-        monkeypatch.setitem(HASHES, name.rpartition("/")[2], cdr.type_hash(kind))
-    monkeypatch.setitem(PACKAGES, "Bool", "std_msgs")
-
-
-@MAKERS
-def test_a_reading_arrives_becomes_stale_and_comes_back(make: Callable[[], Robot]) -> None:
-    robot = make()
-
+@story(BridgedRobot, ZenohRobot, connected=False, readings=OPTION)
+async def test_a_reading_arrives_becomes_stale_and_comes_back(
+    harness: DriverHarness, robot: Robot
+) -> None:
     def heat(harness: DriverHarness) -> float:
         values = harness.sink.values
         return values[-1].get("temperature", -1.0) if values else -1.0
@@ -58,20 +44,17 @@ def test_a_reading_arrives_becomes_stale_and_comes_back(make: Callable[[], Robot
     def is_heat(harness: DriverHarness, degrees: float) -> bool:
         return heat(harness) == degrees
 
-    async def story(harness: DriverHarness) -> None:
+    await harness.connect()
+    await harness.until(lambda: math.isnan(heat(harness)), publishing=True)
+    for degrees in (20.0, 21.0):
+        robot.put("temp", dds.Temperature(temperature=degrees))
+        await harness.until(partial(is_heat, harness, degrees), publishing=True)
         await harness.until(lambda: math.isnan(heat(harness)), publishing=True)
-        for degrees in (20.0, 21.0):
-            robot.put("temp", dds.Temperature(temperature=degrees))
-            await harness.until(partial(is_heat, harness, degrees), publishing=True)
-            await harness.until(lambda: math.isnan(heat(harness)), publishing=True)
-        assert harness.sink.is_up
-
-    play(robot, story, readings=OPTION)
+    assert harness.sink.is_up
 
 
-@MAKERS
-def test_a_check_tells_value_unit_and_age(make: Callable[[], Robot]) -> None:
-    robot = make()
+def test_a_check_tells_value_unit_and_age() -> None:
+    robot = BridgedRobot()
 
     def publish() -> None:
         robot.publish()
@@ -82,45 +65,6 @@ def test_a_check_tells_value_unit_and_age(make: Callable[[], Robot]) -> None:
     assert "/temp (sensor_msgs/msg/Temperature)" in found.text
     assert "temperature 20.5 degC" in found.text
     assert found.text.endswith("s ago")
-
-
-@MAKERS
-def test_a_check_tells_that_a_topic_is_not_heard(make: Callable[[], Robot]) -> None:
-    robot = make()
-    found = check(robot, robot.publish, seconds=1.2, readings=OPTION)["readings.temperature"]
-    assert not found.is_well
-    assert "/temp" in found.text
-
-
-class Dock:
-    """What publishes `dock` on change at a robot's hub, as a node of its middleware does.
-
-    `is_latched`: with durability TRANSIENT_LOCAL, so that a cache has the last message.
-    """
-
-    def __init__(self, robot: Robot, *, is_latched: bool = False) -> None:
-        key = robot.key("dock", "Bool") if isinstance(robot, ZenohRobot) else "dock"
-        cache = zenoh.ext.CacheConfig(1) if is_latched else None
-        self._publisher = zenoh.ext.declare_advanced_publisher(robot.hub, key, cache=cache)
-        announce(robot, "MP", "dock", "std_msgs/msg/Bool")
-        self._token = robot.tokens.pop()
-        self._probe = robot.hub.declare_publisher(key)  # it knows of subscribers
-
-    def put(self, is_docked: bool) -> None:
-        self._publisher.put(dds.Bool(data=is_docked).serialize())
-
-    def is_heard(self) -> bool:
-        return has_subscriber(self._probe)
-
-    def close(self) -> None:
-        self._token.undeclare()
-        self._publisher.undeclare()
-
-
-def docked(harness: DriverHarness) -> float:
-    """What patterns get: 0 or 1, NaN while nothing is known, -1 before anything was told."""
-    values = harness.sink.values
-    return values[-1].get("docked", -1.0) if values and harness.sink.is_up else -1.0
 
 
 @pytest.mark.parametrize("is_heard", [True, False])
@@ -148,102 +92,36 @@ def test_a_check_has_a_line_for_each_entry_of_a_topic(is_heard: bool) -> None:
         assert "/imu" in found[entry].text
 
 
-@MAKERS
+@pytest.mark.parametrize("make", [BridgedRobot, ZenohRobot])
 @pytest.mark.parametrize("stale_after", ["never", 30.0])
 def test_a_reading_that_came_before_the_base_was_connected_counts(
     make: Callable[[], Robot], stale_after: Value
 ) -> None:
     robot = make()
-    dock = Dock(robot)
+    dock = robot.dock(is_latched=False)
     entry: dict[str, Value] = {"topic": "dock", "type": "std_msgs/Bool", "stale_after": stale_after}
 
-    async def story(harness: DriverHarness) -> None:
+    async def told(harness: DriverHarness) -> None:
         await harness.until(dock.is_heard)
         dock.put(True)
         await harness.connect()
         await harness.until(lambda: docked(harness) == 1.0, publishing=True)
 
-    play(robot, story, connected=False, readings={"docked": entry})
+    play(robot, told, connected=False, readings={"docked": entry})
 
 
-@MAKERS
-def test_a_latched_message_reaches_a_driver_that_comes_later(make: Callable[[], Robot]) -> None:
-    robot = make()
-    dock = Dock(robot, is_latched=True)
-    dock.put(False)
+@story(BridgedRobot, ZenohRobot, readings=DOCKED)
+async def test_a_node_that_comes_later_is_asked_for_its_latched_message(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
+    dock = robot.dock(is_latched=True)
     dock.put(True)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-        dock.put(False)
-        await harness.until(lambda: docked(harness) == 0.0, publishing=True)
-
-    play(robot, story, readings=DOCKED)
+    await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+    dock.close()
 
 
-@MAKERS
-def test_a_node_that_comes_later_is_asked_for_its_latched_message(
-    make: Callable[[], Robot],
-) -> None:
-    robot = make()
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
-        dock = Dock(robot, is_latched=True)
-        dock.put(True)
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-        dock.close()
-
-    play(robot, story, readings=DOCKED)
-
-
-@MAKERS
-def test_what_holds_ends_with_its_publisher(make: Callable[[], Robot]) -> None:
-    robot = make()
-    dock = Dock(robot)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(dock.is_heard, publishing=True)
-        dock.put(True)
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-        dock.close()
-        await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
-        assert harness.sink.is_up
-
-    play(robot, story, readings=DOCKED)
-
-
-@MAKERS
-@pytest.mark.parametrize("is_latched", [False, True])
-def test_after_a_loss_the_newest_value_counts_and_no_earlier_one(
-    make: Callable[[], Robot], is_latched: bool
-) -> None:
-    robot = make()
-    dock = Dock(robot, is_latched=is_latched)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(dock.is_heard, publishing=True)
-        dock.put(True)
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-        robot.disconnect()
-        await harness.until(lambda: not harness.sink.is_up)
-        before = len(harness.sink.values)
-        robot.reconnect()
-        again = Dock(robot, is_latched=is_latched)
-        if is_latched:
-            again.put(False)
-        await harness.connect()
-        await harness.until(
-            lambda: docked(harness) == 0.0 if is_latched else math.isnan(docked(harness)),
-            publishing=True,
-        )
-        assert all(values["docked"] != 1.0 for values in harness.sink.values[before:])
-        again.close()
-
-    play(robot, story, readings=DOCKED)
-
-
-@MAKERS
+@pytest.mark.parametrize("make", [BridgedRobot, ZenohRobot])
 def test_a_vendors_message_is_read(make: Callable[[], Robot], tmp_path: Path) -> None:
     robot, path = make(), str(vendor_folder(tmp_path))
     name = f"{PACKAGE}/HazardDetectionVector"

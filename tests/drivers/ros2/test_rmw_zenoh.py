@@ -11,22 +11,27 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import rmw_zenoh
-from swarmd.testing.driver_contract import DriverContract, DriverHarness, play
+from swarmd.testing.driver_contract import DriverHarness, play
+from tests.drivers.ros.contract import RosContract
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, reported
+from tests.drivers.ros2.harness import check, drive, reported
 from tests.drivers.ros2.robots import ZenohRobot
+from tests.support.stories import story
 
 LASER = "sensor_msgs/msg/LaserScan"
 
 
-class TestContract(DriverContract):
+class TestContract(RosContract):
     def rig(self) -> ZenohRobot:
         return ZenohRobot()
 
 
-class TestHumbleStampedContract(DriverContract):
-    def rig(self) -> ZenohRobot:
-        return ZenohRobot(domain=7, is_humble=True, is_stamped=True)
+@story(lambda: ZenohRobot(domain=7, is_humble=True, is_stamped=True))
+async def test_a_robot_of_humble_that_wants_stamped_commands_is_driven(
+    harness: DriverHarness, robot: ZenohRobot
+) -> None:
+    await drive(harness)
+    assert harness.sink.scans
 
 
 def tokens(robot: ZenohRobot) -> list[str]:
@@ -34,45 +39,41 @@ def tokens(robot: ZenohRobot) -> list[str]:
     return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
 
-def test_a_command_carries_sequence_time_and_the_gid_of_our_token() -> None:
-    robot = ZenohRobot(domain=5)
+@story(lambda: ZenohRobot(domain=5))
+async def test_a_command_carries_sequence_time_and_the_gid_of_our_token(
+    harness: DriverHarness, robot: ZenohRobot
+) -> None:
+    taken: list[zenoh.Sample] = []
 
-    async def story(harness: DriverHarness) -> None:
-        taken: list[zenoh.Sample] = []
+    def has_two() -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        taken.extend(robot.samples())
+        return len(taken) >= 2
 
-        def has_two() -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            taken.extend(robot.samples())
-            return len(taken) >= 2
-
-        await harness.until(has_two, publishing=True)
-        read = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in taken if s.attachment]
-        assert [r[0] for r in read] == list(range(read[0][0], read[0][0] + len(taken)))
-        announced = [token for token in tokens(robot) if "/MP/" in token]
-        assert len(announced) == 1
-        assert {r[3] for r in read} == {rmw_zenoh.gid_of(announced[0])}
-        assert {r[2] for r in read} == {16}
-
-    play(robot, story)
+    await harness.until(has_two, publishing=True)
+    read = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in taken if s.attachment]
+    assert [r[0] for r in read] == list(range(read[0][0], read[0][0] + len(taken)))
+    announced = [token for token in tokens(robot) if "/MP/" in token]
+    assert len(announced) == 1
+    assert {r[3] for r in read} == {rmw_zenoh.gid_of(announced[0])}
+    assert {r[2] for r in read} == {16}
 
 
 @pytest.mark.parametrize("is_humble", [False, True])
-def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
-    robot = ZenohRobot(is_humble=is_humble)
-
-    async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: len(tokens(robot)) == 4, publishing=True)
-        node, *ends = tokens(robot)
-        assert node.endswith("/0/0/NN/%/%/swarmd")
-        parts = [token.split("/") for token in ends]
-        assert [part[5] for part in parts] == ["MS", "MS", "MP"]
-        assert [part[9] for part in parts] == ["%scan", "%odom", "%cmd_vel"]
-        hashes = [part[11] for part in parts]
-        assert (hashes == ["TypeHashNotSupported"] * 3) == is_humble
-        await harness.end()
-        await harness.until(lambda: not tokens(robot))
-
-    play(robot, story)
+@story(lambda is_humble: ZenohRobot(is_humble=is_humble))
+async def test_it_is_a_node_of_the_graph_while_it_runs(
+    harness: DriverHarness, robot: ZenohRobot, is_humble: bool
+) -> None:
+    await harness.until(lambda: len(tokens(robot)) == 4, publishing=True)
+    node, *ends = tokens(robot)
+    assert node.endswith("/0/0/NN/%/%/swarmd")
+    parts = [token.split("/") for token in ends]
+    assert [part[5] for part in parts] == ["MS", "MS", "MP"]
+    assert [part[9] for part in parts] == ["%scan", "%odom", "%cmd_vel"]
+    hashes = [part[11] for part in parts]
+    assert (hashes == ["TypeHashNotSupported"] * 3) == is_humble
+    await harness.end()
+    await harness.until(lambda: not tokens(robot))
 
 
 def test_a_malformed_token_is_ignored() -> None:
@@ -147,26 +148,24 @@ def test_nodes_that_are_peers_of_the_router_are_received_and_commanded() -> None
         (f"0/scan/{dds_name('sensor_msgs/msg/PointCloud2')}/RIHS01_{'0' * 64}", "carries sensor_"),
     ],
 )
-def test_another_type_or_hash_is_dropped_and_reported(key: str, wanted: str) -> None:
-    robot = ZenohRobot()
+@story(ZenohRobot, connected=False)
+async def test_another_type_or_hash_is_dropped_and_reported(
+    harness: DriverHarness, robot: ZenohRobot, key: str, wanted: str
+) -> None:
+    def is_reported() -> bool:
+        robot.put_on(key, robots.scan(1.0).serialize())
+        return reported(harness, wanted)
 
-    async def story(harness: DriverHarness) -> None:
-        def is_reported() -> bool:
-            robot.put_on(key, robots.scan(1.0).serialize())
-            return reported(harness, wanted)
-
-        await harness.until(is_reported)
-        assert not harness.sink.is_up
-        assert not harness.sink.scans
-        assert set(harness.sink.lost) <= {"scan:type", "scan:type:overtaken"}
-
-    play(robot, story, connected=False)
+    await harness.until(is_reported)
+    assert not harness.sink.is_up
+    assert not harness.sink.scans
+    assert set(harness.sink.lost) <= {"scan:type", "scan:type:overtaken"}
 
 
 def test_check_finds_the_topic_in_another_domain() -> None:
     robot = ZenohRobot()
-    announce(robot, "MP", "rosout", "rcl_interfaces/msg/Log")
-    announce(robot, "MP", "bot1/scan", LASER)
-    announce(robot, "MP", "scan", LASER, 30)
+    robot.announce("MP", "rosout", "rcl_interfaces/msg/Log")
+    robot.announce("MP", "bot1/scan", LASER)
+    robot.announce("MP", "scan", LASER, 30)
     found = check(robot, robot.publish_odometry, seconds=0.7)
     assert "no /scan in domain 0, but in 30; correct driver_options.domain" in found["scan"].text

@@ -9,10 +9,11 @@ import pytest
 
 from swarmd.core.values import Twist, Value
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
-from swarmd.testing.driver_contract import DriverHarness, play
+from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.support.processes import wait_until
 from tests.support.slow_link import SlowLink
+from tests.support.stories import story
 
 TICK = 0.05
 DELAY = 0.35  # s each way: opening a session takes 1.4 s
@@ -36,29 +37,27 @@ class FarRobot(BridgedRobot):
 
 
 @pytest.mark.parametrize("delay", [0.1, DELAY])
-def test_a_robot_behind_a_slow_link_drives_without_a_zero_and_stops(delay: float) -> None:
-    robot = FarRobot(delay)
-
+@story(lambda delay: FarRobot(delay), connected=False)
+async def test_a_robot_behind_a_slow_link_drives_without_a_zero_and_stops(
+    harness: DriverHarness, delay: float
+) -> None:
     async def command(harness: DriverHarness, twist: Twist, seconds: float) -> None:
         for _ in range(round(seconds / TICK)):
             harness.rig.publish()
             harness.driver.send(twist, 1, 1)
             await asyncio.sleep(TICK)
 
-    async def story(harness: DriverHarness) -> None:
-        await harness.connect()
-        await command(harness, Twist(0.1), 0.5 + 2.0 * delay)
-        harness.rig.commands()
-        await command(harness, Twist(0.1), 1.0)
-        taken = harness.rig.commands()
-        assert len(taken) >= 5
-        assert not any(twist.is_zero for twist in taken)
-        await command(harness, Twist(), 0.5 + 2.0 * delay)
-        stopping = [twist.is_zero for twist in harness.rig.commands()]
-        assert stopping == sorted(stopping), "nothing follows the first zero"
-        assert stopping[-1]
-
-    play(robot, story, connected=False)
+    await harness.connect()
+    await command(harness, Twist(0.1), 0.5 + 2.0 * delay)
+    harness.rig.commands()
+    await command(harness, Twist(0.1), 1.0)
+    taken = harness.rig.commands()
+    assert len(taken) >= 5
+    assert not any(twist.is_zero for twist in taken)
+    await command(harness, Twist(), 0.5 + 2.0 * delay)
+    stopping = [twist.is_zero for twist in harness.rig.commands()]
+    assert stopping == sorted(stopping), "nothing follows the first zero"
+    assert stopping[-1]
 
 
 def test_the_watchdog_reaches_a_base_behind_a_slow_link() -> None:

@@ -11,10 +11,11 @@ import zenoh
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import DriverHarness, play
+from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import drive, reported
+from tests.drivers.ros2.harness import reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
+from tests.support.stories import story
 
 
 @pytest.mark.parametrize(
@@ -37,37 +38,23 @@ def test_the_zero_sender_of_a_driver_sends_zero_to_its_base(make: Callable[[], R
     robot.close()
 
 
-def test_a_robot_whose_link_is_back_gets_zero_though_its_sensors_are_silent() -> None:
-    robot = BridgedRobot()
+@story(BridgedRobot)
+async def test_zeros_of_another_node_that_do_not_end_are_reported(
+    harness: DriverHarness, robot: BridgedRobot
+) -> None:
+    began = asyncio.get_running_loop().time()
 
-    async def story(harness: DriverHarness) -> None:
-        await drive(harness)
-        robot.disconnect()
-        await harness.until(lambda: not harness.sink.is_up)
-        robot.reconnect()
-        assert (await harness.command()).is_zero
+    def is_reported() -> bool:
+        robot.put("cmd_vel", robots.command(0.0))
+        return reported(harness, "another node stops this robot", is_up=True)
 
-    play(robot, story)
-
-
-def test_zeros_of_another_node_that_do_not_end_are_reported() -> None:
-    robot = BridgedRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        began = asyncio.get_running_loop().time()
-
-        def is_reported() -> bool:
-            robot.put("cmd_vel", robots.command(0.0))
-            return reported(harness, "another node stops this robot", is_up=True)
-
-        await harness.until(is_reported, publishing=True)
-        assert asyncio.get_running_loop().time() - began > 2.5, "a watchdog of ours ends before"
-
-    play(robot, story)
+    await harness.until(is_reported, publishing=True)
+    assert asyncio.get_running_loop().time() - began > 2.5, "a watchdog of ours ends before"
 
 
-def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
-    monkeypatch: pytest.MonkeyPatch,
+@story(BridgedRobot, connected=False)
+async def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
+    harness: DriverHarness, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sessions: list[zenoh.Session] = []
 
@@ -77,14 +64,12 @@ def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
         return session
 
     monkeypatch.setattr("swarmd.drivers.ros2.driver.open_session", opened)
+    await harness.connect()
 
-    async def story(harness: DriverHarness) -> None:
-        def fail(twist: Twist) -> None:
-            raise RuntimeError("broken")
+    def fail(twist: Twist) -> None:
+        raise RuntimeError("broken")
 
-        harness.driver.send(Twist(0.1), 1, 1)
-        monkeypatch.setattr(harness.driver, "_put", fail)
-        await harness.end()
-        assert [session.is_closed() for session in sessions] == [True]
-
-    play(BridgedRobot(), story)
+    harness.driver.send(Twist(0.1), 1, 1)
+    monkeypatch.setattr(harness.driver, "_put", fail)
+    await harness.end()
+    assert [session.is_closed() for session in sessions] == [True]
