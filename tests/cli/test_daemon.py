@@ -19,12 +19,8 @@ from swarmd.cli.daemon import swarmd as command
 from swarmd.cli.swarmctl import run_cli
 from swarmd.settings.settings import load_daemon_settings, load_platform
 from tests.support.fake_body import Body
-from tests.support.processes import (
-    CAP,
-    DaemonProcess,
-    run_command,
-    unique_swarm,
-)
+from tests.support.processes import CAP, DaemonProcess, unique_swarm
+from tests.support.swarmctl import run_command
 
 DRIVER = """
 from pathlib import Path

@@ -15,7 +15,8 @@ import pytest
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from tests.support.processes import run_command, unique_swarm
+from tests.support.processes import unique_swarm
+from tests.support.swarmctl import run_command
 
 LOADED = """
 import json, sys

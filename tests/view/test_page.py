@@ -30,13 +30,12 @@ def served(swarm: Swarm, *options: str) -> Iterator[list[str]]:
     """`swarmctl view --web` for the swarm; the addresses that it prints."""
     process = swarm.begin("view", "--web", "--port", "0", *options)
     try:
-        assert process.stdout is not None
         count = 1 + ("--viewer-token" in options)
-        lines = [process.stdout.readline() for _ in range(count)]
+        lines = [process.out.readline() for _ in range(count)]
         yield [line.partition(": ")[2].strip() for line in lines]
     finally:
         process.terminate()
-        process.communicate(timeout=60)
+        process.finish()
 
 
 def shown(page: Page, name: str, state: str) -> None:
@@ -117,7 +116,7 @@ def test_a_lost_server_is_told_and_found_again(swarm: Swarm, page: Page) -> None
         shown(page, "tb3-01", "idle")
     finally:
         process.terminate()
-        process.communicate(timeout=60)
+        process.finish()
 
 
 def test_a_robot_that_is_killed_is_not_shown_as_alive(swarm: Swarm, page: Page) -> None:
