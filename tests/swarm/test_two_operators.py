@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support.processes import wait_until
 from tests.support.swarmctl import STALLED
 
 if TYPE_CHECKING:
@@ -30,6 +31,9 @@ def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
         swarm.start(robot)
     losers: list[str] = []
     for number in range(ROUNDS):
+        wait_until(
+            lambda: len({held_by(swarm, robot) for robot in ROBOTS}) == 1, "one goal is held"
+        )
         users = ("anna", "ben") if number % 2 else ("ben", "anna")
         begun = [swarm.begin("run", "drive", "--all", "-o", "json", user=user) for user in users]
         done = dict(zip(users, (one.finish() for one in begun), strict=True))
@@ -45,6 +49,12 @@ def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
             break
     print(f"after {number + 1} rounds lost: {losers}")
     assert losers
+
+
+def held_by(swarm: Swarm, robot: str) -> str:
+    """The held goal of a robot; that of an earlier round may still come from another robot."""
+    goal = swarm.status(robot).goal
+    return "" if goal is None or goal.held is None else goal.held.digest
 
 
 def replies_of(finished: Finished) -> Iterable[dict[str, Any]]:
