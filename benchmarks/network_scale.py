@@ -208,7 +208,7 @@ def measured(robots: int, loads: Sequence[str], seconds: float, settle: float) -
     try:
         with tempfile.TemporaryDirectory() as folder:
             options: dict[str, object] = {"plugin_dir": str(PLUGINS)}
-            with FieldSwarm(Path(folder), field, names, options) as swarm:
+            with FieldSwarm(Path(folder), field, names, options, is_forked=False) as swarm:
                 began = time.monotonic()
                 for name in names:
                     swarm.spawn(name)

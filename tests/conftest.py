@@ -1,4 +1,4 @@
-"""What tests of several folders need: hypothesis profiles, network namespaces where permitted."""
+"""What tests of several folders need: hypothesis profiles, CPU times, loops and a browser."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import asyncio
 import faulthandler
 import inspect
 import os
-import secrets
-import shutil
 import signal
-import subprocess
 from collections import Counter
 from collections.abc import Generator, Iterator
 from multiprocessing import forkserver
@@ -150,67 +147,6 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     else:
         asyncio.run(coroutine)
     return True
-
-
-class Namespaces:
-    """Network namespaces on one bridge; `join` adds one, `cut` takes its cable out silently."""
-
-    def __init__(self) -> None:
-        self._tag = secrets.token_hex(3)
-        self._names: list[str] = []
-        self._hub = self._add("hub")
-        self._ip("-n", self._hub, "link", "add", "br0", "type", "bridge")
-        self._ip("-n", self._hub, "link", "set", "br0", "up")
-
-    def join(self, side: str, address: str) -> str:
-        """A namespace with `eth0` at `address` (such as 10.77.0.1); its name."""
-        name = self._add(side)
-        self._ip("-n", name, "link", "add", "eth0", "type", "veth",
-                 "peer", "name", f"p-{side}", "netns", self._hub)  # fmt: skip
-        self._ip("-n", name, "addr", "add", f"{address}/24", "dev", "eth0")
-        self._ip("-n", name, "link", "set", "eth0", "up")
-        self._ip("-n", self._hub, "link", "set", f"p-{side}", "up")
-        self.heal(side)
-        return name
-
-    def cut(self, side: str) -> None:
-        """Nothing passes any more, and neither end is told."""
-        self._ip("-n", self._hub, "link", "set", f"p-{side}", "nomaster")
-
-    def heal(self, side: str) -> None:
-        """The cable is back."""
-        self._ip("-n", self._hub, "link", "set", f"p-{side}", "master", "br0")
-
-    def remove(self) -> None:
-        """Take all namespaces away."""
-        for name in self._names:
-            self._ip("netns", "del", name)
-
-    def _add(self, side: str) -> str:
-        name = f"swarmd-{self._tag}-{side}"
-        self._ip("netns", "add", name)
-        self._names.append(name)
-        self._ip("-n", name, "link", "set", "lo", "up")
-        return name
-
-    @staticmethod
-    def _ip(*words: str) -> None:
-        subprocess.run(["ip", *words], check=True, capture_output=True, text=True)
-
-
-@pytest.fixture
-def namespaces() -> Iterator[Namespaces]:
-    """Namespaces that are gone after the test; skipped where they are not permitted."""
-    if shutil.which("ip") is None or os.geteuid() != 0:
-        pytest.skip("network namespaces need the `ip` command and root")
-    try:
-        made = Namespaces()
-    except subprocess.CalledProcessError as error:
-        pytest.skip(f"network namespaces are not permitted here: {error.stderr.strip()}")
-    try:
-        yield made
-    finally:
-        made.remove()
 
 
 @pytest.fixture(scope="session")

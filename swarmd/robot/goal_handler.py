@@ -117,7 +117,7 @@ class GoalHandler:
     ) -> None:
         """Adopt a greater goal for this robot; a run of a lesser one ends.
 
-        A requested run that is being loaded for a goal of a later generation goes on loading.
+        A requested run that is being loaded for a goal greater than this one goes on loading.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
@@ -126,7 +126,7 @@ class GoalHandler:
             goals.on_loading()
             return
         wanted = None if loading is None else loading.goal
-        keeps_load = wanted is not None and wanted.generation > goal.generation
+        keeps_load = wanted is not None and wanted.order > goal.order
         is_active = lifecycle.is_running or (loading is not None and not keeps_load)
         is_free = is_active or lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)

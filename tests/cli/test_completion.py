@@ -21,6 +21,7 @@ from swarmd.network.operator.members_view import MembersView
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.statuses import make_member
+from tests.support.swarmctl import Running
 
 RUN = f"{sys.executable} -c 'from swarmd.cli.entry import swarmctl; swarmctl()'"
 
@@ -40,21 +41,16 @@ def view(*names: str) -> MembersView:
 
 def completed(*words: str, shell: str = "bash", **environ: str) -> list[str]:
     """What a shell gets for the last word, line by line; nothing may be on standard error."""
-    done = subprocess.run(
-        [sys.executable, "-c", "from swarmd.cli.entry import swarmctl; swarmctl()"],
-        env={
-            **os.environ,
+    done = Running(
+        environ={
             "COMP_WORDS": " ".join(("swarmctl", *words)),
             "COMP_CWORD": str(len(words)),
             "_SWARMCTL_COMPLETE": f"{shell}_complete",
             **environ,
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.stderr == ""
-    return [line.removeprefix("plain,") for line in done.stdout.splitlines() if line]
+        }
+    ).finish()
+    assert done.err == ""
+    return [line.removeprefix("plain,") for line in done.out.splitlines() if line]
 
 
 @pytest.mark.parametrize(

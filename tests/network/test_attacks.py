@@ -443,58 +443,14 @@ def test_another_operator_of_a_removed_generation_stops_for_ten_minutes_and_asks
 # Without an attack
 
 
-@pytest.mark.parametrize(("delay", "loss"), [(0.005, 0.0), (0.25, 0.0), (0.5, 0.2), (0.01, 0.2)])
-def test_all_robots_know_each_other_on_any_link(
-    delay: float, loss: float, keyring: Keyring
-) -> None:
-    network = VirtualNetwork(8, joined=False, keyring=keyring)
-    network.delay, network.loss = delay, loss
-    network.until(lambda: all(len(alive(network, name)) == 7 for name in network.robots), cap=15.0)
-
-
-def test_loss_of_a_fifth_of_all_datagrams_fails_no_robot(keyring: Keyring) -> None:
-    network = VirtualNetwork(6, keyring=keyring)
-    network.until(lambda: all(len(alive(network, name)) == 5 for name in network.robots))
-    network.loss = 0.2
-    for robot in network.robots.values():
-        robot.changes.clear()
-    network.run(100.0)
-    assert sum(len(robot.changes) for robot in network.robots.values()) <= 2
-
-
-def test_stops_pass_a_line_of_robots_and_their_acks_are_proven(keyring: Keyring) -> None:
-    network = VirtualNetwork(3, keyring=keyring)
-    reach = {"operator": {"r1"}, "r1": {"operator", "r2"}, "r2": {"r1", "r3"}, "r3": {"r2"}}
-    network.reaches = lambda sender, receiver: receiver in reach[sender]
-    network.stop("estop", 3.0)
-    anna = keyring.trust("anna").verifier
-    acks = network.acks()
-    assert acks.keys() == {"r1", "r2", "r3"}
-    assert acks["r3"].via == "r1"
-    assert all(anna.is_proven(ack) for ack in acks.values())
-
-
-def test_a_robot_that_joins_has_the_latches_of_the_others_before_it_is_settled(
-    keyring: Keyring,
-) -> None:
-    network = VirtualNetwork(3, keyring=keyring)
-    network.robots["r2"].latches["e2"] = Latch(issuer="anna", scope="swarm")
-    network.run(3.0)
-    network.delay = 0.02
-    robot = network.add("r4")
-    network.until(lambda: robot.peer.owns_id, cap=10.0)
-    network.until(lambda: robot.peer.is_in_sync(network.now), cap=1.0)
-    assert "e2" in robot.latches
-
-
-def test_a_hundred_robots_meet_with_few_questions(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fifty_robots_meet_with_few_questions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("swarmd.network.peer.CLAIM_PERIOD", 0.5)  # claims are not the matter here
-    names = tuple(f"r{number}" for number in range(1, 101))
-    network = VirtualNetwork(100, keyring=Keyring(names, operators=("anna",)), joined=False)
-    full = lambda: all(len(alive(network, name)) == 99 for name in network.robots)  # noqa: E731
+    count = 50
+    names = tuple(f"r{number}" for number in range(1, count + 1))
+    network = VirtualNetwork(count, keyring=Keyring(names, operators=("anna",)), joined=False)
+    full = lambda: all(len(alive(network, name)) == count - 1 for name in network.robots)  # noqa: E731
     assert network.until(full, cap=15.0) < 15.0
-    asked = sum(network.sent_kinds[kind] for kind in (Solicit,))
-    assert asked <= 100 * 99 + 1000
+    assert network.sent_kinds[Solicit] <= count * (count - 1) + 10 * count
     network.send(Stop(id="s", verb="stop", operator="anna"))
     network.run(2.0)
-    assert len(network.acks()) == 100
+    assert len(network.acks()) == count

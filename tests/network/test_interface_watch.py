@@ -23,7 +23,7 @@ from swarmd.network.carriers.interface_watch import (
     read_state,
 )
 from tests.network.conftest import Until
-from tests.support.field import CLONE_NEWNET
+from tests.support.forked import CLONE_NEWNET
 
 ABSENT = InterfaceState()
 DOWN = InterfaceState(True, False, ("10.0.0.5",), 7)

@@ -9,8 +9,9 @@ from __future__ import annotations
 import contextlib
 import itertools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgpack
 import pytest
@@ -19,15 +20,14 @@ import zenoh
 from swarmd.core.codec import VERSION, Decoder, encode
 from swarmd.core.keys import ANY, CONTROL, SHARED, build
 from swarmd.core.messages import Code, Epoch, Reply, Status
-from swarmd.core.values import Value
 from swarmd.core.verbs import VERBS, MembersQuery, RunRequest
 from swarmd.network.carriers.session import open_with, operator_options, tls_options
-from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity, load_identity
 from tests.support.fake_daemon import light_status
 from tests.support.keys import SwarmKeys
-from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
+from tests.support.processes import free_endpoint, wait_until
+from tests.support.secured_swarm import SecuredSwarm
 
 WILD = ("**", "swarm/**", "swarm/*/*/control/**", "swarm/*/r1/state/*")
 LINK_TIME = 1.0  # s in which an attacker that is let in has its link; it takes 10 ms
@@ -35,50 +35,28 @@ REQUESTS = tuple(r.name for r in VERBS.values() if r.is_request and not r.is_dat
 _reply = Decoder(Reply)
 
 
-class Besieged:
-    """Two daemons of a secured swarm, its operator alice, and what attackers may hold."""
+class Besieged(SecuredSwarm):
+    """Two daemons of a secured swarm, its operator anna, and what attackers may hold."""
 
-    def __init__(self, folder: Path) -> None:
-        self.name = unique_swarm()
-        self._left = contextlib.ExitStack()
-        everyone = {"operators": ["alice", "bob", "mallory"], "viewers": ["eve"]}
-        self.keys = SwarmKeys(folder / "keys", self.name, ["r1", "r2"], **everyone)
+    def __init__(self, folder: Path, left: contextlib.ExitStack) -> None:
+        everyone = {"operators": ("anna", "bob", "mallory"), "viewers": ("eve",)}
+        super().__init__(folder, left, listens=True, **everyone)
         self.revoked = self.keys["mallory"]
         self.keys.authority.change(remove=["mallory"])
-        for name in ("r1", "r2", "alice", "bob", "eve"):
+        for name in ("r1", "r2", "anna", "bob", "eve"):
             self.keys.authority.issue(name).write(self.keys.folder_of(name))
         self.foreign = SwarmKeys(folder / "foreign", self.name, ["r1"], **everyone)
-        self.settings = NetworkSettings(swarm=self.name)
-        self.endpoint = free_endpoint()
-        self.daemons = [self._start(folder, name) for name in ("r1", "r2")]
-        for daemon in self.daemons:
-            daemon.wait_ready()
-        self.alice = self._left.enter_context(Operator(self.settings, identity=self.keys["alice"]))
-
-    def _start(self, folder: Path, robot: str) -> DaemonProcess:
-        listen: dict[str, Value] = {"listen": [self.endpoint]} if robot == "r1" else {}
-        daemon = DaemonProcess(
-            folder / robot,
-            swarm=self.name,
-            robot=robot,
-            endpoint="tcp/127.0.0.1:9",
-            options={"identity": str(self.keys.folder_of(robot)), **listen},
-        )
-        return self._left.enter_context(daemon)
-
-    def close(self) -> None:
-        self._left.close()
 
     def statuses(self) -> dict[str, Status]:
-        view = self.alice.members(timeout=20.0)
+        view = self.anna.members(timeout=20.0)
         assert view.answered == {"r1", "r2"}
         return {name: one.status for name, one in view.members.items() if one.status is not None}
 
     def epochs(self) -> dict[str, Epoch]:
         return {name: status.epoch for name, status in self.statuses().items()}
 
-    def request(self, verb: str, operator: str = "alice") -> bytes:
-        """A request that a robot would carry out if alice sent it."""
+    def request(self, verb: str, operator: str = "anna") -> bytes:
+        """A request that a robot would carry out if anna sent it."""
         fields: Mapping[str, dict[str, object]] = {
             "run": {"pattern": "drive"},
             "param": {"params": {"speed": 0.1}},
@@ -122,7 +100,9 @@ class Attacker:
 
 @pytest.fixture(scope="module")
 def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Besieged]:
-    with contextlib.closing(Besieged(tmp_path_factory.mktemp("siege"))) as made:
+    with contextlib.ExitStack() as left:
+        made = Besieged(tmp_path_factory.mktemp("siege"), left)
+        made.start()
         yield made
 
 
@@ -130,11 +110,11 @@ def besieged(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Besieged]:
 def unchanged(besieged: Besieged) -> Iterator[None]:
     """AssertionError if an epoch, a state or a latch of a robot differs afterwards."""
     before = {n: (s.epoch, s.state, s.latches) for n, s in besieged.statuses().items()}
-    logs = [daemon.text().count("by ") for daemon in besieged.daemons]
+    logs = [daemon.text().count("by ") for daemon in besieged.daemons.values()]
     yield
     after = {n: (s.epoch, s.state, s.latches) for n, s in besieged.statuses().items()}
     assert after == before
-    assert [daemon.text().count("by ") for daemon in besieged.daemons] == logs
+    assert [daemon.text().count("by ") for daemon in besieged.daemons.values()] == logs
 
 
 @contextlib.contextmanager
@@ -162,36 +142,36 @@ def assert_all_denied(
         assert attacking.ask(key, payloads["run"]) == [], key
 
 
-def test_plain_tcp_gets_no_link(besieged: Besieged) -> None:
-    with unchanged(besieged), attacker(besieged, {}, besieged.endpoint) as attacking:
-        assert not attacking.is_linked()
-
-
-def test_no_certificate_gets_no_link(besieged: Besieged) -> None:
-    authority = str(besieged.keys["alice"].authority)
+def no_certificate(besieged: Besieged, folder: Path) -> dict[str, Any]:
+    authority = str(besieged.keys["anna"].authority)
     tls = {"root_ca_certificate": authority, "verify_name_on_connect": False}
-    with unchanged(besieged), attacker(besieged, {"transport/link/tls": tls}) as attacking:
-        assert not attacking.is_linked()
+    return {"transport/link/tls": tls}
 
 
-def test_a_certificate_of_another_authority_gets_no_link(besieged: Besieged) -> None:
-    """Also a certificate that names alice, of an attacker who knows the real authority's."""
-    forged = besieged.foreign["alice"]
-    options = tls_options(forged)
-    options["transport/link/tls"]["root_ca_certificate"] = str(  # type: ignore[index]
-        besieged.keys["alice"].authority
-    )
-    with unchanged(besieged), attacker(besieged, options) as attacking:
-        assert not attacking.is_linked()
+def of_another_authority(besieged: Besieged, folder: Path) -> dict[str, Any]:
+    """A certificate that names anna, of an attacker that knows the real authority's."""
+    options: dict[str, Any] = tls_options(besieged.foreign["anna"])
+    authority = str(besieged.keys["anna"].authority)
+    options["transport/link/tls"]["root_ca_certificate"] = authority
+    return options
 
 
-def test_an_expired_certificate_gets_no_link(besieged: Besieged, tmp_path: Path) -> None:
-    besieged.keys.authority.issue("bob", days=-1).write(tmp_path / "bob")
-    expired = tls_options(besieged.keys["bob"])
-    expired["transport/link/tls"]["connect_certificate"] = str(  # type: ignore[index]
-        tmp_path / "bob" / "certificate.pem"
-    )
-    with unchanged(besieged), attacker(besieged, expired) as attacking:
+def expired(besieged: Besieged, folder: Path) -> dict[str, Any]:
+    besieged.keys.authority.issue("bob", days=-1).write(folder / "bob")
+    options: dict[str, Any] = tls_options(besieged.keys["bob"])
+    certificate = str(folder / "bob" / "certificate.pem")
+    options["transport/link/tls"]["connect_certificate"] = certificate
+    return options
+
+
+@pytest.mark.parametrize("of", [None, no_certificate, of_another_authority, expired])
+def test_without_a_certificate_that_is_valid_there_is_no_link(
+    besieged: Besieged, tmp_path: Path, of: Callable[[Besieged, Path], dict[str, Any]] | None
+) -> None:
+    """`of` None: plain TCP."""
+    options = {} if of is None else of(besieged, tmp_path)
+    endpoint = besieged.endpoint if of is None else ""
+    with unchanged(besieged), attacker(besieged, options, endpoint) as attacking:
         assert not attacking.is_linked()
 
 
@@ -210,16 +190,16 @@ def test_a_stolen_certificate_of_a_robot_commands_no_other_robot(besieged: Besie
     with unchanged(besieged), attacker(besieged, besieged.keys["r2"]) as attacking:
         assert attacking.is_linked()
         verbs = (*REQUESTS, "members", "audit")
-        assert_all_denied(besieged, attacking, ("r2", "alice", ANY), verbs)
+        assert_all_denied(besieged, attacking, ("r2", "anna", ANY), verbs)
         assert attacking.ask(build(besieged.name, "r1", "state", "status")) == []
 
 
 def test_a_certificate_that_was_revoked_is_linked_denied_and_logged(besieged: Besieged) -> None:
     with unchanged(besieged), attacker(besieged, besieged.revoked) as attacking:
         assert attacking.is_linked()
-        assert_all_denied(besieged, attacking, ("mallory", "alice", ANY), ("run", "members"))
+        assert_all_denied(besieged, attacking, ("mallory", "anna", ANY), ("run", "members"))
         assert attacking.ask(build(besieged.name, "r1", SHARED, "roster", "mallory")) == []
-        log = besieged.daemons[0]
+        log = besieged.daemons["r1"]
         wait_until(lambda: "'mallory'" in log.text(), "r1 logs the link of mallory", 10.0)
 
 
@@ -228,8 +208,8 @@ def test_a_viewer_reads_and_commands_nothing(besieged: Besieged) -> None:
         assert attacking.is_linked()
         key = build(besieged.name, "r1", CONTROL, "members", "eve")
         wait_until(lambda: attacking.ask(key, encode(MembersQuery())) != [], "eve reads members")
-        assert_all_denied(besieged, attacking, ("eve", "alice", ANY), REQUESTS)
-        assert attacking.ask(build(besieged.name, "r1", CONTROL, "members", "alice")) == []
+        assert_all_denied(besieged, attacking, ("eve", "anna", ANY), REQUESTS)
+        assert attacking.ask(build(besieged.name, "r1", CONTROL, "members", "anna")) == []
 
 
 def _ignore(reply: zenoh.Reply) -> None:
@@ -253,39 +233,39 @@ def test_no_question_of_a_viewer_ends_a_daemon(besieged: Besieged) -> None:
         wait_until(lambda: attacking.ask(key, encode(MembersQuery())) != [], "r1 answers eve")
     drops = besieged.statuses()["r1"].health.dropped
     assert drops["control/fetch:malformed"] > 0
-    assert all(daemon.process.poll() is None for daemon in besieged.daemons)
+    assert all(daemon.process.poll() is None for daemon in besieged.daemons.values())
 
 
 def test_an_operator_commands_in_no_other_name(besieged: Besieged) -> None:
     """What a payload claims does not count: the robot logs the name of the certificate."""
-    payload = besieged.request("run", operator="alice")
+    payload = besieged.request("run", operator="anna")
     with attacker(besieged, besieged.keys["bob"]) as attacking:
         assert attacking.is_linked()
         with unchanged(besieged):
-            assert_all_denied(besieged, attacking, ("alice", ANY), ("run", "reset"))
+            assert_all_denied(besieged, attacking, ("anna", ANY), ("run", "reset"))
         own = build(besieged.name, "r1", CONTROL, "run", "bob")
         (answer,) = attacking.ask(own, payload)
         assert _reply(answer).code is Code.APPLIED
-        log = besieged.daemons[0]
+        log = besieged.daemons["r1"]
         wait_until(lambda: "by bob" in log.text(), "r1 logs bob")
-        assert "by alice" not in log.text()
+        assert "by anna" not in log.text()
     assert "bob" in (besieged.statuses()["r1"].changed_by or "")
 
 
-@pytest.mark.parametrize("who", ["r2", "eve", "alice"])
+@pytest.mark.parametrize("who", ["r2", "eve", "anna"])
 def test_puts_reach_nobody(besieged: Besieged, who: str) -> None:
     """Also puts on wild keys, and those of an operator: a robot subscribes to nothing."""
     heard: list[bytes] = []
-    besieged.alice.watch("status", lambda robot, payload: heard.append(payload))
+    besieged.anna.watch("status", lambda robot, payload: heard.append(payload))
     with unchanged(besieged), attacker(besieged, besieged.keys[who]) as attacking:
         assert attacking.is_linked()
         keys = [build(besieged.name, robot, "state", "status") for robot in ("r1", ANY)]
-        keys += [build(besieged.name, "r1", CONTROL, "run", "alice"), *WILD]
+        keys += [build(besieged.name, "r1", CONTROL, "run", "anna"), *WILD]
         forged = besieged.request("run")
         for key in keys:
             attacking.session.put(key, forged)
             attacking.session.delete(key)
-    besieged.alice.unwatch("status")
+    besieged.anna.unwatch("status")
     assert forged not in heard
 
 
@@ -300,11 +280,11 @@ def test_nobody_listens_to_more_than_states(besieged: Besieged, who: str) -> Non
             attacking.session.declare_subscriber(key, lambda sample: heard.append(who))
         if who == "r2":
             attacking.session.declare_subscriber(states, lambda sample: heard.append(who))
-        besieged.alice.watch("status", lambda robot, payload: heard.append("alice"))
-        outcome = besieged.alice.request(RunRequest, besieged.epochs(), pattern="drive")
+        besieged.anna.watch("status", lambda robot, payload: heard.append("anna"))
+        outcome = besieged.anna.request(RunRequest, besieged.epochs(), pattern="drive")
         assert outcome.exit_code == 0
-        wait_until(lambda: "alice" in heard, "alice hears a status")
-    besieged.alice.unwatch("status")
+        wait_until(lambda: "anna" in heard, "anna hears a status")
+    besieged.anna.unwatch("status")
     assert who not in heard
 
 
@@ -322,19 +302,17 @@ def test_a_stolen_certificate_of_a_robot_speaks_for_no_other_robot(besieged: Bes
 
     def answer(query: zenoh.Query) -> None:
         for robot in ("r1", "r2"):
-            own = build(besieged.name, robot, CONTROL, "members", "alice")
+            own = build(besieged.name, robot, CONTROL, "members", "anna")
             query.reply(own, robot.encode())
         query.drop()
 
     heard: list[str] = []
     states = build(besieged.name, ANY, "state", ANY)
-    alice = open_with(
-        operator_options(besieged.settings, [endpoint], besieged.keys["alice"]), "alice"
-    )
+    anna = open_with(operator_options(besieged.settings, [endpoint], besieged.keys["anna"]), "anna")
     try:
         for robot in ("r1", "r2", ANY):
             thief.declare_queryable(build(besieged.name, robot, CONTROL, "members", ANY), answer)
-        alice.declare_subscriber(states, lambda sample: heard.append(str(sample.key_expr)))
+        anna.declare_subscriber(states, lambda sample: heard.append(str(sample.key_expr)))
         forged = encode(light_status("r1", "0123456789ab"))
 
         def put_both() -> bool:
@@ -342,20 +320,20 @@ def test_a_stolen_certificate_of_a_robot_speaks_for_no_other_robot(besieged: Bes
                 thief.put(build(besieged.name, robot, "state", "status"), forged)
             return bool(heard)
 
-        wait_until(put_both, "alice hears r2")
-        query = build(besieged.name, ANY, CONTROL, "members", "alice")
+        wait_until(put_both, "anna hears r2")
+        query = build(besieged.name, ANY, CONTROL, "members", "anna")
         found: list[bytes] = []
 
         def asked() -> bool:
-            replies = alice.get(query, target=zenoh.QueryTarget.ALL, timeout=2.0)
+            replies = anna.get(query, target=zenoh.QueryTarget.ALL, timeout=2.0)
             found.extend(one.ok.payload.to_bytes() for one in replies if one.ok is not None)
             return bool(found)
 
-        wait_until(asked, "r2 answers alice")
+        wait_until(asked, "r2 answers anna")
         assert set(found) == {b"r2"}
         assert set(heard) == {build(besieged.name, "r2", "state", "status")}
     finally:
-        alice.close()
+        anna.close()
         thief.close()
 
 

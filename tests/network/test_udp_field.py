@@ -20,7 +20,7 @@ from swarmd.network.carriers.interface_watch import read_state
 from swarmd.network.carriers.udp import BEACONS_A_BROADCAST, GROUP4, UdpCarrier, _Way
 from swarmd.network.datagram import Address, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.settings import NetworkSettings
-from tests.support.field import CLONE_NEWNET
+from tests.support.forked import CLONE_NEWNET
 
 pytestmark = pytest.mark.integration
 

@@ -46,7 +46,7 @@ def test_a_latch_of_one_side_crosses_when_a_split_heals(swarm: FieldSwarm, secon
     pause(began + seconds - time.monotonic())
     judged = ask(swarm, "estop")
     assert (judged.counted, judged.named) == (set(LEFT), set(RIGHT))
-    assert patient.process.poll() is None, "estop --until-all waits until everyone has it"
+    assert patient.poll() is None, "estop --until-all waits until everyone has it"
 
     swarm.field.heal()
     judged = judge(swarm, "estop", patient.finish())

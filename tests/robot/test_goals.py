@@ -190,15 +190,18 @@ def test_a_greater_goal_ends_the_run_of_a_lesser_one_and_says_which() -> None:
 
 
 @pytest.mark.parametrize("is_running", [False, True])
-def test_a_goal_that_is_less_than_that_of_a_load_does_not_end_the_load(is_running: bool) -> None:
+@pytest.mark.parametrize("lesser", [goal(5, pattern=None), goal(6, "anna")], ids=["5", "6, anna"])
+def test_a_goal_that_is_less_than_that_of_a_load_does_not_end_the_load(
+    is_running: bool, lesser: Goal
+) -> None:
     harness = ready()
     if is_running:
         run(harness, goal(4))
     request = harness.request("run", pattern="forward", goal=goal(6), at=in_a_second(harness))
     harness.send(request)
-    harness.find(goal(5, pattern=None))
+    harness.find(lesser)
     assert harness.twist.is_zero, "the run of goal 4 has ended"
-    assert told(harness).state is GoalState.STANDING
+    assert told(harness).state is (GoalState.OFFERED if lesser.pattern else GoalState.STANDING)
     harness.advance(1.5)
     assert harness.reply_to(request).code is Code.APPLIED
     assert told(harness).held is not None

@@ -6,7 +6,6 @@ where the fake bodies are: what happens to the radio does not happen between a r
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import secrets
@@ -19,16 +18,15 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+from tests.support.forked import enter_network
 from tests.support.switch import Traffic
 
 ROOT = Path(__file__).parents[2]
 BODIES = "10.99.0.1"  # the hub's address on the wire
-CLONE_NEWNET = 0x40000000
 _PLAIN = (
     "import sys; from tests.support.switch import switch_offloads_off\n"
     "for name in sys.argv[1:]: switch_offloads_off(name)"
 )
-_libc = ctypes.CDLL(None, use_errno=True)
 
 
 def lacks() -> str:
@@ -206,9 +204,7 @@ class Field:
 
 
 def _socket_in(namespace: str, port: int) -> socket.socket:
-    with open(f"/run/netns/{namespace}") as file:
-        if _libc.setns(file.fileno(), CLONE_NEWNET) != 0:
-            raise OSError(ctypes.get_errno(), f"cannot enter {namespace}")
+    enter_network(namespace)
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.bind(("", port))
     return made

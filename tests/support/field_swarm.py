@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,60 +15,45 @@ import yaml
 from tests.support.field import BODIES, ROOT, Field
 from tests.support.keys import SwarmKeys
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.swarmctl import Finished, Running
 
 USERS = ("anna", "bob")
 """The operators of a secured swarm."""
-_SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """The exit code and output of a `swarmctl`, and the seconds from its start to its end."""
+class Lines:
+    """A process that answers each line of its standard input with one of JSON."""
 
-    code: int
-    out: str
-    err: str
-    seconds: float
+    def __init__(self, command: Sequence[str]) -> None:
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT)
 
-    @property
-    def json(self) -> Any:
-        """Its answer with `-o json`; None if it printed none."""
-        try:
-            return json.loads(self.out)
-        except ValueError:
-            return None
+    def say(self, *words: str) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(" ".join(words) + "\n")
+        self._process.stdin.flush()
 
+    def hear(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, f"it ended with {self._process.wait(CAP)}"
+        return json.loads(line)
 
-class Running:
-    """A `swarmctl` that is under way."""
+    def ask(self, *words: str) -> Any:
+        self.say(*words)
+        return self.hear()
 
-    def __init__(self, command: Sequence[str], environ: dict[str, str]) -> None:
-        self._began = time.monotonic()
-        self.process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONFAULTHANDLER": "1", **environ},
-        )
-
-    def finish(self, cap: float = CAP) -> Answer:
-        """Its answer; a swarmctl that has not ended after `cap` s is aborted and shows where."""
-        with self.process as process:
-            try:
-                out, err = process.communicate(timeout=cap)
-            except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGABRT)
-                out, err = process.communicate()
-            return Answer(process.returncode, out, err, time.monotonic() - self._began)
+    def close(self) -> None:
+        with self._process as process:
+            process.communicate(timeout=CAP)
 
 
 class FieldSwarm:
     """A swarm on a field, under a name of its own; a context manager.
 
     Every host of `field` that is in `robots` gets a daemon with a fake body; `swarmctl` runs on
-    any host. `is_secured`: robots and operators (USERS) have keys.
+    any host. `is_secured`: robots and operators (USERS) have keys. `network`: settings of all,
+    `options` those of daemons alone; `is_forked` as of `DaemonProcess`.
     """
 
     def __init__(
@@ -82,40 +63,43 @@ class FieldSwarm:
         robots: Sequence[str],
         options: dict[str, object] | None = None,
         *,
+        network: dict[str, object] | None = None,
         is_secured: bool = False,
+        is_forked: bool = True,
     ) -> None:
         self.name = unique_swarm()
         self.field = field
         self.robots = tuple(robots)
         self.daemons: dict[str, DaemonProcess] = {}
         self.folder = folder
-        self._options = options or {}
+        self._network: dict[str, Any] = {"profile": "field", "interface": "eth0", **(network or {})}
+        self._options: dict[str, Any] = options or {}
+        self._is_forked = is_forked
         self._lives = 0
         self._left = contextlib.ExitStack()
         self.keys = (
             SwarmKeys(folder / "keys", self.name, robots, operators=USERS) if is_secured else None
         )
-        network = {"swarm": self.name, "profile": "field", "interface": "eth0"}
-        self._config = folder / "swarm.yaml"
-        self._config.write_text(yaml.safe_dump(network))
+        self.config = folder / "swarm.yaml"
+        self.config.write_text(yaml.safe_dump({"swarm": self.name, **self._network}))
 
     def __enter__(self) -> Self:
-        self._bodies = self._left.enter_context(
-            subprocess.Popen(
-                [*self.field.prefix("hub"), sys.executable, "-m", "tests.swarm.bodies",
-                 "--swarm", self.name, "--address", BODIES, *self.robots],
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
-            )
-        )  # fmt: skip
-        self._endpoints: dict[str, str] = self._hear()["endpoints"]
+        self._bodies = self.talk(
+            "hub", "tests.support.bodies", "--swarm", self.name, "--address", BODIES, *self.robots
+        )
+        self._endpoints: dict[str, str] = self._bodies.hear()["endpoints"]
         return self
 
     def __exit__(self, *_: object) -> None:
         for daemon in self.daemons.values():  # all at once: each takes a while to end
             daemon.process.kill()
-        assert self._bodies.stdin is not None
-        self._bodies.stdin.close()
         self._left.close()
+
+    def talk(self, host: str, module: str, *words: str) -> Lines:
+        """A module that runs on a host."""
+        made = Lines([*self.field.prefix(host), sys.executable, "-m", module, *words])
+        self._left.callback(made.close)
+        return made
 
     # Robots
 
@@ -130,14 +114,14 @@ class FieldSwarm:
             robot=robot,
             endpoint=self._endpoints[robot],
             options={
-                "profile": "field",
-                "interface": "eth0",
+                **self._network,
                 **self._credentials(robot),
                 "state_dir": str(self.folder / state),
-                **self._options,  # type: ignore[dict-item]
+                **self._options,
             },
-            prefix=self.field.prefix(robot),
+            namespace=self.field.namespace(robot),
             environ=environ,
+            is_forked=self._is_forked,
         )
         self.daemons[robot] = daemon
         return self._left.enter_context(daemon)
@@ -163,27 +147,15 @@ class FieldSwarm:
 
     def await_moving(self, *robots: str) -> None:
         """Return once each of these robots, or of all, has been commanded to move."""
-        self._ask("moving", *robots)
+        self._bodies.ask("moving", *robots)
 
     def await_standing(self, *robots: str) -> None:
         """Return once each of these robots, or of all, has been commanded zero."""
-        self._ask("standing", *robots)
+        self._bodies.ask("standing", *robots)
 
     def moved(self) -> set[str]:
         """The robots that were commanded to move since the last call."""
-        return {robot for robot, has_moved in self._ask("mark")["mark"].items() if has_moved}
-
-    def _ask(self, *words: str) -> Any:
-        assert self._bodies.stdin is not None
-        self._bodies.stdin.write(" ".join(words) + "\n")
-        self._bodies.stdin.flush()
-        return self._hear()
-
-    def _hear(self) -> Any:
-        assert self._bodies.stdout is not None
-        line = self._bodies.stdout.readline()
-        assert line, f"the bodies ended with {self._bodies.wait(CAP)}"
-        return json.loads(line)
+        return {robot for robot, has_moved in self._bodies.ask("mark")["mark"].items() if has_moved}
 
     # Operators
 
@@ -198,13 +170,13 @@ class FieldSwarm:
     ) -> Running:
         home = self.folder / host
         home.mkdir(exist_ok=True)
-        environ = {"SWARM_CONFIG": str(self._config), "LOGNAME": user, "HOME": str(home)}
+        environ = {"SWARM_CONFIG": str(self.config), "LOGNAME": user, "HOME": str(home)}
         given = ["--insecure"]
         if self.keys is not None and not is_insecure:
             given = ["--identity", str(self.keys.folder_of(user))]
-        return Running([*self.field.prefix(host), *_SWARMCTL, *given, *words], environ)
+        return Running(*given, *words, environ=environ, namespace=self.field.namespace(host))
 
-    def ctl(self, host: str, *words: str, user: str = "anna") -> Answer:
+    def ctl(self, host: str, *words: str, user: str = "anna") -> Finished:
         return self.begin(host, *words, user=user).finish()
 
     def members(self, host: str) -> dict[str, dict[str, Any]]:

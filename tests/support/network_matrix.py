@@ -12,8 +12,9 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from tests.support.field_swarm import Answer, FieldSwarm
+from tests.support.field_swarm import FieldSwarm
 from tests.support.processes import wait_until
+from tests.support.swarmctl import Finished
 
 FAR, NEAR = "far", "near"
 TRUE = "true"
@@ -40,7 +41,7 @@ class Judged:
     `named`: the robots that it says have not. `states`: what the near laptop saw afterwards.
     """
 
-    answer: Answer
+    answer: Finished
     counted: set[str]
     named: set[str]
     states: dict[str, str]
@@ -117,7 +118,7 @@ def prepare(swarm: FieldSwarm, state: str) -> None:
         raise AssertionError("\n".join((str(error), *tried))) from None
 
 
-def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str] = ()) -> Judged:
+def judge(swarm: FieldSwarm, verb: str, answer: Finished, targets: Collection[str] = ()) -> Judged:
     """What an answer says beside what the near laptop sees, and the bodies are told, after it.
 
     `targets`: the robots that are meant, none for all. Call `swarm.moved()` before the request.

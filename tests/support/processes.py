@@ -12,17 +12,25 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from unittest import mock
 
 import yaml
 
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.values import Value
 from swarmd.driver_api.watchdog import watchdog_name
-from swarmd.sim.live.fleet import DAEMON_MODULES, FORKED_DAEMON
+from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
 
 CAP = 60.0
 DAEMON = ("swarmd.cli.daemon",)
+FORKED = "tests.support.forked"
+MODULES = (
+    *DAEMON_MODULES,
+    *("swarmd.cli.swarmctl", "swarmd.cli.requests", "swarmd.cli.run", "swarmd.cli.members"),
+)
+"""What the server of forks imports."""
+_READ_AT_START = {"SWARMD_COMPILED", "PYTHONPATH", "LD_PRELOAD"}
 
 
 def unique_swarm() -> str:
@@ -66,9 +74,10 @@ class DaemonProcess:
     """One `swarmd` in a process of its own, forked where it can be; a context manager.
 
     `folder` keeps its configuration, state, `log` (standard error) and `out`, so that a second
-    one can be a restart; `environ` is added to this process's environment. `prefix` is a command
-    that becomes the daemon in the same process, such as `ip netns exec NAME`; `module` is what
-    Python runs, with its own arguments.
+    one can be a restart; `environ` is added to this process's environment. `namespace` is the
+    network namespace in which it runs, `prefix` a command that becomes the daemon in the same
+    process, such as `env`; `module` is what Python runs, with its own arguments; `is_forked` False
+    starts it from nothing, as for a measurement.
     """
 
     def __init__(
@@ -82,8 +91,10 @@ class DaemonProcess:
         plugin_dir: Path | None = None,
         options: Mapping[str, Value] | None = None,
         environ: Mapping[str, str] | None = None,
+        namespace: str = "",
         prefix: Sequence[str] = (),
         module: Sequence[str] = DAEMON,
+        is_forked: bool = True,
     ) -> None:
         self.robot = robot
         self.swarm = swarm
@@ -105,16 +116,21 @@ class DaemonProcess:
         self._begin = self.log.stat().st_size if self.log.exists() else 0
         self.out = folder / f"{robot}.out"
         self.process: subprocess.Popen[bytes] | ForkedProcess
-        words = ("--config", str(config))
-        if not (prefix or environ) and module == DAEMON and "SWARMD_COMPILED" not in os.environ:
-            start_server(DAEMON_MODULES)
-            self.process = fork_main(robot, FORKED_DAEMON, words, stdout=self.out, stderr=self.log)
+        words: tuple[str, ...] = ("--config", str(config))
+        given = environ or {}
+        is_cold = "SWARMD_COMPILED" in os.environ or _READ_AT_START & given.keys()
+        if is_forked and not is_cold and module == DAEMON and not prefix:
+            start_server(MODULES)
+            words = ("daemon", namespace, *words)
+            with mock.patch.dict(os.environ, given):
+                self.process = fork_main(robot, FORKED, words, stdout=self.out, stderr=self.log)
             return
-        command = [*prefix, sys.executable, "-m", *module, *words]
+        entering = ("ip", "netns", "exec", namespace) if namespace else ()
+        command = [*entering, *prefix, sys.executable, "-m", *module, *words]
         command += ["--die-with-parent", str(os.getpid())]
         with self.log.open("ab") as log, self.out.open("ab") as out:
             self.process = subprocess.Popen(
-                command, stdout=out, stderr=log, env={**os.environ, **(environ or {})}
+                command, stdout=out, stderr=log, env={**os.environ, **given}
             )
 
     def __enter__(self) -> DaemonProcess:

@@ -1,4 +1,4 @@
-"""`swarmctl` in the process of a test: the start of another one costs most of its time."""
+"""`swarmctl` in the process of a test, or as a fork: a cold start costs most of its time."""
 
 from __future__ import annotations
 
@@ -6,24 +6,39 @@ import contextlib
 import io
 import json
 import os
+import re
+import signal
+import subprocess
 import sys
+import threading
+import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, Self, TextIO
 from unittest import mock
 
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+import pytest
 
+from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
+from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
+
+STALLED = re.compile("by a stall of|loop_stalled|loading took more than")
+"""In a refusal, on a machine that is too busy to be in time."""
 SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
+_FORKING = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The exit code and output of a `swarmctl`."""
+    """The exit code and output of a `swarmctl`, and the seconds from its start to its end."""
 
     code: int
     out: str
     err: str
+    seconds: float = 0.0
 
     @property
     def outcome(self) -> tuple[int, str]:
@@ -32,8 +47,11 @@ class Finished:
 
     @property
     def json(self) -> Any:
-        """Its answer with `-o json`."""
-        return json.loads(self.out)
+        """Its answer with `-o json`; None if it printed none."""
+        try:
+            return json.loads(self.out)
+        except ValueError:
+            return None
 
 
 def swarmctl(*words: str, environ: Mapping[str, str] | None = None) -> Finished:
@@ -47,3 +65,76 @@ def swarmctl(*words: str, environ: Mapping[str, str] | None = None) -> Finished:
     ):
         code = run_cli(cli, list(words), "swarmctl", exit_code_of)
     return Finished(code, out.getvalue(), err.getvalue())
+
+
+class Running(ForkedProcess):
+    """A `swarmctl` that is under way in a process of its own; a context manager, which ends it.
+
+    `out` and `err` are what it writes. `namespace`: the network namespace in which it runs;
+    `program`: `swarmd` to run that one instead.
+    """
+
+    def __init__(
+        self,
+        *words: str,
+        environ: Mapping[str, str] | None = None,
+        namespace: str = "",
+        program: str = "swarmctl",
+    ) -> None:
+        self.words = words
+        self._began = time.monotonic()
+        pipes = [os.pipe() for _ in range(2)]
+        self.out, self.err = (os.fdopen(reader, encoding="utf-8") for reader, _ in pipes)
+        writers = [writer for _, writer in pipes]
+        out, err = (Path(f"/proc/{os.getpid()}/fd/{writer}") for writer in writers)
+        start_server(MODULES)
+        with _FORKING, mock.patch.dict(os.environ, environ or {}):
+            arguments = (program, namespace, *words)
+            forked = fork_main(program, FORKED, arguments, stdout=out, stderr=err)
+        super().__init__(forked._process)
+        wait_until(lambda: self._has_opened(writers), "swarmctl writes to the pipes")
+        for writer in writers:
+            os.close(writer)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+        self.wait(CAP)
+        for end in (self.out, self.err):
+            end.close()
+
+    def finish(self, cap: float = CAP) -> Finished:
+        """Its answer; a swarmctl that has not ended after `cap` s is aborted and shows where."""
+        with self, ThreadPoolExecutor(2) as pool:
+            out, err = (pool.submit(_read, end) for end in (self.out, self.err))
+            try:
+                code = self.wait(cap)
+            except subprocess.TimeoutExpired:
+                self.send_signal(signal.SIGABRT)  # faulthandler then prints where it hangs
+                pytest.fail(f"{self.words} has not ended after {cap:g} s:\n{err.result()}")
+            return Finished(code, out.result(), err.result(), time.monotonic() - self._began)
+
+    def _has_opened(self, writers: list[int]) -> bool:
+        wanted = [os.readlink(f"/proc/self/fd/{writer}") for writer in writers]
+        try:
+            return [os.readlink(f"/proc/{self.pid}/fd/{n}") for n in (1, 2)] == wanted
+        except OSError:  # it has ended already
+            return self.poll() is not None
+
+
+def fork_command(
+    name: str, *words: object, cwd: Path, **environ: str
+) -> subprocess.CompletedProcess[str]:
+    """Run `swarmctl` or `swarmd` to its end in a fork, in a swarm and with a home of its own."""
+    given = {"HOME": str(cwd), "SWARM": unique_swarm(), **environ}
+    arguments = [*map(str, words)]
+    with contextlib.chdir(cwd):
+        running = Running(*arguments, environ=given, program=name)
+    done = running.finish()
+    return subprocess.CompletedProcess(arguments, done.code, done.out, done.err)
+
+
+def _read(end: TextIO) -> str:
+    return end.read()

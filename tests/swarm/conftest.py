@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import pytest
@@ -23,33 +20,20 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
-from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
-from tests.support.swarmctl import SWARMCTL, Finished, swarmctl
+from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.swarmctl import Finished, Running, swarmctl
 from tests.support.viewer import Viewer
 
 T = TypeVar("T", bound=msgspec.Struct)
 
 
 class Swarm:
-    """Daemons under one swarm name; all of them, bodies and sessions are gone after `close`.
+    """Daemons under one swarm name; all of them, bodies and sessions are gone after `close`."""
 
-    `prefix` is what every process is begun with, such as `ip netns exec NAME`; `config` the
-    swarm.yaml of every process.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        *,
-        name: str | None = None,
-        prefix: Sequence[str] = (),
-        config: Path | None = None,
-    ) -> None:
-        self.name = name or unique_swarm()
+    def __init__(self, folder: Path) -> None:
+        self.name = unique_swarm()
         self.folder = folder
         self.home = folder / "home"
-        self._prefix = tuple(prefix)
-        self.config = config
         self._left = contextlib.ExitStack()
         self._lives = 0
         self._viewer: Viewer | None = None
@@ -76,14 +60,13 @@ class Swarm:
         All lives of one robot share its state, each has a log of its own.
         """
         self._lives += 1
-        shared = {} if self.config is None else {"swarm_file": str(self.config)}
         daemon = DaemonProcess(
             self.folder / f"life{self._lives}",
             swarm=self.name,
             robot=robot,
             endpoint="tcp/127.0.0.1:9" if body is None else body.endpoint,
-            options={"state_dir": str(self.folder / "state"), **shared, **(options or {})},
-            prefix=(*self._prefix, *prefix),
+            options={"state_dir": str(self.folder / "state"), **(options or {})},
+            prefix=prefix,
         )
         return self._left.enter_context(daemon)
 
@@ -116,37 +99,29 @@ class Swarm:
     # Operate
 
     def environ(self, user: str = "anna") -> dict[str, str]:
-        """The environment of a `swarmctl` of this user."""
-        shared = {} if self.config is None else {"SWARM_CONFIG": str(self.config)}
+        """What the environment of a `swarmctl` of this user has besides that of the test."""
         homes = {"HOME": str(self.home), "XDG_CACHE_HOME": str(self.home / ".cache")}
-        return {**os.environ, "LOGNAME": user, "SWARM": self.name, **homes, **shared}
+        return {"LOGNAME": user, "SWARM": self.name, **homes}
 
-    def begin(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
-        """A `swarmctl` by this user in a process of its own, under way; hand it to `finish`."""
-        return subprocess.Popen(
-            [*self._prefix, *SWARMCTL, *words],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            stdin=subprocess.DEVNULL,
-            text=True,
-            env={**self.environ(user), "PYTHONFAULTHANDLER": "1"},
-        )
-
-    def finish(self, process: subprocess.Popen[str]) -> Finished:
-        with process:
-            try:
-                out, err = process.communicate(timeout=CAP)
-            except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGABRT)  # faulthandler then prints where it hangs
-                _, err = process.communicate()
-                pytest.fail(f"{process.args!r} has not ended after {CAP:g} s:\n{err}")
-            return Finished(process.returncode, out, err)
+    def begin(self, *words: str, user: str = "anna") -> Running:
+        """A `swarmctl` by this user in a process of its own, under way."""
+        return self._left.enter_context(Running(*words, environ=self.environ(user)))
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
-        """A `swarmctl` in this process: the start of another one costs most of its time."""
-        if self._prefix:  # another network namespace
-            return self.finish(self.begin(*words, user=user))
+        """A `swarmctl` in this process."""
         return swarmctl(*words, environ=self.environ(user))
+
+    def audit(self, *robots: str) -> list[dict[str, Any]]:
+        """The entries of robots, or of all, once each has answered and no disk lacks any."""
+        found: dict[str, Any] = {}
+
+        def look() -> bool:
+            found.update(self.ctl("audit", *robots, "-o", "json").json or {})
+            return (found.get("faults"), found.get("missing")) == ({}, [])
+
+        wait_until(look, "all audit logs are read")
+        entries: list[dict[str, Any]] = found["entries"]
+        return entries
 
     def run_drive(self, *robots: str) -> None:
         done = self.ctl("run", "drive", *robots)

@@ -63,8 +63,8 @@ def test_a_goal_with_on_join_run_is_joined_until_an_emergency_stop(swarm: Swarm)
     run_goal(swarm, 4, "r1", on_join="run", valid=600.0)
     swarm.start("r2", swarm.body("r2"))
     await_goal(swarm, "r2", GoalState.RUNNING)
-    entries = swarm.ctl("audit", "r2", "-o", "json").json["entries"]
-    assert ("goal", "bob", "a peer") in {(e["verb"], e["operator"], e["from"]) for e in entries}
+    found = {(one["verb"], one["operator"], one["from"]) for one in swarm.audit("r2")}
+    assert ("goal", "bob", "a peer") in found
     older = Goal(generation=3, issuer="carol", id="g3", pattern="drive")
     swarm.operator.members()
     epochs = {"r2": swarm.status("r2").epoch}

@@ -13,11 +13,10 @@ import pytest
 
 from swarmd.core.messages import State
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator.operator import Operator
-from swarmd.network.settings import NetworkSettings
 from tests.support.handshakes import KINDS
 from tests.support.keys import SwarmKeys
-from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
+from tests.support.processes import wait_until
+from tests.support.secured_swarm import SecuredSwarm
 
 pytestmark = pytest.mark.integration
 
@@ -26,39 +25,14 @@ FLOOD_TIME = 300.0  # s; it is ended when the test has seen enough
 SPARE_FILES = 20  # that a daemon may have opened meanwhile, for a run and its log
 
 
-class Flooded:
-    """Two daemons of a secured swarm and its operator; `r1` listens at a port that is known."""
-
-    def __init__(self, folder: Path, left: contextlib.ExitStack) -> None:
-        self.name = unique_swarm()
-        self.keys = SwarmKeys(folder / "keys", self.name, ROBOTS, operators=["alice"])
-        self.foreign = SwarmKeys(folder / "foreign", self.name, ROBOTS, operators=["alice"])
-        self.settings = NetworkSettings(swarm=self.name)
-        endpoint = free_endpoint()
-        self.port = endpoint.rpartition(":")[2]
-        self._left = left
-        self.daemons = {
-            robot: left.enter_context(
-                DaemonProcess(
-                    folder / robot,
-                    swarm=self.name,
-                    robot=robot,
-                    endpoint="tcp/127.0.0.1:9",
-                    options={
-                        "identity": str(self.keys.folder_of(robot)),
-                        **({"listen": [endpoint]} if robot == "r1" else {}),
-                    },
-                )
-            )
-            for robot in ROBOTS
-        }
-        for daemon in self.daemons.values():
-            daemon.wait_ready()
+class Flooded(SecuredSwarm):
+    """A swarm whose robot `r1` is flooded with handshakes at its port."""
 
     def flood(self, kind: str, at_once: int, rate: float = 0.0) -> subprocess.Popen[bytes]:
         """Begin a flood; it is gone after the test."""
-        folder = self.foreign.folder_of("alice")
-        words = [kind, self.port, at_once, FLOOD_TIME, folder, rate]
+        foreign = SwarmKeys(self._folder / "foreign", self.name, ROBOTS, operators=["anna"])
+        port = self.endpoint.rpartition(":")[2]
+        words = [kind, port, at_once, FLOOD_TIME, foreign.folder_of("anna"), rate]
         process = subprocess.Popen(
             [sys.executable, "-m", "tests.support.handshakes", *map(str, words)],
             stdout=subprocess.DEVNULL,
@@ -67,14 +41,10 @@ class Flooded:
         self._left.callback(process.kill)
         return process
 
-    def operator(self) -> Operator:
-        """An operator that has no link yet, a context manager."""
-        return Operator(self.settings, identity=self.keys["alice"])
-
     def states(self) -> dict[str, State]:
         """The states of the robots that answer a new operator over a link."""
-        with self.operator() as alice:
-            members = alice.members(timeout=5.0).members
+        with self.operator() as anna:
+            members = anna.members(timeout=5.0).members
         return {name: one.status.state for name, one in members.items() if one.status is not None}
 
     def files(self) -> int:
@@ -85,26 +55,28 @@ class Flooded:
 @pytest.fixture
 def flooded(tmp_path: Path) -> Iterator[Flooded]:
     with contextlib.ExitStack() as left:
-        yield Flooded(tmp_path, left)
+        made = Flooded(tmp_path, left, listens=True)
+        made.start()
+        yield made
 
 
 def is_reset(flooded: Flooded) -> bool:
     """Reset all robots; False if a latch came from a peer meanwhile."""
-    with flooded.operator() as alice:
-        view = alice.members(timeout=20.0)
+    with flooded.operator() as anna:
+        view = anna.members(timeout=20.0)
         ids = tuple(view.latches(ROBOTS))
-        done = alice.request(ResetRequest, view.epochs(ROBOTS), ids=ids, timeout=20.0)
+        done = anna.request(ResetRequest, view.epochs(ROBOTS), ids=ids, timeout=20.0)
     return done.exit_code == 0
 
 
 def run_and_stop(flooded: Flooded) -> None:
     """An operator without a link runs all robots, stops them, latches them and resets them."""
-    with flooded.operator() as alice:
-        view = alice.members(timeout=20.0)
-        done = alice.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
+    with flooded.operator() as anna:
+        view = anna.members(timeout=20.0)
+        done = anna.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
         assert done.exit_code == 0, done
         for verb in ("stop", "estop"):
-            assert alice.send_stop(verb).exit_code == 0
+            assert anna.send_stop(verb).exit_code == 0
     wait_until(lambda: is_reset(flooded), "both are reset")
 
 

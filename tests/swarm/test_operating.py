@@ -72,13 +72,10 @@ def test_runs_start_at_one_moment_by_measured_clocks(swarm: Swarm, bodies: dict[
 
 def test_ctrl_c_before_the_moment_stops_the_start(swarm: Swarm) -> None:
     before = swarm.status("r1").epoch.revision
-    process = swarm.begin("run", "drive", "r1", "--at", "+30s")
-    try:
+    with swarm.begin("run", "drive", "r1", "--at", "+30s") as process:
         asked = swarm.await_status("r1", "asked", lambda one: one.epoch.revision > before)
         process.send_signal(signal.SIGINT)
-        assert swarm.finish(process).code == 130
-    finally:
-        process.kill()
+        assert process.finish().code == 130
     assert swarm.status("r1").epoch.revision > asked.epoch.revision
     assert swarm.ctl("run", "drive", "r1").code == 0  # and not: still loading
 
@@ -118,29 +115,22 @@ def test_after_a_canary_that_runs_well_all_run(swarm: Swarm) -> None:
 def test_a_robot_that_is_stopped_while_the_canary_runs_is_not_started_after_it(
     swarm: Swarm,
 ) -> None:
-    process = swarm.begin("run", "drive", "--all", "--canary", "r1", "--canary-time", "6s")
-    try:
+    with swarm.begin("run", "drive", "--all", "--canary", "r1", "--canary-time", "6s") as process:
         swarm.await_state("r1", State.RUNNING)
         assert swarm.ctl("stop", "r2", user="bob").code == 0
-        done = swarm.finish(process)
-    finally:
-        process.kill()
+        done = process.finish()
     assert done.outcome == (3, "2 targeted, 1 applied, 1 refused (r2)")
     assert [swarm.status(name).state for name in NAMES] == [State.RUNNING, State.STOPPED]
 
 
 def test_a_run_with_a_lease_ends_with_its_operator(swarm: Swarm) -> None:
-    keeper = swarm.begin("run", "drive", "--all", "--lease", "1s")
-    try:
+    with swarm.begin("run", "drive", "--all", "--lease", "1s"):
         for name in NAMES:
             swarm.await_state(name, State.RUNNING)
         since = swarm.status("r1").uptime
         # It goes on beyond its lease while the operator is there.
         swarm.await_status("r1", "longer there", lambda status: status.uptime > since + 2.0)
         assert swarm.status("r1").state is State.RUNNING
-    finally:
-        keeper.kill()
-        keeper.communicate()
     for name in NAMES:
         assert swarm.await_state(name, State.STOPPED).reason is Reason.LEASE_ENDED
     resumed = swarm.ctl("resume", "r1")
@@ -154,20 +144,17 @@ def test_a_run_with_a_lease_ends_with_its_operator(swarm: Swarm) -> None:
 
 
 def test_ctrl_c_stops_a_run_with_a_lease(swarm: Swarm) -> None:
-    keeper = swarm.begin("run", "drive", "r1", "--lease", "10s")
-    try:
+    with swarm.begin("run", "drive", "r1", "--lease", "10s") as keeper:
         swarm.await_state("r1", State.RUNNING)
         keeper.send_signal(signal.SIGINT)
-        assert swarm.finish(keeper).outcome == (0, "1 targeted, 1 applied")
-    finally:
-        keeper.kill()
+        assert keeper.finish().outcome == (0, "1 targeted, 1 applied")
     assert swarm.status("r1").reason is Reason.OPERATOR
 
 
 def test_wait_ends_when_robots_are_as_wanted_or_names_those_that_are_not(swarm: Swarm) -> None:
     waiting = swarm.begin("wait", "--for", "state=running", "--for", "pattern=drive", "r1")
     assert swarm.ctl("run", "drive", "r1").code == 0
-    assert swarm.finish(waiting).code == 0
+    assert waiting.finish().code == 0
     done = swarm.ctl("wait", "--for", "state=running", "--timeout", "500ms")
     assert done.code == 5
     assert "r2" in done.err

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +16,7 @@ from tests.support.processes import DaemonProcess, children, wait_until
 
 if TYPE_CHECKING:
     from tests.support.fake_body import Body, Commanded
-    from tests.support.swarmctl import Finished
+    from tests.support.swarmctl import Finished, Running
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -81,7 +80,7 @@ class Own:
         """`swarmctl plugin reload NAME r1`."""
         return self.swarm.ctl("plugin", "reload", name, "r1", *words)
 
-    def start_reload(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
+    def start_reload(self, *words: str, user: str = "anna") -> Running:
         """A reload of code that hangs, whose trial is under way."""
         self.run()
         self.write(HANGS)
@@ -220,7 +219,7 @@ def test_a_stop_ends_the_trial(own: Own, verb: str) -> None:
     stopped = own.swarm.ctl(verb, "r1")
     assert stopped.code == 0, stopped
     zero = own.body.wait_zero(boottime())
-    done = own.swarm.finish(begun)
+    done = begun.finish()
     assert done.code == 7, done
     assert "while the new code was being tried" in done.json["replies"]["r1"]["text"]
     wait_until(lambda: len(own.hosts()) == 1, "the trial's process is gone")
@@ -237,7 +236,7 @@ def test_no_second_trial_and_no_run_during_a_trial(own: Own) -> None:
     done = own.swarm.ctl("param", "set", "r1", "speed=0.2")
     assert done.code == 7, done
     assert own.swarm.ctl("stop", "r1").code == 0  # ends the trial, which would take 10 s
-    assert own.swarm.finish(begun).code == 7
+    assert begun.finish().code == 7
 
 
 def test_only_patterns_that_exist_can_be_reloaded(own: Own) -> None:
@@ -269,4 +268,4 @@ def test_a_daemon_that_ends_during_a_trial_leaves_no_process(own: Own) -> None:
     hosts = own.hosts()
     assert own.daemon.terminate() == 0
     assert not any(map(is_running, hosts))
-    assert own.swarm.finish(begun).code in (5, 7)
+    assert begun.finish().code in (5, 7)

@@ -10,13 +10,12 @@ import pytest
 
 from swarmd.core.messages import State
 from tests.support.processes import wait_until
+from tests.support.swarmctl import STALLED
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
-
-HELD_UP = "loading took more than 3 s"
 
 
 def run_until_applied(swarm: Swarm, pattern: str, robots: tuple[str, ...]) -> None:
@@ -33,7 +32,7 @@ def run_until_applied(swarm: Swarm, pattern: str, robots: tuple[str, ...]) -> No
             line = f"{len(robots)} targeted, {len(robots)} applied"
             assert (done.code, done.json["line"]) == (0, line)
             return
-        assert all(text.endswith(HELD_UP) or "by a stall of" in text for text in others), done.out
+        assert all(map(STALLED.search, others)), done.out
     pytest.fail(f"{pattern} was not applied by all in five runs: {done.out}")
 
 

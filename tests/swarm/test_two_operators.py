@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+from tests.support.processes import wait_until
+from tests.support.swarmctl import STALLED
 
 if TYPE_CHECKING:
     from tests.support.swarmctl import Finished
@@ -27,13 +31,19 @@ def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
         swarm.start(robot)
     losers: list[str] = []
     for number in range(ROUNDS):
+        wait_until(
+            lambda: len({held_by(swarm, robot) for robot in ROBOTS}) == 1, "one goal is held"
+        )
         users = ("anna", "ben") if number % 2 else ("ben", "anna")
         begun = [swarm.begin("run", "drive", "--all", "-o", "json", user=user) for user in users]
-        done = dict(zip(users, map(swarm.finish, begun), strict=True))
+        done = dict(zip(users, (one.finish() for one in begun), strict=True))
+        texts = [reply["text"] for one in done.values() for reply in replies_of(one)]
+        if len(texts) < 2 * len(ROBOTS) or any(map(STALLED.search, texts)):
+            continue  # the machine was too busy
         for robot in ROBOTS:
             losers += losers_of(robot, done)
         for finished in done.values():
-            codes = {reply["code"] for reply in finished.json["replies"].values()}
+            codes = {reply["code"] for reply in replies_of(finished)}
             assert finished.code == {"applied": 0, "refused": 7}.get("".join(codes), 3)
         if len(set(losers)) == 2:
             break
@@ -41,15 +51,29 @@ def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
     assert losers
 
 
+def held_by(swarm: Swarm, robot: str) -> str:
+    """The held goal of a robot; that of an earlier round may still come from another robot."""
+    goal = swarm.status(robot).goal
+    return "" if goal is None or goal.held is None else goal.held.digest
+
+
+def replies_of(finished: Finished) -> Iterable[dict[str, Any]]:
+    replies: dict[str, dict[str, Any]] = finished.json["replies"]
+    return replies.values()
+
+
 def losers_of(robot: str, done: dict[str, Finished]) -> list[str]:
-    """The operators that this robot refused; the other one must be applied and named."""
+    """The operators that this robot refused, which are told the other one.
+
+    It refuses both only if one lost its load to the goal of the other, greater by its name, that
+    came from another robot.
+    """
     replies = {user: finished.json["replies"][robot] for user, finished in done.items()}
     losers = [user for user, reply in replies.items() if reply["code"] == "refused"]
-    assert len(losers) < 2, replies
     for loser in losers:
-        (winner,) = replies.keys() - {loser}
-        assert replies[winner]["code"] == "applied"
         match = LOST_TO.match(replies[loser]["text"])
         assert match, replies
-        assert match[1] == winner
+        assert match[1] != loser, replies
+    superseded = [user for user in losers if replies[user]["text"].startswith("superseded")]
+    assert len(losers) < 2 or superseded == [min(done)], replies
     return losers

@@ -75,7 +75,7 @@ def test_members_lists_all_robots_and_problems(swarm: Swarm) -> None:
 def test_the_audit_log_has_requests_stops_and_refusals_of_each_robot(swarm: Swarm) -> None:
     assert swarm.ctl("stop", "--all").code == 0
     assert swarm.ctl("run", "no-such-pattern", "r1").code != 0
-    entries = swarm.ctl("audit", "-o", "json").json["entries"]
+    entries = swarm.audit()
     assert {one["robot"] for one in entries if one["verb"] == "stop"} == set(ROBOTS)
     (refused,) = (one for one in entries if one["verb"] == "run")
     assert (refused["robot"], refused["targets"]) == ("r1", 1)
@@ -94,9 +94,8 @@ def test_logs_are_filtered_and_followed(swarm: Swarm) -> None:
     assert swarm.ctl("logs", "--level", "error", "-o", "json").json["records"] == []
     with swarm.begin("logs", "r1", "-f", "-o", "json", "--grep", "estop to") as follower:
         try:
-            assert follower.stdout is not None
             swarm.ctl("estop", "--all")
-            first = json.loads(follower.stdout.readline())
+            first = json.loads(follower.out.readline())
         finally:
             follower.kill()
     assert (first["kind"], first["robot"]) == ("LogRecord", "r1")
@@ -233,7 +232,7 @@ def in_terminal(swarm: Swarm, answer: bytes, *args: str) -> tuple[int, str]:
     process = subprocess.Popen(
         [sys.executable, "-c", IN_TERMINAL, *args],
         stdin=own, stdout=own, stderr=own,
-        env=swarm.environ(), start_new_session=True,
+        env={**os.environ, **swarm.environ()}, start_new_session=True,
     )  # fmt: skip
     os.close(own)
     screen = b""

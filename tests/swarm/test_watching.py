@@ -20,12 +20,11 @@ pytestmark = pytest.mark.integration
 def following(swarm: Swarm) -> Iterator[Iterator[dict[str, Any]]]:
     """The events that `swarmctl events -f -o json` prints, until SIGTERM ends it."""
     process = swarm.begin("events", "-f", "-o", "json")
-    assert process.stdout is not None
     try:
-        yield map(json.loads, process.stdout)
+        yield map(json.loads, process.out)
     finally:
         process.send_signal(signal.SIGTERM)
-        code = swarm.finish(process).code
+        code = process.finish().code
     assert code == 128 + signal.SIGTERM
 
 
@@ -49,17 +48,15 @@ def test_events_and_load_of_three_daemons(swarm: Swarm) -> None:
     assert (missing.code, missing.json["missing"]) == (3, ["tb3-03"])
 
     follower = swarm.begin("logs", "-f")
-    assert follower.stdout is not None
-    assert follower.stderr is not None
     try:
-        next(line for line in follower.stdout if "tb3-02" in line)
+        next(line for line in follower.out if "tb3-02" in line)
         daemons[1].kill()
-        next(line for line in follower.stderr if line.startswith("tb3-02 "))
+        next(line for line in follower.err if line.startswith("tb3-02 "))
         swarm.spawn("tb3-02").wait_ready()
-        next(line for line in follower.stderr if line.startswith("tb3-02 is heard again"))
+        next(line for line in follower.err if line.startswith("tb3-02 is heard again"))
     finally:
         follower.send_signal(signal.SIGTERM)
-        code = swarm.finish(follower).code
+        code = follower.finish().code
     assert code == 128 + signal.SIGTERM
 
     load = swarm.ctl("top", "--once", "-o", "json", "tb3-01", "tb3-02")

@@ -30,13 +30,12 @@ def served(swarm: Swarm, *options: str) -> Iterator[list[str]]:
     """`swarmctl view --web` for the swarm; the addresses that it prints."""
     process = swarm.begin("view", "--web", "--port", "0", *options)
     try:
-        assert process.stdout is not None
         count = 1 + ("--viewer-token" in options)
-        lines = [process.stdout.readline() for _ in range(count)]
+        lines = [process.out.readline() for _ in range(count)]
         yield [line.partition(": ")[2].strip() for line in lines]
     finally:
         process.terminate()
-        process.communicate(timeout=60)
+        process.finish()
 
 
 def shown(page: Page, name: str, state: str) -> None:
@@ -122,7 +121,7 @@ def test_a_lost_server_is_found_again_and_a_killed_robot_is_not_shown_as_alive(
         page.until(STALE, "a stale row")
     finally:
         process.terminate()
-        process.communicate(timeout=60)
+        process.finish()
 
 
 def test_tokens_decide_who_may_command(swarm: Swarm, page: Page) -> None:
