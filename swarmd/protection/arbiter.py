@@ -15,15 +15,18 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
-from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
-from swarmd.protection.following import FollowingMonitor
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
 
 if TYPE_CHECKING:
+    from swarmd.protection.assumption_monitor import AssumptionMonitor
     from swarmd.protection.barrier import Barrier
+    from swarmd.protection.following import FollowingMonitor
+else:
+    AssumptionMonitor = load_kernel("swarmd.protection.assumption_monitor").AssumptionMonitor
+    FollowingMonitor = load_kernel("swarmd.protection.following").FollowingMonitor
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 _STOPPED = ModeDecision(ZERO, is_active=False)
