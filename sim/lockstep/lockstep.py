@@ -111,6 +111,7 @@ class Lockstep:
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self._alarms = Alarms(n, self.world.dt)
         self._commands = np.zeros((n, 3))
+        self._are_new = True  # the commands since the world has had them
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
@@ -204,6 +205,7 @@ class Lockstep:
         for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
             if index != process.index:
                 self._commands[index :: process.count] = commands
+                self._are_new = True
             self._radio.carry(some_sent, process.own)
             published += some_published
         for row, latches in sorted(published, key=itemgetter(0)):
@@ -219,6 +221,7 @@ class Lockstep:
         commands = self._commands  # three values are set faster than a row
         commands[row, 0], commands[row, 1] = twist.linear, twist.angular
         commands[row, 2] = twist.lateral
+        self._are_new = True
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Send a pattern's message by radio, after a round trip through the codec."""
@@ -266,7 +269,9 @@ class Lockstep:
         self.exchange()
         if self._record_due.due(now):
             self._recorder.record_instant(now, self._commands, self.shells)
-        world.set_commands(self._commands)
+        if self._are_new:
+            world.set_commands(self._commands)
+            self._are_new = False
         world.step()
         self._steps += 1
         self._recorder.record_contacts(world.time)
@@ -331,10 +336,13 @@ class Lockstep:
             shell.tick(now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
             self._commands[row] = 0.0
+            self._are_new = True
             del self._silent_at[row]
 
-    def _present(self, rows: Iterable[int]) -> list[RobotShell]:
+    def _present(self, rows: Sequence[int]) -> Sequence[RobotShell]:
         """The shells of those robots of this process that have a daemon."""
+        if not rows:  # as in most steps
+            return ()
         return [shell for row in rows if (shell := self.shells[row]) is not None]
 
     def _boxes(self) -> Array | None:
