@@ -14,7 +14,7 @@ robots at one instant happens to all of them before any of them acts on it.
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
 from operator import itemgetter
@@ -25,7 +25,7 @@ from swarmd.core import events
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Body, Latch, Status
+from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -144,7 +144,7 @@ class Lockstep:
         self._absent_count -= len(rows)
         for shell in self._present(rows):
             if shell.robot.latches:
-                self.publish_status(shell.row, shell.robot.status(now))
+                self.publish_latches(shell.row, shell.robot.latches)
         self.exchange()
         for shell in self._present(rows):  # before any request
             for latches in list(self._peer_latches.values()):
@@ -231,11 +231,11 @@ class Lockstep:
             return
         self._flights += self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
-    def publish_status(self, row: int, status: Status) -> None:
+    def publish_latches(self, row: int, latches: Mapping[str, Latch]) -> None:
         """Keep the latches of a status, on which peers act now and when they join."""
-        if status.latches or row in self._latched:
-            self._published.append((row, dict(status.latches)))
-            (self._latched.add if status.latches else self._latched.discard)(row)
+        if latches or row in self._latched:
+            self._published.append((row, dict(latches)))
+            (self._latched.add if latches else self._latched.discard)(row)
 
     def set_alarm(self, row: int, at: float | None) -> None:
         """Tick robot `row` at `at`, even between two ticks."""
