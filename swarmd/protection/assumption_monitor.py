@@ -307,7 +307,7 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     def left(delays):
         """(s, d) sums of squares for `delays` (s or 1, d)."""
         since = times - delays[..., None, None]
-        index = np.searchsorted(stamps, since, side="right") - 1
+        index = stamps.searchsorted(since, side="right") - 1
         braked = before[index, share] - rates[share] * (since - stamps[index])
         speeds = np.maximum(levels[index], braked)
         # Means of two parts; numpy's own, along a short axis, takes as long as all the rest.
