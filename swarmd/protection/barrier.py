@@ -1045,16 +1045,21 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _sort(self, count: cython.Py_ssize_t) -> cython.int:
-        """Merge sort: the order of rising gaps; equal gaps keep their order."""
+        """Merge sort of runs that are sorted by insertion; equal gaps keep their order."""
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         first: cython.Py_ssize_t
         middle: cython.Py_ssize_t
         end: cython.Py_ssize_t
+        run: cython.Py_ssize_t = 8
         for i in range(count):
-            self._order[i] = i
-        run: cython.Py_ssize_t = 1
+            gap: cython.double = self._found_gap[i]
+            first, j = i - i % run, i
+            while j > first and self._found_gap[self._order[j - 1]] > gap:
+                self._order[j] = self._order[j - 1]
+                j -= 1
+            self._order[j] = i
         while run < count:
             first = 0
             while first < count:
@@ -1957,8 +1962,11 @@ class Barrier:
     def _is_feasible(self, x: cython.double, y: cython.double) -> cython.int:
         """1 if a point violates no row."""
         i: cython.Py_ssize_t
+        row_x: cython.p_double = _first(self._row_x, self._all)
+        row_y: cython.p_double = _first(self._row_y, self._all)
+        row_cap: cython.p_double = _first(self._row_cap, self._all)
         for i in range(self._all):
-            if not (self._row_x[i] * x + self._row_y[i] * y - self._row_cap[i] <= TOLERANCE):
+            if not (row_x[i] * x + row_y[i] * y - row_cap[i] <= TOLERANCE):
                 return 0
         return 1
 

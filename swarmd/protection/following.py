@@ -62,6 +62,12 @@ class _Axis:
     _unit: object
     _early: object
     _later: object
+    # What a reading asks them: the last early command and its stamp, the first later one's, and
+    # that of the second early one, after which the first one may go; inf where there is none.
+    _held: cython.double
+    _held_since: cython.double
+    _next: cython.double
+    _second: cython.double
     _slow: cython.double
     _command: cython.double
     _begun: cython.double
@@ -81,6 +87,7 @@ class _Axis:
         self._later.clear()
         self._early.append((stamp, command))
         self._slow = self._command = command
+        self._look_up()
         self._begun = stamp
         self._off_since, self._readings, self.text = math.inf, 0, ""
 
@@ -90,6 +97,14 @@ class _Axis:
         if command != self._command:
             self._command = command
             self._later.append((stamp, command))
+            self._look_up()
+
+    @cython.cfunc
+    def _look_up(self):
+        early, later = self._early, self._later
+        self._held_since, self._held = early[-1]
+        self._next = later[0][0] if later else math.inf
+        self._second = early[1][0] if len(early) > 1 else math.inf
 
     @cython.ccall
     def on_reading(
@@ -103,14 +118,16 @@ class _Axis:
         early, later = self._early, self._later
         # Commands have the stamp of the reading before, and hold from the end of a period on.
         begin: cython.double = stamp - DELAY - 2.0 * period
-        while later and later[0][0] <= begin:
-            early.append(later.popleft())
-        while len(early) > 1 and early[-1][0] > begin:  # the period has grown
-            later.appendleft(early.pop())
-        while len(early) > 1 and early[1][0] <= stamp - WINDOW:
-            early.popleft()
+        if self._next <= begin or self._held_since > begin or self._second <= stamp - WINDOW:
+            while later and later[0][0] <= begin:
+                early.append(later.popleft())
+            while len(early) > 1 and early[-1][0] > begin:  # the period has grown
+                later.appendleft(early.pop())
+            while len(early) > 1 and early[1][0] <= stamp - WINDOW:
+                early.popleft()
+            self._look_up()
         step: cython.double = self._acceleration * period
-        off: cython.double = early[-1][1] - self._slow
+        off: cython.double = self._held - self._slow
         self._slow += -step if off < -step else step if off > step else off
         # Mostly the speed is near the last command and the slow base: the bounds are no narrower.
         low: cython.double = self._slow
