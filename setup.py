@@ -29,8 +29,10 @@ if sys.version_info < (3, 11):  # noqa: UP036
 
 KERNELS = {
     "swarmd.kit.points": "swarmd/kit/points.py",
+    "swarmd.protection.assumption_monitor": "swarmd/protection/assumption_monitor.py",
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
+    "swarmd.protection.following": "swarmd/protection/following.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",
     "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",

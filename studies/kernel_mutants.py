@@ -22,8 +22,10 @@ COPY = ROOT / "build" / "kernel-mutants"
 FOLDERS = ("swarmd", "patterns", "drivers", "sim", "config", "tests", "studies", "benchmarks")
 TESTS = {
     "swarmd/kit/points.py": ("tests/kit",),
+    "swarmd/protection/assumption_monitor.py": ("tests/protection",),
     "swarmd/protection/barrier.py": ("tests/protection",),
     "swarmd/protection/blind_zone.py": ("tests/protection",),
+    "swarmd/protection/following.py": ("tests/protection",),
     "swarmd/sensing/scans.py": ("tests/sensing",),
     "sim/world/base.py": ("tests/sim/world",),
     "sim/world/ray_caster.py": ("tests/sim/world",),

@@ -14,7 +14,7 @@ robots at one instant happens to all of them before any of them acts on it.
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
 from operator import itemgetter
@@ -25,7 +25,7 @@ from swarmd.core import events
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Body, Latch, Status
+from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -111,6 +111,7 @@ class Lockstep:
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self._alarms = Alarms(n, self.world.dt)
         self._commands = np.zeros((n, 3))
+        self._are_new = True  # the commands since the world has had them
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
@@ -143,7 +144,7 @@ class Lockstep:
         self._absent_count -= len(rows)
         for shell in self._present(rows):
             if shell.robot.latches:
-                self.publish_status(shell.row, shell.robot.status(now))
+                self.publish_latches(shell.row, shell.robot.latches)
         self.exchange()
         for shell in self._present(rows):  # before any request
             for latches in list(self._peer_latches.values()):
@@ -204,6 +205,7 @@ class Lockstep:
         for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
             if index != process.index:
                 self._commands[index :: process.count] = commands
+                self._are_new = True
             self._radio.carry(some_sent, process.own)
             published += some_published
         for row, latches in sorted(published, key=itemgetter(0)):
@@ -219,6 +221,7 @@ class Lockstep:
         commands = self._commands  # three values are set faster than a row
         commands[row, 0], commands[row, 1] = twist.linear, twist.angular
         commands[row, 2] = twist.lateral
+        self._are_new = True
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Send a pattern's message by radio, after a round trip through the codec."""
@@ -228,11 +231,11 @@ class Lockstep:
             return
         self._flights += self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
-    def publish_status(self, row: int, status: Status) -> None:
+    def publish_latches(self, row: int, latches: Mapping[str, Latch]) -> None:
         """Keep the latches of a status, on which peers act now and when they join."""
-        if status.latches or row in self._latched:
-            self._published.append((row, dict(status.latches)))
-            (self._latched.add if status.latches else self._latched.discard)(row)
+        if latches or row in self._latched:
+            self._published.append((row, dict(latches)))
+            (self._latched.add if latches else self._latched.discard)(row)
 
     def set_alarm(self, row: int, at: float | None) -> None:
         """Tick robot `row` at `at`, even between two ticks."""
@@ -266,7 +269,9 @@ class Lockstep:
         self.exchange()
         if self._record_due.due(now):
             self._recorder.record_instant(now, self._commands, self.shells)
-        world.set_commands(self._commands)
+        if self._are_new:
+            world.set_commands(self._commands)
+            self._are_new = False
         world.step()
         self._steps += 1
         self._recorder.record_contacts(world.time)
@@ -331,10 +336,13 @@ class Lockstep:
             shell.tick(now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
             self._commands[row] = 0.0
+            self._are_new = True
             del self._silent_at[row]
 
-    def _present(self, rows: Iterable[int]) -> list[RobotShell]:
+    def _present(self, rows: Sequence[int]) -> Sequence[RobotShell]:
         """The shells of those robots of this process that have a daemon."""
+        if not rows:  # as in most steps
+            return ()
         return [shell for row in rows if (shell := self.shells[row]) is not None]
 
     def _boxes(self) -> Array | None:

@@ -41,7 +41,8 @@ class LockstepRecorder:
             box_shapes=world.box_shapes,
         )
         self._samples = 0
-        self._rows: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
+        self._latest: list[tuple[Any, ...]] = []  # values of robots, instant by instant
+        self._blocks: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         self._reports: _Reports = {}
 
     def record_contacts(self, now: float) -> None:
@@ -59,14 +60,22 @@ class LockstepRecorder:
             if shell is not None and (readings := shell.robot.readings):
                 self._note("readings", readings, row)
         self._samples += 1
+        self._latest.extend(map(_values, shells))
+        if len(self._latest) >= _BLOCK:
+            self._end_block()
+
+    def _end_block(self) -> None:
         # A column at once: numpy takes as long to enter one value as Python to list ten.
-        columns = zip(*map(_values, shells), strict=True)
-        for (name, kind), values in zip(_COLUMNS.items(), columns, strict=True):
-            self._rows[name].append(np.array(values, dtype=kind))
+        columns = zip(*self._latest, strict=True)
+        for (name, kind), values in zip(_COLUMNS.items(), columns, strict=False):
+            column = np.array(values, dtype=kind)
+            self._blocks[name].append(column.reshape(-1, len(self._world.ids), *column.shape[1:]))
+        self._latest = []
 
     def kept(self, rows: slice) -> Kept:
         """What the robots of these rows reported, for `trace`."""
-        columns = {name: np.array([one[rows] for one in kept]) for name, kept in self._rows.items()}
+        self._end_block()
+        columns = {name: np.concatenate(one)[:, rows] for name, one in self._blocks.items()}
         return rows, columns, self._reports
 
     def trace(self, meta: Mapping[str, Any], kept: Sequence[Kept]) -> Trace:
@@ -95,6 +104,7 @@ class LockstepRecorder:
             self._reports.setdefault(key, []).append((self._samples, row, item))
 
 
+_BLOCK = 1000  # values of robots that become arrays at once
 _COLUMNS: Mapping[str, Any] = MappingProxyType(
     {
         "present": bool,

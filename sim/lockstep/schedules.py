@@ -41,17 +41,19 @@ class Schedules:
         self._times: list[float] = []
         self._rows: list[int] = []
         self._next, self._end = 0, -math.inf
+        self._soonest = -math.inf  # nothing is due, and nothing to be listed, before
         self._listed = np.zeros(len(self._period), dtype=np.intp)
 
     def due(self, now: float) -> list[int]:
         """The rows due by `now` s, in order; call it at every step."""
         until = now + _ROUNDING
+        if until < self._soonest:
+            return []
         if until >= self._end:
             self._list(now + _AHEAD)
         times, first = self._times, self._next
-        if first == len(times) or times[first] > until:
-            return []
         self._next = last = bisect_right(times, until, first)
+        self._soonest = min(times[last], self._end) if last < len(times) else self._end
         return sorted(self._rows[first:last])
 
     def _list(self, end: float) -> None:
@@ -93,7 +95,9 @@ class Alarms:
     def due(self, step: int) -> list[int]:
         """The rows whose alarm is this step, in order; call it for every step."""
         self._step = step
-        rows = [row for row in self._rows.pop(step, ()) if self._alarms[row] == step]
+        if step not in self._rows:
+            return []
+        rows = [row for row in self._rows.pop(step) if self._alarms[row] == step]
         for row in rows:
             self._alarms[row] = -1
         return sorted(rows)

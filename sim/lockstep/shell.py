@@ -88,8 +88,8 @@ class RobotShell:
         if actions.messages:
             for name, value in actions.messages.items():
                 outputs.send_message(self.row, name, value, now)
-        if actions.status is not None:
-            outputs.publish_status(self.row, actions.status)
+        if actions.has_status:
+            outputs.publish_latches(self.row, self.robot.latches)
         if actions.replies:
             self.replies.extend(actions.replies)
 

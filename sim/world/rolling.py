@@ -49,11 +49,10 @@ class RollingScans:
         self._lidar, self._n = lidar, n
         # Two rows for each robot, since a scan begins at the step at which the last one ends.
         self._ranges = np.full((2 * n, len(order)), np.inf)
-        self._last_row = np.arange(n)
-        self._last_begun = np.full(n, -self._steps)
+        self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()
-        # The scans in progress: robots, first steps, and rows of `_ranges`.
-        self._robots = self._begun = self._rows = np.empty(0, dtype=np.intp)
+        # (3, m) of the scans in progress: robots, first steps, and rows of `_ranges`.
+        self._scans = np.empty((3, 0), dtype=np.intp)
 
     def begin(self, robot: int) -> None:
         """Begin a scan of a robot at the next `advance`, or after its last one."""
@@ -66,31 +65,28 @@ class RollingScans:
         """
         if self._waiting:
             self._start(step)
-        since = step - self._begun
+        robots, begun, rows = self._scans
+        since = step - begun
         counts = self._counts.take(since)
         if np.count_nonzero(counts):
-            first, robots = self._first.take(since), self._robots
-            self._lidar.cast_sectors(self._ranges, self._rows, poses, robots, first, counts)
+            first = self._first.take(since)
+            self._lidar.cast_sectors(self._ranges, rows, poses, robots, first, counts)
         if not (len(since) and since[0] == self._steps):  # scans are in the order of their begin
             return []
-        done, begun = np.count_nonzero(since == self._steps), step - self._steps
-        complete = [
-            CompleteScan(robot, self._ranges[row].copy(), self._ages, begun)
-            for robot, row in zip(
-                self._robots[:done].tolist(), self._rows[:done].tolist(), strict=True
-            )
+        done = np.count_nonzero(since == self._steps)
+        self._scans = self._scans[:, done:]
+        return [
+            CompleteScan(robot, self._ranges[row].copy(), self._ages, step - self._steps)
+            for robot, row in zip(robots[:done].tolist(), rows[:done].tolist(), strict=True)
         ]
-        self._robots, self._rows = self._robots[done:], self._rows[done:]
-        self._begun = self._begun[done:]
-        return complete
 
     def _start(self, step: int) -> None:
         ready = sorted(r for r in self._waiting if self._last_begun[r] + self._steps <= step)
         if not ready:
             return
         self._waiting.difference_update(ready)
-        self._last_begun[ready] = step
-        self._last_row[ready] = rows = (self._last_row[ready] + self._n) % len(self._ranges)
-        self._robots = np.concatenate((self._robots, ready))
-        self._rows = np.concatenate((self._rows, rows))
-        self._begun = np.concatenate((self._begun, np.full(len(ready), step)))
+        for robot in ready:
+            self._last_begun[robot] = step
+            self._last_row[robot] = (self._last_row[robot] + self._n) % len(self._ranges)
+        new = ready, [step] * len(ready), [self._last_row[robot] for robot in ready]
+        self._scans = np.concatenate((self._scans, np.array(new, dtype=np.intp)), axis=1)

@@ -21,8 +21,10 @@ from typing import Any
 
 KERNELS = (
     "swarmd.kit.points",
+    "swarmd.protection.assumption_monitor",
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",
+    "swarmd.protection.following",
     "swarmd.sensing.scans",
     "swarmd.sim.world.base",
     "swarmd.sim.world.ray_caster",

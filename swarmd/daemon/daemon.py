@@ -503,7 +503,7 @@ class Daemon:
                 self._network.publish_message(name, payload)
             else:
                 self._carrier.send_message(name, payload)
-        if actions.status is not None:
+        if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
         if actions.failed_code is not None:
             self._code_runs.on_failed(actions.failed_code)

@@ -201,8 +201,8 @@ class Recorder:
         self.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
         for channel, value in actions.messages.items():
             self.add(frames.SentEntry(now, channel, value))
-        if actions.status is not None:
-            self._status(actions.status, now)
+        if actions.has_status:
+            self._status(robot.status(now), now)
 
     def _status(self, status: Status, now: float) -> None:
         self.add(frames.TextEntry(now, "/status", frames.as_json(status)))

@@ -16,15 +16,18 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
-from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
-from swarmd.protection.following import FollowingMonitor
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
 
 if TYPE_CHECKING:
+    from swarmd.protection.assumption_monitor import AssumptionMonitor
     from swarmd.protection.barrier import Barrier
+    from swarmd.protection.following import FollowingMonitor
+else:
+    AssumptionMonitor = load_kernel("swarmd.protection.assumption_monitor").AssumptionMonitor
+    FollowingMonitor = load_kernel("swarmd.protection.following").FollowingMonitor
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 _STOPPED = ModeDecision(ZERO, is_active=False)
@@ -132,7 +135,8 @@ class Protection:
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
         if self._monitor is not None and self._is_running:
-            oldest = 0.0 if scan.ages is None else float(scan.ages.max(initial=0.0))
+            ages = scan.ages  # numpy's max takes four times as long
+            oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])
             delay = self._latency + context.scan_delay + oldest
             if text := self._monitor.on_scan(scan.stamp, self._min_gap, delay):
                 self.events.append(text)

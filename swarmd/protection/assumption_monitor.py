@@ -20,21 +20,34 @@ A violation makes the robot slower by `speed_share`, until an operator ends it: 
 later proves the assumption. The share is the measured braking, two deviations to the safe side,
 over the declared one: with it the speed s and braking b keep s / b, the time to stop, in which
 others approach, and shorten the way. For others it is the assumed speed over the measured one.
+
+A kernel (see `core/kernels.py`): each reading of odometry and each command pass it.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection
 from operator import itemgetter
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
-from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Twist
+from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
 from swarmd.protection.settings import BarrierSettings
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Collection
+
+    import cython
+
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import copysign, cos, fabs, remainder, sin, sqrt
+else:
+    from swarmd.core.cython_shadow import copysign, cos, fabs, remainder, sin, sqrt
 
 MIN_SHARE = 0.2
 """The lowest `speed_share`."""
@@ -57,21 +70,29 @@ _STILL = 0.2  # share of the speed before a stop of which each reading has the n
 
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
 _MIN_DROP_TIME = 0.1  # s of declared braking that it takes at least
-_MIN_DROP_SHARE = 0.5  # of the speed: noise of odometry grows with it
-_FOLLOWED = 0.15  # share of the command that the speed may be off it before
+_MIN_DROP_SHARE = cython.declare(
+    cython.double, 0.5
+)  # of the speed: noise of odometry grows with it
+_FOLLOWED = cython.declare(
+    cython.double, 0.15
+)  # share of the command that the speed may be off it before
 _CRUISE, _MIN_CRUISE = 6, 2  # readings before a stop that tell its speed
 _MIN_STEPS = 3  # readings of a stop
-_ENDS = 0.1  # share of the fall that is left when a stop is over
-_RISE = 0.3  # share of the speed by which noise may raise it during a stop
-_MAX_WAIT = 1.5  # s in which a stop is judged
-_MAX_PERIOD = 0.3  # s between two readings
-_RISES = 0.2  # share of the command before a stop by which it may rise again
+_ENDS = cython.declare(cython.double, 0.1)  # share of the fall that is left when a stop is over
+_RISE = cython.declare(
+    cython.double, 0.3
+)  # share of the speed by which noise may raise it during a stop
+_MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
+_MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
+_RISES = cython.declare(
+    cython.double, 0.2
+)  # share of the command before a stop by which it may rise again
 _MAX_COMMANDS = 40
 
-_NEAR = 1.0  # m within which an approach counts
+_NEAR = cython.declare(cython.double, 1.0)  # m within which an approach counts
 _APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans that tell a speed
 _MIN_SCANS = 5  # in that time
-_MAX_GAP_TIME = 0.6  # s between scans
+_MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between scans
 _FASTER = 1.15  # times others_speed: what clearly is faster
 _RANGE_NOISE = 0.01  # m of the nearest range, at least
 _STEADY = 0.03  # m by which a scan may be off an even approach: things appear, and are lost
@@ -81,7 +102,9 @@ _APART, _TOGETHER = 5.0, 600.0  # s between two approaches that are a violation
 _BRAKED = "braked at"
 _UNITS = "m/s2", "rad/s2"
 
-_Step: TypeAlias = tuple[float, float, float]
+_turn = cython.declare(cython.double, math.tau)
+_max_step = cython.declare(cython.double, MAX_STEP)
+_max_speed = cython.declare(cython.double, MAX_SPEED)
 
 
 def axis_of(finding: str) -> str | None:
@@ -91,6 +114,8 @@ def axis_of(finding: str) -> str | None:
     return "angular" if _UNITS[1] in finding else "linear"
 
 
+@cython.final
+@cython.cclass
 class _Stop:
     """A fall of the command in direction `sign`, and what odometry shows from it on.
 
@@ -98,11 +123,20 @@ class _Stop:
     `cruise` and `steps`, before and after it: begin and end by stamps, m or rad moved between.
     """
 
-    def __init__(self, sign: float, begin: float, least: float, at: float, cruise: list[_Step]):
+    sign: cython.double
+    begin: cython.double
+    least: cython.double
+    at: cython.double
+    cruise: list
+    steps: list
+
+    def __init__(self, sign: float, begin: float, least: float, at: float, cruise: list):
         self.sign, self.begin, self.least, self.at = sign, begin, least, at
-        self.cruise, self.steps = cruise, list[_Step]()
+        self.cruise, self.steps = cruise, []
 
 
+@cython.final
+@cython.cclass
 class _Brake:
     """Judges the stops of one axis with a `declared` braking in m/s2 or rad/s2.
 
@@ -110,12 +144,26 @@ class _Brake:
     declared, or measured and weaker. `evidence`: how it was measured; empty without a violation.
     """
 
+    declared: cython.double
+    braking: cython.double
+    evidence: object
+    _unit: object
+    _min_drop: cython.double
+    _stop: _Stop
+    _command: cython.double  # the last one
+    _commands: object
+    _cruise: object
+    _variance: cython.double
+    _freedom: cython.double
+    _sum: cython.double
+    _stops: cython.Py_ssize_t
+    _misfits: object
+
     def __init__(self, declared: float, min_drop: float, unit: str) -> None:
         self.declared, self._unit = declared, unit
         self._min_drop = max(min_drop, _MIN_DROP_TIME * declared)
-        self._stop: _Stop | None = None
         self._commands = deque([(-math.inf, 0.0)], _MAX_COMMANDS)  # stamps and speeds
-        self._cruise: deque[_Step] = deque(maxlen=_CRUISE)  # in which the base followed
+        self._cruise = deque(maxlen=_CRUISE)  # steps in which the base followed
         self._variance, self._freedom = _SLIP**2, _SLIP_FREEDOM  # of a reading, as a share of it
         self.forget()
 
@@ -128,57 +176,66 @@ class _Brake:
         """Drop the stop under way: the clock of odometry was set, or its pose has jumped."""
         self._stop = None
         self._cruise.clear()
-        self._commands = deque([(-math.inf, self._commands[-1][1])], _MAX_COMMANDS)
+        self._commands = deque([(-math.inf, self._command)], _MAX_COMMANDS)
 
     def _begin(self) -> None:
         self._sum, self._stops = 0.0, 0
         self._misfits = np.zeros(len(_SHARES))
 
-    def on_command(self, command: float, speed: float, stamp: float) -> bool:
+    @cython.ccall
+    def on_command(
+        self, command: cython.double, speed: cython.double, stamp: cython.double
+    ) -> cython.bint:
         """The command changes; `speed` was measured last, at `stamp`. True: a violation."""
-        before = self._commands[-1][1]
+        before: cython.double = self._command
+        level: cython.double
         if command == before:
             return False
+        self._command = command
         self._commands.append((stamp, command))
-        stop = self._stop
+        stop: _Stop = self._stop
         if stop is not None:
             level = max(stop.sign * command, 0.0)
             stop.least = min(level, stop.least)
             return level > stop.least + _RISES * stop.begin and self._end()
         if (before - command if before > 0.0 else command - before) < self._min_drop:
             return False
-        begin = abs(before)
-        level = max(math.copysign(1.0, before) * command, 0.0)
+        begin: cython.double = fabs(before)
+        sign: cython.double = copysign(1.0, before)
+        level = max(sign * command, 0.0)
         if begin - level < self._min_drop or begin - level < _MIN_DROP_SHARE * begin:
             return False
-        if abs(speed - before) <= _FOLLOWED * begin and len(self._cruise) >= _MIN_CRUISE:
-            sign = math.copysign(1.0, before)
+        if fabs(speed - before) <= _FOLLOWED * begin and len(self._cruise) >= _MIN_CRUISE:
             self._stop = _Stop(sign, begin, level, stamp, list(self._cruise))
         self._cruise.clear()
         return False
 
-    def on_step(self, begin: float, end: float, way: float) -> bool:
+    @cython.ccall
+    def on_step(self, begin: cython.double, end: cython.double, way: cython.double) -> cython.bint:
         """The base moved by `way` between two stamps. True: a violation."""
-        stop, period = self._stop, end - begin
+        stop: _Stop = self._stop
+        period: cython.double = end - begin
         if stop is None:
-            wanted = self._commands[-1][1] * period
-            if wanted == 0.0 or abs(way - wanted) > _FOLLOWED * abs(wanted):
-                self._cruise.clear()
+            wanted: cython.double = self._command * period
+            if wanted == 0.0 or fabs(way - wanted) > _FOLLOWED * fabs(wanted):
+                if self._cruise:
+                    self._cruise.clear()
             else:
                 self._cruise.append((begin, end, way))
             return False
         stop.steps.append((begin, end, way))
-        speed = stop.sign * way / period
+        speed: cython.double = stop.sign * way / period
         if speed > (1.0 + _RISE) * stop.begin or period > _MAX_PERIOD:
             self._stop = None  # another robot pushed it, or odometry was lost
             return False
-        is_done = speed - stop.least <= _ENDS * (stop.begin - stop.least)
+        is_done: cython.bint = speed - stop.least <= _ENDS * (stop.begin - stop.least)
         return (is_done or end - stop.at > _MAX_WAIT) and self._end()
 
-    def _end(self) -> bool:
+    @cython.cfunc
+    def _end(self) -> cython.bint:
         """Judge the stop, which is over."""
-        stop, self._stop = self._stop, None
-        assert stop is not None
+        stop: _Stop = self._stop
+        self._stop = None
         self._cruise.clear()
         if len(stop.steps) < _MIN_STEPS:
             return False
@@ -222,9 +279,7 @@ class _Brake:
         return True
 
 
-def _misfits(
-    stop: _Stop, commands: list[tuple[float, float]], declared: float
-) -> tuple[Array, float]:
+def _misfits(stop: _Stop, commands: list, declared: float):
     """What each share of the declared braking leaves unexplained, and the degrees of freedom.
 
     (s,) sums of squares over the squared ways, for the best delay and scale of the speeds that the
@@ -240,28 +295,33 @@ def _misfits(
     seen = float(ways[:count].sum() / periods[:count].sum())
     times = rows[:, :1] + _PARTS * periods[:, None]  # (n, parts)
     rates = _SHARES * declared * stop.begin / seen  # in units of the command
+    share = np.arange(len(rates))[:, None, None, None]
+    # By command and share: the speed at its stamp, of a base that brakes from the commands before.
+    stamps, levels = np.concatenate(([-np.inf], stamps)), np.concatenate(([0.0], levels))
+    before = np.zeros((len(stamps), len(rates)))
+    for k in range(2, len(stamps)):
+        fall = rates * (stamps[k] - stamps[k - 1])
+        before[k] = np.maximum(levels[k - 1], before[k - 1] - fall)
     weights = 1.0 / (ways**2 + (_STILL * seen * periods) ** 2)
 
-    def left(delays: Array) -> Array:
+    def left(delays):
         """(s, d) sums of squares for `delays` (s or 1, d)."""
         since = times - delays[..., None, None]
-        speeds = np.zeros((len(rates), *since.shape[1:]))
-        for k, (stamp, level) in enumerate(zip(stamps, levels, strict=True)):
-            held = np.where(since >= stamp, level, -np.inf)
-            if k + 1 < len(stamps):
-                braked = rates[:, None, None, None] * np.maximum(since - stamps[k + 1], 0.0)
-                held = held - braked
-            np.maximum(speeds, held, out=speeds)
-        modelled = speeds.mean(axis=-1) * periods
+        index = stamps.searchsorted(since, side="right") - 1
+        braked = before[index, share] - rates[share] * (since - stamps[index])
+        speeds = np.maximum(levels[index], braked)
+        # Means of two parts; numpy's own, along a short axis, takes as long as all the rest.
+        modelled = 0.5 * (speeds[..., 0] + speeds[..., 1]) * periods
         both, own = modelled @ (weights * ways), modelled**2 @ weights
         # The scale of least squares: odometry and base may be off by a few percent.
-        least: Array = float(weights @ ways**2) - both**2 / np.maximum(own, 1e-12)
-        return least
+        return float(weights @ ways**2) - both**2 / np.maximum(own, 1e-12)
 
     rough = _DELAYS[left(_DELAYS[None]).argmin(axis=1)]
     return left(rough[:, None] + _NEAR_DELAYS).min(axis=1), max(len(ways) - 3.0, 1.0)
 
 
+@cython.final
+@cython.cclass
 class AssumptionMonitor:
     """Watches braking and the speed of others for one robot.
 
@@ -269,20 +329,36 @@ class AssumptionMonitor:
     [MIN_SHARE, 1]: the share of the safe command that the base may get.
     """
 
+    speed_share = cython.declare(cython.double, visibility="readonly")
+    _settings: object
+    _radius: cython.double
+    _linear: _Brake
+    _angular: _Brake
+    _command: object
+    # The last reading: its stamp, pose and speeds.
+    _stamp: cython.double
+    _x: cython.double
+    _y: cython.double
+    _yaw: cython.double
+    _speed: cython.double
+    _rate: cython.double
+    _moved: cython.double  # m that any corner may have moved so far
+    _ways: object  # stamps of odometry, and that
+    # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
+    _scans: object
+    _others: object
+    _others_share: cython.double
+    _approaches: object  # stamps, m/s and deviations
+
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
         self._settings = settings
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
         self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
-        self._command, self._odometry = ZERO, Odometry(-math.inf, Pose(), ZERO)
-        self._moved = 0.0  # m that any corner may have moved so far
-        self._ways: deque[tuple[float, float]] = deque(maxlen=64)  # stamps of odometry, and that
-        # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
-        self._scans: deque[tuple[float, float, float, float]] = deque(maxlen=64)
-        self._others, self._others_share = "", 1.0
-        self._approaches: deque[tuple[float, float, float]] = deque()  # stamps, m/s and deviations
-        self.speed_share = 1.0
+        self._command, self._stamp = ZERO, -math.inf
+        self._ways, self._scans, self._approaches = deque(maxlen=64), deque(maxlen=64), deque()
+        self._others, self._others_share, self.speed_share = "", 1.0, 1.0
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -292,6 +368,7 @@ class AssumptionMonitor:
 
     def forget(self, findings: Collection[str]) -> None:
         """End these of the findings: what they name counts as declared, and is watched anew."""
+        brake: _Brake
         for brake in (self._linear, self._angular):
             if brake.evidence in findings:
                 brake.forget()
@@ -305,35 +382,40 @@ class AssumptionMonitor:
         if command is self._command:
             return ""
         self._command = command
-        measured, stamp = self._odometry.twist, self._odometry.stamp
-        return self._braked(
-            self._linear.on_command(command.linear, measured.linear, stamp),
-            self._angular.on_command(command.angular, measured.angular, stamp),
-        )
+        is_linear: cython.bint = self._linear.on_command(command.linear, self._speed, self._stamp)
+        is_angular: cython.bint = self._angular.on_command(command.angular, self._rate, self._stamp)
+        return self._braked(is_linear, is_angular) if is_linear or is_angular else ""
 
     def on_odometry(self, odometry: Odometry) -> str:
         """A reading arrived."""
-        last, self._odometry = self._odometry, odometry
-        if odometry.stamp < last.stamp or odometry.jumps_from(last):
+        pose, twist = odometry.pose, odometry.twist
+        begin: cython.double = self._stamp
+        end: cython.double = odometry.stamp
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        dx: cython.double = x - self._x
+        dy: cython.double = y - self._y
+        turned: cython.double = remainder(yaw - self._yaw, _turn)
+        middle: cython.double = self._yaw + 0.5 * turned
+        moved: cython.double = sqrt(dx * dx + dy * dy)
+        self._stamp, self._x, self._y, self._yaw = end, x, y, yaw
+        self._speed, self._rate = twist.linear, twist.angular
+        if end < begin or max(moved, fabs(turned)) > _max_step + _max_speed * (end - begin):
             self._linear.interrupt()
             self._angular.interrupt()
             self._ways.clear()
             self._scans.clear()
             return ""
-        if odometry.stamp == last.stamp or last.stamp == -math.inf:
+        if end == begin or begin == -math.inf:
             return ""
-        pose, before = odometry.pose, last.pose
-        begin, end = last.stamp, odometry.stamp
-        turned = math.remainder(pose.yaw - before.yaw, math.tau)
-        dx, dy = pose.x - before.x, pose.y - before.y
         if dx or dy or turned:
-            self._moved += math.hypot(dx, dy) + self._radius * abs(turned)
+            self._moved += moved + self._radius * fabs(turned)
         self._ways.append((end, self._moved))
-        middle = before.yaw + 0.5 * turned
-        way = math.cos(middle) * dx + math.sin(middle) * dy
-        return self._braked(
-            self._linear.on_step(begin, end, way), self._angular.on_step(begin, end, turned)
-        )
+        way: cython.double = cos(middle) * dx + sin(middle) * dy
+        is_linear: cython.bint = self._linear.on_step(begin, end, way)
+        is_angular: cython.bint = self._angular.on_step(begin, end, turned)
+        return self._braked(is_linear, is_angular) if is_linear or is_angular else ""
 
     def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
         """A scan arrived, with its own stamp in s and the gap to its nearest return in m.
@@ -345,7 +427,7 @@ class AssumptionMonitor:
             scans.clear()
         if gap is None or gap > _NEAR:
             return ""
-        scans.append((stamp, gap, self._moved_until(self._odometry.stamp - delay), self._moved))
+        scans.append((stamp, gap, self._moved_until(self._stamp - delay), self._moved))
         while stamp - scans[0][0] > _APPROACH:
             scans.popleft()
         is_apart = not self._approaches or stamp - self._approaches[-1][0] >= _APART
@@ -392,14 +474,14 @@ class AssumptionMonitor:
         return ways[0][1] if ways else self._moved
 
     def _braked(self, is_linear: bool, is_angular: bool) -> str:
-        """The event of the axes that have just violated their braking; empty without any."""
-        if not (is_linear or is_angular):
-            return ""
+        """The event of the axes that have just violated their braking."""
         found = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
         return self._reduced("; ".join(found))
 
     def _reduce(self) -> None:
-        brakes = (brake.braking / brake.declared for brake in (self._linear, self._angular))
+        linear: _Brake = self._linear
+        angular: _Brake = self._angular
+        brakes = linear.braking / linear.declared, angular.braking / angular.declared
         self.speed_share = max(min(self._others_share, *brakes), MIN_SHARE)
 
     def _reduced(self, text: str) -> str:

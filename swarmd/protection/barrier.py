@@ -306,6 +306,11 @@ class Barrier:
     _axis_y: cython.double[::1]
     _origin: cython.double[::1]
     _length: cython.double[::1]
+    _is_box: cython.bint  # a rectangle along the axes, between these places
+    _front: cython.double
+    _rear: cython.double
+    _left: cython.double
+    _right: cython.double
     # A chunk of points, for loops that a compiler vectorises: places, what must stay free, age and
     # radius; what separates them from the outline; and a row of each.
     _at_x: cython.double[64]
@@ -418,6 +423,7 @@ class Barrier:
     _creep_cap: cython.double
     _is_creeping: cython.bint
     _source: cython.longlong[::1]
+    _ranked: cython.Py_ssize_t[4]  # rows to report
     # Two envelopes: while creeping and else.
     _envelope_x: cython.double[:, ::1]
     _envelope_y: cython.double[:, ::1]
@@ -499,6 +505,12 @@ class Barrier:
         self._corner_x, self._corner_y = (_view(column) for column in outline.corners.T)
         self._axis_x, self._axis_y = (_view(column) for column in outline.axes.T)
         self._origin, self._length = _view(outline.origins), _view(outline.lengths)
+        (self._rear, self._right), (self._front, self._left) = (
+            outline.corners.min(axis=0),
+            outline.corners.max(axis=0),
+        )
+        is_along = np.isin(outline.axes, (-1.0, 0.0, 1.0)).all()
+        self._is_box = self._edges == 4 and bool(is_along)
         self._readings = _doubles(7 * HISTORY)
         self._taken = -_inf
         self._directions = self._told = self._touch_table = _NO_ROWS
@@ -1033,16 +1045,21 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _sort(self, count: cython.Py_ssize_t) -> cython.int:
-        """Merge sort: the order of rising gaps; equal gaps keep their order."""
+        """Merge sort of runs that are sorted by insertion; equal gaps keep their order."""
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         first: cython.Py_ssize_t
         middle: cython.Py_ssize_t
         end: cython.Py_ssize_t
+        run: cython.Py_ssize_t = 8
         for i in range(count):
-            self._order[i] = i
-        run: cython.Py_ssize_t = 1
+            gap: cython.double = self._found_gap[i]
+            first, j = i - i % run, i
+            while j > first and self._found_gap[self._order[j - 1]] > gap:
+                self._order[j] = self._order[j - 1]
+                j -= 1
+            self._order[j] = i
         while run < count:
             first = 0
             while first < count:
@@ -1070,6 +1087,7 @@ class Barrier:
         """Buffers for so many points of a scan."""
         if self._x is not None and len(self._x) >= count:
             return 0
+        count += count // 2
         self._x, self._y, self._gap = _doubles(count), _doubles(count), _doubles(count)
         self._found_x, self._found_y = _doubles(count), _doubles(count)
         self._age, self._found_gap, self._found_age = (
@@ -1086,6 +1104,7 @@ class Barrier:
         """Buffers for so many points of a decision."""
         if self._placed_x is not None and len(self._placed_x) >= count:
             return 0
+        count += count // 2  # or they would be made anew with each point more
         self._placed_x, self._placed_y = _doubles(count), _doubles(count)
         self._placed_gap, self._placed_free = _doubles(count), _doubles(count)
         self._placed_age, self._radius_of = _doubles(count), _doubles(count)
@@ -1100,10 +1119,19 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
     def _gap_of(self, x: cython.double, y: cython.double) -> cython.double:
-        """The distance in m from the outline to a point; 0 for a point inside."""
+        """The distance in m from the outline to a point; 0 for a point inside.
+
+        A rectangle along the axes needs fewer operations, which round otherwise by 1e-16.
+        """
         k: cython.Py_ssize_t
         edges: cython.Py_ssize_t = self._edges
         least: cython.double = _inf
+        if self._is_box and x == x and y == y:
+            ahead: cython.double = x - self._front if x > self._front else self._rear - x
+            aside: cython.double = y - self._left if y > self._left else self._right - y
+            ahead = ahead if ahead > 0.0 else 0.0
+            aside = aside if aside > 0.0 else 0.0
+            return sqrt(aside * aside + ahead * ahead)
         for k in range(edges):
             above: cython.double = (
                 self._axis_x[edges + k] * x + self._axis_y[edges + k] * y - self._origin[edges + k]
@@ -1338,7 +1366,6 @@ class Barrier:
         count: cython.Py_ssize_t = 0
         while count < self._points and not (self._gap[count] >= furthest):
             count += 1
-        self._count = count
         contacts: cython.Py_ssize_t = min(self._contacts, count)
         touch_rows: cython.Py_ssize_t = len(self._touch_table) if self._has_touch else 0
         self._reserve_placed(count + self._discs)
@@ -1347,21 +1374,29 @@ class Barrier:
         )
         self._rows = 0
         i: cython.Py_ssize_t
-        first: cython.Py_ssize_t
-        for first in range(0, count, _CHUNK):
-            n: cython.Py_ssize_t = min(_CHUNK, count - first)
-            for i in range(n):
-                x: cython.double = self._x[first + i]
-                y: cython.double = self._y[first + i]
-                self._at_x[i] = frame_x + c * x - s * y
-                self._at_y[i] = frame_y + s * x + c * y
-                self._at_free[i], self._at_age[i] = self._free, age + self._age[first + i]
-                self._at_radius[i] = 0.0
+        first: cython.Py_ssize_t = 0
+        point: cython.Py_ssize_t = 0
+        while point < count:
+            i = 0
+            while point < count and i < _CHUNK:
+                # What a later ray has seen has come less near since: a tenth of the points is out.
+                if not (self._gap[point] >= self._binding_range(age + self._age[point])):
+                    x: cython.double = self._x[point]
+                    y: cython.double = self._y[point]
+                    self._at_x[i] = frame_x + c * x - s * y
+                    self._at_y[i] = frame_y + s * x + c * y
+                    self._at_free[i], self._at_age[i] = self._free, age + self._age[point]
+                    self._at_radius[i] = 0.0
+                    i += 1
+                point += 1
+            n: cython.Py_ssize_t = i
             self._add_points(first, n, self._blind)
             if self._unseen_extent > 0.0:
                 self._add_corners(first, max(contacts - first, 0), n)
             if self._keep_out == self._keep_out:
                 self._add_keep_out(first, n)
+            first += n
+        self._count = count = first
         for i in range(contacts):
             self._row_cap[self._first_row[i]] = 0.0
             nx: cython.double = c * self._ray_x[i] - s * self._ray_y[i]
@@ -1417,17 +1452,32 @@ class Barrier:
             braking: cython.double = _braking(linear, lever[j], slowing, turning)
             cap[j] = _cap(gap[j] - free[j], braking, age[j], others, is_passive)
             new_x[j], new_y[j] = linear * limit, lever[j] * angular_limit
+        end: cython.Py_ssize_t = first + count
+        placed_x: cython.p_double = _first(self._placed_x, end)
+        placed_y: cython.p_double = _first(self._placed_y, end)
+        placed_free: cython.p_double = _first(self._placed_free, end)
+        placed_age: cython.p_double = _first(self._placed_age, end)
+        placed_contact: cython.p_double = _first(self._placed_contact, end)
+        placed_gap: cython.p_double = _first(self._placed_gap, end)
+        normal_x: cython.p_double = _first(self._normal_x, end)
+        normal_y: cython.p_double = _first(self._normal_y, end)
+        radius_of: cython.p_double = _first(self._radius_of, end)
+        row_x: cython.p_double = _first(self._row_x, at + count)
+        row_y: cython.p_double = _first(self._row_y, at + count)
+        row_cap: cython.p_double = _first(self._row_cap, at + count)
+        row_gap: cython.p_double = _first(self._row_gap, at + count)
         for j in range(count):
             i = first + j
-            self._placed_x[i], self._placed_y[i] = self._at_x[j], self._at_y[j]
-            self._placed_free[i], self._placed_age[i] = free[j], age[j]
-            self._placed_contact[i] = free[j] + self._at_hidden[j]
-            self._normal_x[i], self._normal_y[i], self._placed_gap[i] = nx[j], ny[j], gap[j]
-            self._radius_of[i], self._first_row[i] = self._at_radius[j], at
-            self._row_x[at], self._row_y[at], self._row_cap[at] = new_x[j], new_y[j], cap[j]
-            self._row_gap[at], self._source[at] = gap[j] - self._at_radius[j], i
-            at += 1
-        self._rows = at
+            placed_x[i], placed_y[i] = self._at_x[j], self._at_y[j]
+            placed_free[i], placed_age[i] = free[j], age[j]
+            placed_contact[i] = free[j] + self._at_hidden[j]
+            normal_x[i], normal_y[i], placed_gap[i] = nx[j], ny[j], gap[j]
+            radius_of[i] = self._at_radius[j]
+            row_x[at + j], row_y[at + j], row_cap[at + j] = new_x[j], new_y[j], cap[j]
+            row_gap[at + j] = gap[j] - self._at_radius[j]
+        for j in range(count):
+            self._first_row[first + j], self._source[at + j] = at + j, first + j
+        self._rows = at + count
         return self._add_sides(first, count)
 
     @cython.cfunc
@@ -1683,12 +1733,14 @@ class Barrier:
             self._find_envelope(which, CREEP_SPEED if which == 0 else self._surface_speed)
             self._envelope_along_x[which] = self._along_x
             self._envelope_along_y[which] = self._along_y
-        self._all = self._rows
+        at: cython.Py_ssize_t = self._rows
+        self._all = at + len(self._way_x)
+        row_x: cython.p_double = _first(self._row_x, self._all)
+        row_y: cython.p_double = _first(self._row_y, self._all)
+        row_cap: cython.p_double = _first(self._row_cap, self._all)
         for i in range(len(self._way_x)):
-            self._row_x[self._all] = self._envelope_x[which, i]
-            self._row_y[self._all] = self._envelope_y[which, i]
-            self._row_cap[self._all] = self._envelope_cap[which, i]
-            self._all += 1
+            row_x[at + i], row_y[at + i] = self._envelope_x[which, i], self._envelope_y[which, i]
+            row_cap[at + i] = self._envelope_cap[which, i]
         return 0
 
     @cython.cfunc
@@ -1732,6 +1784,7 @@ class Barrier:
     def _reserve_rows(self, count: cython.Py_ssize_t) -> cython.int:
         if self._row_x is not None and len(self._row_x) >= count:
             return 0
+        count += count // 2
         self._row_x, self._row_y = _doubles(count), _doubles(count)
         self._row_cap, self._row_gap = _doubles(count), _doubles(count)
         self._kept_cap = _doubles(count)
@@ -1750,23 +1803,25 @@ class Barrier:
         violates no other is nearest within all. Each polygon contains the origin.
         """
         i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._all
         first: cython.Py_ssize_t
         worst: cython.Py_ssize_t
         self._poly_x[0] = self._poly_x[1] = self._poly_y[1] = self._poly_y[2] = 1.0
         self._poly_x[2] = self._poly_x[3] = self._poly_y[0] = self._poly_y[3] = -1.0
         self._sides = 4
-        row_x: cython.p_double = _first(self._row_x, self._all)
-        row_y: cython.p_double = _first(self._row_y, self._all)
-        row_cap: cython.p_double = _first(self._row_cap, self._all)
+        row_x: cython.p_double = _first(self._row_x, n)
+        row_y: cython.p_double = _first(self._row_y, n)
+        row_cap: cython.p_double = _first(self._row_cap, n)
         over: cython.p_double = self._new_gap
         self._nearest(x, y)
-        for _ in range(self._all):
+        for _ in range(n):
             worst = 0
             most: cython.double = -_inf
             px: cython.double = self._point_x
             py: cython.double = self._point_y
-            for first in range(0, self._all, _CHUNK):
-                count: cython.Py_ssize_t = min(_CHUNK, self._all - first)
+            first = 0
+            while first < n:
+                count: cython.Py_ssize_t = min(_CHUNK, n - first)
                 for i in range(count):
                     over[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
                 for i in range(count):
@@ -1776,9 +1831,10 @@ class Barrier:
                             break
                 if most != most:
                     break
+                first += count
             if most <= TOLERANCE:
                 break
-            self._clip(self._row_x[worst], self._row_y[worst], self._row_cap[worst])
+            self._clip(row_x[worst], row_y[worst], row_cap[worst])
             self._nearest(x, y)
         return 0
 
@@ -1906,8 +1962,11 @@ class Barrier:
     def _is_feasible(self, x: cython.double, y: cython.double) -> cython.int:
         """1 if a point violates no row."""
         i: cython.Py_ssize_t
+        row_x: cython.p_double = _first(self._row_x, self._all)
+        row_y: cython.p_double = _first(self._row_y, self._all)
+        row_cap: cython.p_double = _first(self._row_cap, self._all)
         for i in range(self._all):
-            if not (self._row_x[i] * x + self._row_y[i] * y - self._row_cap[i] <= TOLERANCE):
+            if not (row_x[i] * x + row_y[i] * y - row_cap[i] <= TOLERANCE):
                 return 0
         return 1
 
@@ -1925,6 +1984,8 @@ class Barrier:
         v: cython.double = fabs(s)
         turning: cython.double = fabs(w)
         for k in range(3):  # both brakes as assumed, then one of them ideal
+            if (k == 1 and v == 0.0) or (k == 2 and turning == 0.0):
+                continue  # the brake of a speed of 0 changes nothing
             slow: cython.double = 0.0 if k == 1 else v / self._braking_linear
             until: cython.double = 0.0 if k == 2 else turning / self._braking_angular
             last: cython.double = _tick + (until if until > slow else slow)
@@ -2085,8 +2146,9 @@ class Barrier:
         bearing of a place at the axle is 0.
         """
         i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
         tight: cython.Py_ssize_t = 0
-        found: list = []
+        found: cython.Py_ssize_t = 0
         row_x: cython.p_double = _first(self._row_x, self._all)
         row_y: cython.p_double = _first(self._row_y, self._all)
         row_cap: cython.p_double = _first(self._row_cap, self._all)
@@ -2096,16 +2158,17 @@ class Barrier:
             if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
                 tight += 1
                 if i < self._rows:
-                    self._rank(found, i)
+                    found = self._rank(found, i)
         points: cython.Py_ssize_t = self._count + self._discs
         if tight == 0 and points:  # limited by the stop alone: the nearest obstacle
             nearest: cython.Py_ssize_t = self._first_row[0]
             for i in range(1, points):
                 if self._row_gap[self._first_row[i]] < self._row_gap[nearest]:
                     nearest = self._first_row[i]
-            self._rank(found, nearest)
+            found = self._rank(found, nearest)
         shown: list = []
-        for i in found:
+        for k in range(found):
+            i = self._ranked[k]
             point: cython.Py_ssize_t = self._source[i]
             radius: cython.double = self._radius_of[point]
             x = self._placed_x[point] - radius * self._normal_x[point]
@@ -2116,25 +2179,28 @@ class Barrier:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _rank(self, found: list, row: cython.Py_ssize_t) -> cython.int:
-        """Insert a row among those with the lowest caps, and of these the smallest gaps."""
+    def _rank(self, count: cython.Py_ssize_t, row: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """Insert a row among `count` with the lowest caps, and of these the smallest gaps."""
         cap: cython.double = self._row_cap[row]
         gap: cython.double = self._row_gap[row]
         if not gap < _inf:
-            return 0
-        at: cython.Py_ssize_t = len(found)
+            return count
+        at: cython.Py_ssize_t = count
         other: cython.Py_ssize_t
         while at > 0:
-            other = found[at - 1]
+            other = self._ranked[at - 1]
             if self._row_cap[other] < cap or (
                 self._row_cap[other] == cap and self._row_gap[other] <= gap
             ):
                 break
             at -= 1
-        if at < MAX_REPORTED:
-            found.insert(at, row)
-            del found[MAX_REPORTED:]
-        return 0
+        if at == MAX_REPORTED:
+            return count
+        count = min(count + 1, MAX_REPORTED)
+        for other in range(count - 1, at, -1):
+            self._ranked[other] = self._ranked[other - 1]
+        self._ranked[at] = row
+        return count
 
 
 def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:

@@ -6,23 +6,34 @@ braking. A base does not follow its commands if its speed is outside these bound
 by more than SLIP times the commanded speed.
 
 The comparison changes no motion: a reflex, a stuck wheel and another node that drives look alike.
+A kernel (see `core/kernels.py`): each reading of odometry and each command pass it.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from swarmd.core.values import ZERO, Odometry, Platform, Twist
+from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
 from swarmd.protection.settings import BarrierSettings
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import cos, fabs, remainder, sin, sqrt
+else:
+    from swarmd.core.cython_shadow import cos, fabs, remainder, sin, sqrt
 
 MIN_DURATION = 0.7
 """Seconds for which the speed must be outside the bounds."""
-WINDOW = 1.0
+WINDOW = cython.declare(cython.double, 1.0)
 """Seconds for which a command counts for the fast base."""
-DELAY = 0.3
+DELAY = cython.declare(cython.double, 0.3)
 """Seconds after a command at which the slow base begins to respond."""
 SLIP = 0.5
 """Share of the commanded speed by which the speed may be outside the bounds."""
@@ -31,14 +42,38 @@ SLIP = 0.5
 _LEAST = 0.05, 0.25, 0.05
 _BRAKING = 1.0, 3.0  # m/s2 and rad/s2 where the platform declares none
 _SLOW = 0.25  # share of the declared braking
-_MAX_PERIOD = 0.3  # s between two readings
+_MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
 _MIN_READINGS = 4
 _UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
 
+_turn = cython.declare(cython.double, math.tau)
+_max_step = cython.declare(cython.double, MAX_STEP)
+_max_speed = cython.declare(cython.double, MAX_SPEED)
 
+
+@cython.final
+@cython.cclass
 class _Axis:
     """Commands and motion of one axis; times are stamps of odometry in s."""
+
+    text = cython.declare(object, visibility="readonly")
+    _least: cython.double
+    _acceleration: cython.double
+    _unit: object
+    _early: object
+    _later: object
+    # What a reading asks them: the last early command and its stamp, the first later one's, and
+    # that of the second early one, after which the first one may go; inf where there is none.
+    _held: cython.double
+    _held_since: cython.double
+    _next: cython.double
+    _second: cython.double
+    _slow: cython.double
+    _command: cython.double
+    _begun: cython.double
+    _off_since: cython.double
+    _readings: cython.Py_ssize_t
 
     def __init__(self, least: float, acceleration: float, unit: str) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
@@ -46,48 +81,70 @@ class _Axis:
         self._early, self._later = deque[tuple[float, float]](), deque[tuple[float, float]]()
         self.reset(0.0, -math.inf)
 
-    def reset(self, command: float, stamp: float) -> None:
+    @cython.ccall
+    def reset(self, command: cython.double, stamp: cython.double):
         """Begin again; for WINDOW, the base may be at any speed."""
         self._early.clear()
         self._later.clear()
         self._early.append((stamp, command))
         self._slow = self._command = command
+        self._look_up()
         self._begun = stamp
-        self._off_since, self._readings = math.inf, 0
-        self.text = ""
+        self._off_since, self._readings, self.text = math.inf, 0, ""
 
-    def on_command(self, command: float, stamp: float) -> None:
+    @cython.ccall
+    def on_command(self, command: cython.double, stamp: cython.double):
         """The command changes after the reading at `stamp`."""
         if command != self._command:
             self._command = command
             self._later.append((stamp, command))
+            self._look_up()
 
-    def on_reading(self, period: float, stamp: float, speeds: tuple[float, float]) -> None:
-        """The base moved at one of these speeds, by its twist and by its pose, for `period` s."""
+    @cython.cfunc
+    def _look_up(self):
+        early, later = self._early, self._later
+        self._held_since, self._held = early[-1]
+        self._next = later[0][0] if later else math.inf
+        self._second = early[1][0] if len(early) > 1 else math.inf
+
+    @cython.ccall
+    def on_reading(
+        self,
+        period: cython.double,
+        stamp: cython.double,
+        one: cython.double,
+        other: cython.double,
+    ):
+        """The base moved at one of two speeds, by its twist and by its pose, for `period` s."""
         early, later = self._early, self._later
         # Commands have the stamp of the reading before, and hold from the end of a period on.
-        begin = stamp - DELAY - 2.0 * period
-        while later and later[0][0] <= begin:
-            early.append(later.popleft())
-        while len(early) > 1 and early[-1][0] > begin:  # the period has grown
-            later.appendleft(early.pop())
-        while len(early) > 1 and early[1][0] <= stamp - WINDOW:
-            early.popleft()
-        step, off = self._acceleration * period, early[-1][1] - self._slow
+        begin: cython.double = stamp - DELAY - 2.0 * period
+        if self._next <= begin or self._held_since > begin or self._second <= stamp - WINDOW:
+            while later and later[0][0] <= begin:
+                early.append(later.popleft())
+            while len(early) > 1 and early[-1][0] > begin:  # the period has grown
+                later.appendleft(early.pop())
+            while len(early) > 1 and early[1][0] <= stamp - WINDOW:
+                early.popleft()
+            self._look_up()
+        step: cython.double = self._acceleration * period
+        off: cython.double = self._held - self._slow
         self._slow += -step if off < -step else step if off > step else off
         # Mostly the speed is near the last command and the slow base: the bounds are no narrower.
-        low, high, least = self._slow, self._command, self._least
+        low: cython.double = self._slow
+        high: cython.double = self._command
+        least: cython.double = self._least
         if low > high:
             low, high = high, low
-        one, other = speeds
         if low - least <= one <= high + least or low - least <= other <= high + least:
             self._off_since, self._readings, self.text = math.inf, 0, ""
             return
-        values = [self._slow, *(command for _, command in (*early, *later))]
+        values = [self._slow, *[command for _, command in (*early, *later)]]
         low, high = min(values), max(values)
-        allowed = max(least, SLIP * max(abs(low), abs(high)))
-        measured = min(speeds, key=lambda speed: max(low - speed, speed - high))
-        is_off = not low - allowed <= measured <= high + allowed
+        allowed: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
+        is_nearer: cython.bint = max(low - other, other - high) < max(low - one, one - high)
+        measured: cython.double = other if is_nearer else one
+        is_off: cython.bint = not low - allowed <= measured <= high + allowed
         if not is_off or stamp - self._begun < WINDOW:
             self._off_since, self._readings, self.text = math.inf, 0, ""
             return
@@ -102,6 +159,8 @@ class _Axis:
             )
 
 
+@cython.final
+@cython.cclass
 class FollowingMonitor:
     """Watches whether the base of one robot follows its safe commands while it runs.
 
@@ -109,63 +168,80 @@ class FollowingMonitor:
     `text`: how it does not; empty while it does.
     """
 
+    text = cython.declare(object, visibility="readonly")
+    _linear: _Axis
+    _angular: _Axis
+    _lateral: _Axis
+    _is_lateral: cython.bint
+    _command: object
+    _has_last: cython.bint
+    _stamp: cython.double  # of the last reading, and its pose
+    _x: cython.double
+    _y: cython.double
+    _yaw: cython.double
+
     def __init__(self, platform: Platform) -> None:
         braking, given = _BRAKING, platform.protection.get("barrier")
         if given is not None:
             settings = msgspec.convert(given, BarrierSettings)
             braking = settings.braking_linear, settings.braking_angular
         linear, angular = (_SLOW * one for one in braking)
-        axes = map(_Axis, _LEAST, (linear, angular, linear), _UNITS)
-        self._linear, self._angular, lateral = axes
-        self._lateral = lateral if platform.limits.lateral > 0.0 else None
-        self._command = ZERO
-        self._odometry: Odometry | None = None
-        self.text = ""
+        self._linear = _Axis(_LEAST[0], linear, _UNITS[0])
+        self._angular = _Axis(_LEAST[1], angular, _UNITS[1])
+        self._lateral = _Axis(_LEAST[2], linear, _UNITS[2])
+        self._is_lateral = platform.limits.lateral > 0.0
+        self._command, self.text = ZERO, ""
 
     def reset(self) -> None:
         """Drop the last command and reading, as for a robot that does not run."""
-        if self._odometry is None:
-            return
-        self._odometry, self._command, self.text = None, ZERO, ""
+        if self._has_last:
+            self._has_last, self._command, self.text = False, ZERO, ""
 
     def on_command(self, command: Twist) -> None:
         """The safe command that the driver gets."""
         if command is self._command:
             return
         self._command = command
-        if self._odometry is not None:
-            stamp = self._odometry.stamp
-            self._linear.on_command(command.linear, stamp)
-            self._angular.on_command(command.angular, stamp)
-            if self._lateral is not None:
-                self._lateral.on_command(command.lateral, stamp)
+        if self._has_last:
+            self._linear.on_command(command.linear, self._stamp)
+            self._angular.on_command(command.angular, self._stamp)
+            if self._is_lateral:
+                self._lateral.on_command(command.lateral, self._stamp)
 
     def on_odometry(self, odometry: Odometry) -> None:
         """A reading arrived."""
-        last, self._odometry = self._odometry, odometry
-        if last is not None and odometry.stamp == last.stamp:
+        pose, twist = odometry.pose, odometry.twist
+        stamp: cython.double = odometry.stamp
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        had_last: cython.bint = self._has_last
+        period: cython.double = stamp - self._stamp
+        dx: cython.double = x - self._x
+        dy: cython.double = y - self._y
+        turned: cython.double = remainder(yaw - self._yaw, _turn)
+        middle: cython.double = self._yaw + 0.5 * turned
+        self._has_last, self._stamp, self._x, self._y, self._yaw = True, stamp, x, y, yaw
+        if had_last and period == 0.0:
             return
+        apart: cython.double = max(sqrt(dx * dx + dy * dy), fabs(turned))
         if (
-            last is None
-            or not 0.0 < odometry.stamp - last.stamp <= _MAX_PERIOD
-            or odometry.jumps_from(last)
+            not had_last
+            or not 0.0 < period <= _MAX_PERIOD
+            or apart > _max_step + _max_speed * period  # an estimator has moved the pose
         ):
-            self._linear.reset(self._command.linear, odometry.stamp)
-            self._angular.reset(self._command.angular, odometry.stamp)
-            if self._lateral is not None:
-                self._lateral.reset(self._command.lateral, odometry.stamp)
+            self._linear.reset(self._command.linear, stamp)
+            self._angular.reset(self._command.angular, stamp)
+            if self._is_lateral:
+                self._lateral.reset(self._command.lateral, stamp)
             self.text = ""
             return
-        period = odometry.stamp - last.stamp
-        here, there = odometry.pose, last.pose
-        turned = math.remainder(here.yaw - there.yaw, math.tau)
-        yaw = there.yaw + 0.5 * turned
-        x, y, ahead, aside = here.x - there.x, here.y - there.y, math.cos(yaw), math.sin(yaw)
-        twist, stamp, way = odometry.twist, odometry.stamp, ahead * x + aside * y
-        self._linear.on_reading(period, stamp, (twist.linear, way / period))
-        self._angular.on_reading(period, stamp, (twist.angular, turned / period))
+        ahead: cython.double = cos(middle)
+        aside: cython.double = sin(middle)
+        self._linear.on_reading(period, stamp, twist.linear, (ahead * dx + aside * dy) / period)
+        self._angular.on_reading(period, stamp, twist.angular, turned / period)
         self.text = self._linear.text or self._angular.text  # the first axis that is off
-        if self._lateral is not None:
-            way = ahead * y - aside * x
-            self._lateral.on_reading(period, stamp, (twist.lateral, way / period))
+        if self._is_lateral:
+            way: cython.double = ahead * dy - aside * dx
+            self._lateral.on_reading(period, stamp, twist.lateral, way / period)
             self.text = self.text or self._lateral.text

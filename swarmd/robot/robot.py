@@ -442,7 +442,7 @@ class Robot:
             self._step(effects)
         # Replies go first: a status may wait for the tick, an emergency stop may not.
         is_looking = effects.is_tick or effects.is_latched
-        status = self._changed_status(now) if is_looking else None
+        has_status = is_looking and self._has_new_status(now)
         running, state = run.running, machine.state
         actions = self._settled = Actions(
             decision.safe,
@@ -455,7 +455,7 @@ class Robot:
             trial=effects.trial,
             host=effects.host,
             messages=effects.messages,
-            status=status,
+            has_status=has_status,
             replies=effects.replies,
             failed_code=effects.failed_code,
             ended=effects.ended,
@@ -524,10 +524,10 @@ class Robot:
             inputs = self._sensors.inputs(now, run.stepping(now))
             effects.command_host(Step(run.running.generation, inputs))
 
-    def _changed_status(self, now: float) -> Status | None:
-        """The status if something that peers act on has changed, or after STATUS_PERIOD."""
+    def _has_new_status(self, now: float) -> bool:
+        """True if something that peers act on has changed, and after STATUS_PERIOD."""
         if not self._is_status_due and now < self._published_at + STATUS_PERIOD - ROUNDING:
-            return None
+            return False
         self._is_status_due = False
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         reason = status_reason(lifecycle, self.decision)
@@ -547,9 +547,9 @@ class Robot:
             self._sensors.hazards.present,
         )
         if current == self._published and now - self._published_at < STATUS_PERIOD:
-            return None
+            return False
         self._published, self._published_at = current, now
-        return self.status(now)
+        return True
 
     def _stop_text(self, now: float) -> str:
         """The text that acknowledges a stop: what was sent, and the measured speed with its age."""

@@ -279,7 +279,8 @@ class Sensors:
         is_late = delay.is_late and delay.added > self.permitted_delay
         if is_late and age <= self._stale_after:
             return Reason.LATE_SCAN
-        if age > self._longest_age():
+        # No scan is stale before this time, which mostly is enough to know.
+        if age > self._stale_after - delay.added and age > self._longest_age():
             return self._problem or Reason.STALE_SCAN
         if self._ring is not None and (reason := self._ring.hold(now)) is not None:
             return reason
@@ -290,12 +291,20 @@ class Sensors:
         return Reason.INCOMPATIBLE_PEER if self.peers.holds(now) else None
 
     def hold_due_at(self) -> float:
-        """The time until which `hold` stays None, if it is None now and nothing arrives."""
-        stale_at = self.stale_at()
-        due = math.inf if stale_at is None else stale_at
-        if self._needs_odometry and self._odometry_at is not None:
-            due = min(due, self._odometry_at + ODOMETRY_TIMEOUT)
-        return min(due, self.peers.hold_due_at())
+        """A time until which `hold` stays None, if it is None now and nothing arrives."""
+        due = self.peers.hold_due_at()
+        scan_at, odometry_at, ring = self._scan_at, self._odometry_at, self._ring
+        if scan_at is not None and scan_at + self._stale_after - self.scan_delay.added < due:
+            due = scan_at + self._stale_after - self.scan_delay.added
+        if (
+            self._needs_odometry
+            and odometry_at is not None
+            and odometry_at + ODOMETRY_TIMEOUT < due
+        ):
+            due = odometry_at + ODOMETRY_TIMEOUT
+        if ring is not None and ring.stale_at is not None and ring.stale_at < due:
+            due = ring.stale_at
+        return due
 
     def stale_at(self) -> float | None:
         """The time at which the present scan, or that of the ring, becomes too old.

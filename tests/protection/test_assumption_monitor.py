@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor
@@ -329,3 +330,21 @@ def test_both_axes_are_judged_also_if_they_fail_at_once() -> None:
     events += [monitor.on_odometry(Odometry(n, Pose(0.1 * n), Twist())) for n in (0.0, 1.0)]
     assert [len(one.calls) for one in axes] == [2, 2]
     assert [("linear" in text, "angular" in text) for text in events if text] == [(True, True)] * 2
+
+
+def test_compiled_and_interpreted_code_measure_the_same() -> None:
+    rng, kernel = np.random.default_rng(3), load_kernel("swarmd.protection.assumption_monitor")
+    ones = AssumptionMonitor(BURGER), kernel.AssumptionMonitor(BURGER)
+    x = speed = wanted = 0.0
+    events = list[list[list[str]]]()
+    for step in range(4000):
+        if step % 25 == 0:
+            wanted = float(rng.choice((0.0, TOP)))
+        speed += min(max(wanted - speed, -0.015), 0.1)  # it brakes at a third of what is declared
+        x += 0.05 * speed * float(rng.uniform(0.99, 1.01))
+        odometry = Odometry(0.05 * step, Pose(x), Twist(speed))
+        found = [[one.on_command(Twist(wanted)), one.on_odometry(odometry)] for one in ones]
+        events.append(found)
+    assert all(one == other for one, other in events)
+    assert any(text for one, _ in events for text in one)
+    assert ones[0].speed_share == pytest.approx(ones[1].speed_share, abs=1e-12)

@@ -295,13 +295,18 @@ def driving(twist: Twist, seconds: float) -> Odometry:
 
 def decided_by(
     barrier: Arbiter, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
-    age: float,
+    age: float, sweep: float = 0.0,
 ) -> Twist:  # fmt: skip
-    """The decision on a request to go on at the same twist, `age` s after a scan."""
+    """The decision on a request to go on at the same twist, `age` s after a scan.
+
+    The first ray of the scan is `sweep` s older than the last one.
+    """
     ranges = np.full(360, math.inf)
     for first, count, beyond in returns:
         ranges[np.arange(first, first + count) % 360] = platform.scan.range_min + beyond
     scan = scan_from(platform, ranges, platform.scan.bearings)
+    if sweep:
+        scan = replace(scan, ages=np.linspace(sweep, 0.0, 360))
     before = DecisionContext(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
     barrier.decide(twist, before, command=twist, touch=None)
     now = DecisionContext(BEGIN, 0.0, driving(twist, 0.0), 0.0)
@@ -310,14 +315,26 @@ def decided_by(
     return barrier.decide(twist, later, command=twist, touch=None).twist
 
 
-@given(st.sampled_from(KINDS), RETURNS, SHARE, SHARE, st.sampled_from([0.0, 0.1, 0.4, 1.0]))
-def test_returns_beyond_the_binding_range_change_nothing(
-    platform: Platform, returns: list[tuple[int, int, float]], v: float, w: float, share: float
+@given(
+    st.sampled_from(KINDS),
+    RETURNS,
+    SHARE,
+    SHARE,
+    st.sampled_from([0.0, 0.1, 0.4, 1.0]),
+    st.sampled_from([0.0, 0.1, 0.2]),
+)
+def test_returns_beyond_the_binding_range_of_their_age_change_nothing(
+    platform: Platform,
+    returns: list[tuple[int, int, float]],
+    v: float,
+    w: float,
+    share: float,
+    sweep: float,
 ) -> None:
     age = share * platform.scan.stale_after
     twist = Twist(v * platform.limits.linear, w * platform.limits.angular)
-    some = decided_by(Barrier(platform), platform, returns, twist, age)
-    every = decided_by(SeesAll(platform), platform, returns, twist, age)
+    some = decided_by(Barrier(platform), platform, returns, twist, age, sweep)
+    every = decided_by(SeesAll(platform), platform, returns, twist, age, sweep)
     assert (some.linear, some.angular) == pytest.approx((every.linear, every.angular), abs=1e-9)
 
 
@@ -359,3 +376,16 @@ def test_hidden_gap_of_a_burger(ahead: float, left: float, hidden: float) -> Non
     place = (corner * (ahead, left) + (0.04 * ahead, 0.04 * left)).tolist()
     robot = with_outline(burger.footprint, burger.scan.offset, burger.scan.range_min)
     assert hidden_gap(robot, *place) == pytest.approx(hidden, abs=1e-3)
+
+
+def test_a_decision_leaves_out_what_cannot_have_come_near_enough_since_its_own_ray() -> None:
+    """Of a sweep, the same range counts where it was measured first, and not where last."""
+    platform = KINDS[0]
+    one = Barrier(platform)
+    gap = one._binding_range(0.5 * platform.scan.latency + 0.1 + REACTION_TIME)
+    ring = [(0, 360, gap + float(np.hypot(*platform.footprint.T).min()) - platform.scan.range_min)]
+    decided_by(one, platform, ring, Twist(0.1), 0.0, 0.2)
+    passed = one._now - one._taken + REACTION_TIME
+    points = list(zip(one._gap, one._age, strict=True))[: one._points]
+    assert one._count == sum(gap < one._binding_range(passed + age) for gap, age in points)
+    assert one._count < sum(gap < one._binding_range(passed + 0.2) for gap, _ in points)

@@ -9,6 +9,7 @@ from random import Random
 
 import pytest
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, Permit
@@ -233,8 +234,25 @@ def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_chang
                 given.append((stamp, command))
         period = draw.choice((0.02, 0.05, 0.3))
         stamp += period
-        axis.on_reading(period, stamp, (0.0, 0.0))
+        axis.on_reading(period, stamp, 0.0, 0.0)
         begin = stamp - DELAY - 2.0 * period
         held = [command for at, command in given if at <= begin] or [given[0][1]]
         slow += min(max(held[-1] - slow, -0.25 * period), 0.25 * period)
         assert axis._slow == pytest.approx(slow, abs=1e-9)
+
+
+def test_compiled_and_interpreted_code_say_the_same() -> None:
+    draw, kernel = Random(2), load_kernel("swarmd.protection.following")
+    ones = FollowingMonitor(BURGER), kernel.FollowingMonitor(BURGER)
+    stamp, pose, texts = 0.0, Pose(), list[list[str]]()
+    for _ in range(4000):
+        stamp += draw.choice((0.05, 0.05, 0.05, 0.0, 0.2, 0.4))
+        twist = Twist(draw.choice((0.2, 0.2, 0.2, 0.0)), draw.choice((0.0, 0.0, 1.0)))
+        pose = Pose(pose.x + draw.choice((0.0, 0.0, 0.01, 2.0)), pose.y, pose.yaw + 0.01)
+        for one in ones:
+            if len(texts) % 20 == 0:
+                one.on_command(twist)
+            one.on_odometry(Odometry(stamp, pose, Twist()))
+        texts.append([one.text for one in ones])
+    assert all(one == other for one, other in texts)
+    assert {bool(one) for one, _ in texts} == {True, False}

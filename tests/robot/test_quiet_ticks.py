@@ -178,7 +178,7 @@ def facts(actions: Actions) -> tuple[object, ...]:
         type(actions.trial),
         host,
         actions.messages,
-        actions.status,
+        actions.has_status,
         actions.replies,
     )
 
@@ -347,5 +347,6 @@ def test_quiet_tick_gives_the_command_alone() -> None:
             break
     assert actions.is_quiet
     assert actions.twist == Twist(0.2)
-    assert (actions.host, actions.trial, actions.status, actions.latches) == (None,) * 4
+    assert (actions.host, actions.trial, actions.latches) == (None,) * 3
+    assert not actions.has_status
     assert (dict(actions.messages), actions.replies) == ({}, ())
