@@ -19,9 +19,9 @@ STATES = np.array([["drive", "", "wait"]] * 3 + [["wait", "drive", "wait"]], dty
 def trace() -> Trace:
     """Four instants; the third robot is never present."""
     present = np.array([[True, True, False]] * 4)
-    parts = {"report": {"value": VALUES, "part.max": VALUES}, "words": {"state": STATES}}
+    report, words = {"value": VALUES, "part.max": VALUES}, {"state": STATES}
     readings = {"battery": VALUES / 10.0}
-    return run(np.zeros((4, 3, 3)), present=present, readings=readings, **parts)
+    return run(np.zeros((4, 3, 3)), present=present, report=report, words=words, readings=readings)
 
 
 @pytest.mark.parametrize(
