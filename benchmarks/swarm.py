@@ -136,7 +136,12 @@ class Swarm:
         there = {**dict.fromkeys(self.robots, self._platform), **self._others}
         side = 6 if len(self.robots) <= 9 else 9
         options = {"swarm": self.name, "robots": there, "arena": f"{side}x{side}", **self._options}
-        command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), json.dumps(options)]
+        command = [
+            "-m",
+            "benchmarks.stamped_world",
+            str(self.folder / "world.npz"),
+            json.dumps(options),
+        ]
         command += ["--die-with-parent", str(os.getpid())]
         return self._spawn("world", command, stdout=subprocess.PIPE)
 
@@ -154,14 +159,15 @@ class Swarm:
         config.write_text(yaml.safe_dump(settings))
         if self._is_stamped:
             stamps = str(self.folder / f"{robot}.json")
-            return ["benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]
+            return ["-m", "benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]
         tie = ["--die-with-parent", str(os.getpid())]
-        return ["swarmd.cli.daemon", "--config", str(config), *tie]
+        start = "from swarmd.cli.entry import swarmd; swarmd()"
+        return ["-c", start, "--config", str(config), *tie]
 
     def _spawn(self, name: str, arguments: Sequence[str], stdout: int | None = None) -> Process:
         with (self.folder / f"{name}.log").open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, "-m", *arguments],
+                [sys.executable, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log if stdout is None else stdout,
                 stderr=log,

@@ -1,4 +1,4 @@
-"""Child processes that end with their parent (Linux)."""
+"""Processes of this machine: children that end with their parent (Linux), limits and size."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import os
 import resource
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_DUMPABLE = 4
@@ -59,3 +62,20 @@ def limit_growth(growth: int) -> None:
     if hard != resource.RLIM_INFINITY:
         limit = min(limit, hard)
     resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+
+
+@contextmanager
+def without_openssl() -> Iterator[None]:
+    """Import asyncio, hashlib, hmac and secrets meanwhile: they do without OpenSSL's 4 MB.
+
+    Later imports find it, such as `ssl` where a robot has keys. Nothing changes for a Python that
+    has no hash functions of its own.
+    """
+    has_own = any(map(find_spec, ("_sha2", "_sha256")))  # from Python 3.12 on, and before
+    hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: ImportError
+    try:
+        yield
+    finally:
+        for name in hidden:
+            del sys.modules[name]

@@ -35,7 +35,7 @@ NICE = 10
 
 
 def main() -> None:
-    """Entry of `python -m swarmd.pattern_host.worker FD PARENT FOLDERS`.
+    """Entry of `python -m swarmd.pattern_host FD PARENT FOLDERS`.
 
     The daemon's socket and id, and the folders that `confine` takes, readable and secret, as JSON.
     """
@@ -89,7 +89,3 @@ def _lower_priority() -> None:
     os.nice(NICE)
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
-
-
-if __name__ == "__main__":
-    main()
