@@ -1,8 +1,8 @@
 """From a scan to the command it leads to: seven live daemons, one world, all on this machine.
 
-Reflex: from the scan's put at the world to the first command back in the world's Zenoh callback
-whose decision used that scan. Full: to the first whose requested command used it. The bases apply a
-command with the next 100 Hz step, up to 10 ms later; that is not counted.
+Reflex: from the moment at which the world sends a scan to the arrival, at the world, of the first
+command whose decision used that scan. Full: to the first whose requested command used it. The bases
+apply a command with the next 100 Hz step, up to 10 ms later; that is not counted.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ Times = Mapping[tuple[str, int], int]
 """By robot and scan: a stamp in ns."""
 
 STAGES = (
-    ("reflex: world's put -> driver's Zenoh thread", "put", "thread"),
-    ("reflex: Zenoh thread -> loop", "thread", "loop"),
+    ("reflex: sent by the world -> loop", "put", "loop"),
     ("reflex: loop -> scan decoded", "loop", "decoded"),
-    ("reflex: decoded -> condition, protect, to the put", "decoded", "safe_sent"),
-    ("reflex: put -> world's callback", "safe_sent", "safe_back"),
-    ("full: safe command's put -> step sent to host", "safe_sent", "to_host"),
+    ("reflex: decoded -> condition, protect, sent", "decoded", "safe_sent"),
+    ("reflex: sent -> arrived at the world", "safe_sent", "safe_back"),
+    ("full: safe command sent -> step sent to host", "safe_sent", "to_host"),
     ("full: step sent -> host has it", "to_host", "host_in"),
     ("full: host decodes, steps, encodes", "host_in", "host_out"),
     ("full: host's answer -> daemon has it", "host_out", "from_host"),
-    ("full: decode, protect again, to the put", "from_host", "requested_sent"),
-    ("full: put -> world's callback", "requested_sent", "requested_back"),
+    ("full: decode, protect again, sent", "from_host", "requested_sent"),
+    ("full: sent -> arrived at the world", "requested_sent", "requested_back"),
 )
 
 

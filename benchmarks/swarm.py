@@ -126,7 +126,9 @@ class Swarm:
         line = self.world.stdout.readline()
         if not line:
             sys.exit(f"the world did not start: {self._last_words()}")
-        self.endpoint = json.loads(line)["endpoint"]
+        ready = json.loads(line)
+        self.endpoint = ready["endpoint"]
+        self.driver_options: Mapping[str, object] = ready["driver_options"]
         for robot in self.robots:
             self.daemons[robot] = self._spawn(robot, self._daemon_command(robot))
         self.operator = self._exit.enter_context(Operator(NetworkSettings(swarm=self.name)))
@@ -152,7 +154,7 @@ class Swarm:
             "swarm": self.name,
             "platform": self._platform,
             "driver": "simulated",
-            "driver_options": {"endpoint": self.endpoint},
+            "driver_options": dict(self.driver_options),
             "state_dir": str(self.folder / "state"),
             "plugin_dir": str(PLUGINS),
         }

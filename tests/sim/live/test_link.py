@@ -1,19 +1,18 @@
-"""The world's Zenoh session with real peers on loopback."""
+"""The world's links with real peers on loopback."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 
 import pytest
-import zenoh
 from msgspec.structs import replace
 
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import encode_command
-from swarmd.sim.live.link import Command, WorldLink, WorldView, client_options
+from swarmd.network.carriers.robot_link import Connection, Frame, Hello, dial, read_endpoint
+from swarmd.sim.live.link import Command, WorldLink, WorldView
 from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until
 
@@ -28,17 +27,19 @@ def link() -> Iterator[WorldLink]:
     with_two.close()
 
 
+def dialled(link: WorldLink, robot: str, swarm: str = "s") -> Connection:
+    """A connection of a daemon; what it has sent has arrived, but was not taken in."""
+    made = dial(read_endpoint(link.endpoint, ""), Hello(swarm, robot), CAP)
+    assert made is not None
+    return made
+
+
 @pytest.fixture
-def peer(link: WorldLink) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    for path, value in {
-        **client_options(link.endpoint),
-        "scouting/multicast/enabled": False,
-    }.items():
-        config.insert_json5(path, json.dumps(value))
-    session = zenoh.open(config)
-    yield session
-    session.close()
+def peers(link: WorldLink) -> Iterator[dict[str, Connection]]:
+    made = {robot: dialled(link, robot) for robot in ("a", "b")}
+    yield made
+    for one in made.values():
+        one.close()
 
 
 def state(time: float = 0.0) -> WorldState:
@@ -68,56 +69,111 @@ def test_an_invalid_endpoint_is_refused(endpoint: str) -> None:
 
 
 def test_only_the_newest_command_of_each_robot_is_kept(
-    link: WorldLink, peer: zenoh.Session
+    link: WorldLink, peers: dict[str, Connection]
 ) -> None:
-    # Once the link is up, everything below arrives in order.
-    last = encode_command(Twist(9.0), -1, -1)
+    for speed in (0.1, 0.2, 9.0):
+        for robot, peer in peers.items():
+            peer.send("cmd_vel", encode_command(Twist(speed if robot == "a" else -speed), 1, 1))
     taken: dict[str, Command] = {}
 
     def all_there() -> bool:
-        for speed in (0.1, 0.2):
-            for robot in ("a", "b"):
-                peer.put(f"swarm/s/{robot}/hw/cmd_vel", encode_command(Twist(speed), 1, 1))
-        peer.put("swarm/s/a/hw/cmd_vel", last)
         taken.update(link.take_commands())
-        return "b" in taken and "a" in taken and taken["a"].twist == Twist(9.0)
+        return {one.twist.linear for one in taken.values()} == {9.0, -9.0}
 
     wait_until(all_there, "all_there")
-    assert taken["b"].twist.linear == 0.2
-    assert set(taken) == {"a", "b"}
+    assert (taken["a"].twist.linear, taken["b"].twist.linear) == (9.0, -9.0)
+    assert link.take_commands() == {}
 
 
-def test_a_malformed_command_replaces_no_valid_one(link: WorldLink, peer: zenoh.Session) -> None:
+def test_a_malformed_command_replaces_no_valid_one(
+    link: WorldLink, peers: dict[str, Connection]
+) -> None:
+    peers["a"].send("cmd_vel", encode_command(Twist(0.2), 1, 1))
+    peers["a"].send("cmd_vel", b"garbage")
+    peers["a"].send("velocity", encode_command(Twist(0.3), 1, 1))
     taken: dict[str, Command] = {}
 
     def counted() -> bool:
-        peer.put("swarm/s/a/hw/cmd_vel", encode_command(Twist(0.2), 1, 1))
-        peer.put("swarm/s/a/hw/cmd_vel", b"garbage")
-        if link.dropped:
-            taken.update(link.take_commands())
-        return bool(taken)
+        taken.update(link.take_commands())
+        return link.dropped == 2
 
     wait_until(counted, "counted")
     assert taken["a"].twist.linear == 0.2
 
 
-@pytest.mark.parametrize("key", ["swarm/s/*/hw/cmd_vel", "swarm/**", "swarm/s/stranger/hw/cmd_vel"])
-def test_commands_on_other_keys_are_counted_and_dropped(
-    link: WorldLink, peer: zenoh.Session, key: str
-) -> None:
-    payload = encode_command(Twist(0.2), -1, -1)
+def test_what_names_no_robot_of_this_world_first_is_counted_and_ended(link: WorldLink) -> None:
+    strangers = [dialled(link, "stranger"), dialled(link, "a", swarm="other")]
+    silent = dial(read_endpoint(link.endpoint, ""), Hello("s", "a"), CAP)
+    assert silent is not None
+    for one in strangers:
+        one.send("cmd_vel", encode_command(Twist(0.2), -1, -1))
 
-    def counted() -> bool:
-        peer.put(key, payload)
-        return link.dropped > 0
+    def ended() -> bool:
+        link.receive()
+        for one in strangers:
+            one.receive()
+        return link.dropped >= 2 and not any(one.is_open for one in strangers)
 
-    wait_until(counted, "counted")
+    wait_until(ended, "ended")
     assert link.take_commands() == {}
+    for one in (*strangers, silent):
+        one.close()
+
+
+def test_a_frozen_daemon_holds_up_neither_the_world_nor_the_commands_of_others(
+    link: WorldLink, peers: dict[str, Connection]
+) -> None:
+    def welcomed() -> bool:
+        link.receive()
+        return bool(peers["b"].receive())
+
+    wait_until(welcomed, "welcomed")
+    payload = b"x" * 1500
+    while not link.dropped:  # nobody reads
+        link.publish("a", "scan", payload)
+    peers["b"].send("cmd_vel", encode_command(Twist(0.1), 1, 1))
+    taken: dict[str, Command] = {}
+
+    def came() -> bool:
+        taken.update(link.take_commands())
+        return "b" in taken
+
+    wait_until(came, "the command")
+    before = link.dropped
+    link.publish("b", "scan", payload)
+    assert link.dropped == before
+    frames: list[Frame] = []
+
+    def thawed() -> bool:
+        frames.extend(peers["a"].receive())
+        link.publish("a", "odometry", b"new")
+        return frames[-1].name == "odometry"
+
+    wait_until(thawed, "what is sent after the thaw")
+    assert {one.payload for one in frames if one.name == "scan"} == {payload}
+
+
+def test_the_age_of_a_command_counts_from_its_arrival() -> None:
+    now = [100.0]
+    link = WorldLink("s", ("a",), ANY_PORT, clock=lambda: now[0])
+    peer = dialled(link, "a")
+    peer.send("cmd_vel", encode_command(Twist(0.1), 1, 1))
+    taken: dict[str, Command] = {}
+
+    def came() -> bool:
+        taken.update(link.take_commands())
+        return bool(taken)
+
+    wait_until(came, "the command")
+    assert taken["a"].arrival <= now[0]
+    assert taken["a"].arrival == pytest.approx(100.0)  # no longer ago than the last look
+    peer.close()
+    link.close()
 
 
 def test_a_viewer_sees_the_state(link: WorldLink) -> None:
     seen: list[WorldState] = []
-    with WorldView("s", link.endpoint) as view:
+    with WorldView("s", link.viewers) as view:
         view.watch(seen.append)
 
         def shown() -> bool:
@@ -133,7 +189,7 @@ def test_a_world_that_is_not_there_is_one_clear_error() -> None:
     gone = WorldLink("s", ("a",), ANY_PORT)
     gone.close()
     with (
-        WorldView("s", gone.endpoint) as view,
+        WorldView("s", gone.viewers) as view,
         pytest.raises(NetworkError, match="'poses'"),
     ):
         view.ask("poses", timeout=0.2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import zenoh
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
@@ -28,8 +26,9 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
     encode_message,
 )
+from swarmd.network.carriers.robot_link import Connection, Hello, dial, read_endpoint
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.link import EmulatorTransport, WorldLink, WorldView, client_options
+from swarmd.sim.live.link import EmulatorTransport, WorldLink, WorldView
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldState
@@ -137,40 +136,44 @@ class LiveWorld(ManualWorld):
 
     def __init__(self, settings: RecorderSettings, **values: Any) -> None:
         super().__init__(settings, **values)
-        config = zenoh.Config()
-        options = {**client_options(self.link.endpoint), "scouting/multicast/enabled": False}
-        for path, value in options.items():
-            config.insert_json5(path, json.dumps(value))
-        self.peer = zenoh.open(config)
-        self._connect()
+        where = read_endpoint(self.link.endpoint, "")
+        self.peers: dict[str, Connection] = {}
+        self.heard: list[tuple[str, str, bytes]] = []
+        for robot in IDS:
+            made = dial(where, Hello("s", robot), 10.0)
+            assert made is not None
+            self.peers[robot] = made
+        wait_until(lambda: {robot for robot, _, _ in self.hear()} == set(IDS), "welcome")
+        self.heard.clear()
 
     def close(self) -> None:
-        self.peer.close()
+        for one in self.peers.values():
+            one.close()
         super().close()
+
+    def hear(self) -> list[tuple[str, str, bytes]]:
+        """All that daemons have been sent: robot, name and payload."""
+        self.link.receive()
+        for robot, one in self.peers.items():
+            self.heard += [(robot, name, payload) for name, payload in one.receive()]
+        return self.heard
+
+    def put(self, robot: str, name: str, payload: bytes) -> None:
+        """Send as the daemon of a robot."""
+        self.peers[robot].send(name, payload)
 
     def command(self, robot: str, payload: bytes) -> None:
         """Send a command and wait until the world has received it."""
         wire = decode_command(payload)
 
         def has_arrived() -> bool:
+            self.link.receive()
             command = self.link._commands.get(robot)
             return command is not None and command.scan_seq == wire.scan_seq
 
         self.link._commands.pop(robot, None)
-        self.peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
+        self.put(robot, "cmd_vel", payload)
         wait_until(has_arrived, "received")
-
-    def _connect(self) -> None:
-        """Send until a command arrives, then a last one, after which none is in flight."""
-        first, last = encode_command(Twist(), 0, 0), encode_command(Twist(), 1, 1)
-
-        def has_arrived() -> bool:
-            self.peer.put("swarm/s/a/hw/cmd_vel", first)
-            return "a" in self.link._commands
-
-        wait_until(has_arrived, "linked")
-        self.command("a", last)
-        self.link.take_commands()
 
 
 Make = Callable[..., LiveWorld]
@@ -224,8 +227,13 @@ def test_late_commands_of_a_frozen_daemon_do_not_move_its_base(live: LiveWorld) 
 def test_a_malformed_command_is_counted_and_does_not_feed_the_timeout(live: LiveWorld) -> None:
     live.command("a", encode_command(Twist(0.2), 1, 1))
     live.pass_time(0.4)
-    live.peer.put("swarm/s/a/hw/cmd_vel", b"\x01rubbish")
-    wait_until(lambda: live.link.dropped == 1, "counted")
+    live.put("a", "cmd_vel", b"\x01rubbish")
+
+    def counted() -> bool:
+        live.link.receive()
+        return live.link.dropped == 1
+
+    wait_until(counted, "counted")
     live.pass_time(0.3)
     assert live.speed() == 0.0
     assert live.server._state().dropped == 1
@@ -234,24 +242,17 @@ def test_a_malformed_command_is_counted_and_does_not_feed_the_timeout(live: Live
 def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(live: LiveWorld) -> None:
     heard: list[tuple[str, str, float]] = []
 
-    def note(sample: zenoh.Sample) -> None:
-        _, _, robot, _, name = str(sample.key_expr).split("/")
-        payload = sample.payload.to_bytes()
+    def hear() -> None:
         spec = live.world.platforms[0].scan
-        if name == "scan":
-            heard.append((robot, name, decode_scan(payload, spec).stamp))
-        else:
-            heard.append((robot, name, decode_odometry(payload).stamp))
+        for robot, name, payload in live.hear():
+            decoded = decode_scan(payload, spec) if name == "scan" else decode_odometry(payload)
+            heard.append((robot, name, decoded.stamp))
+        live.heard.clear()
 
-    def connected() -> bool:
-        live.pass_time(0.04)
-        return len({h[:2] for h in heard}) == 4
-
-    live.peer.declare_subscriber("swarm/s/*/hw/*", note)
-    wait_until(connected, "linked")
     start = live.world.time + 0.001
 
     def all_published_since(moment: float) -> bool:
+        hear()
         return {h[0] for h in list(heard) if h[1] == "odometry" and h[2] > moment} == set(IDS)
 
     for _ in range(100 + 1):
@@ -274,10 +275,10 @@ def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(live: LiveWo
 def received(live: LiveWorld, key: str) -> bytes:
     """The first payload on a key of robot a, while time passes."""
     came: list[bytes] = []
-    live.peer.declare_subscriber(f"swarm/s/a/hw/{key}", lambda s: came.append(s.payload.to_bytes()))
 
     def has_come() -> bool:
         live.pass_time(0.1)
+        came.extend(one for robot, name, one in live.hear() if (robot, name) == ("a", key))
         return bool(came)
 
     wait_until(has_come, key)
@@ -330,18 +331,28 @@ def test_range_and_bearing_is_measured_from_the_true_poses(make: Make) -> None:
 def test_a_message_reaches_the_others_after_the_delay_of_the_radio(make: Make) -> None:
     live = make(radio=RadioSettings(delay=0.3))
     came: list[MessageWire | None] = []
-    live.peer.declare_subscriber(
-        "swarm/s/a/hw/received", lambda s: came.extend(decode_messages(s.payload.to_bytes()))
-    )
-    live.peer.declare_subscriber("swarm/s/a/hw/readings", lambda s: came.append(None))
-    live.peer.put("swarm/s/b/hw/sent", encode_message("b", "vote/opinion", b"x"))
-    live.peer.put("swarm/s/b/hw/sent", encode_message("a", "vote/opinion", b"of another"))
-    wait_until(lambda: live.link.dropped == 1, "both have arrived")
+
+    def hear() -> bool:
+        for robot, name, payload in live.hear():
+            if (robot, name) == ("a", "received"):
+                came.extend(decode_messages(payload))
+            elif (robot, name) == ("a", "readings"):
+                came.append(None)
+        live.heard.clear()
+        return bool(came)
+
+    def arrived() -> bool:
+        live.link.receive()
+        return live.link.dropped == 1
+
+    live.put("b", "sent", encode_message("b", "vote/opinion", b"x"))
+    live.put("b", "sent", encode_message("a", "vote/opinion", b"of another"))
+    wait_until(arrived, "both have arrived")
     live.pass_time(0.25)
     live.link.send("a", "readings", {})  # follows what was sent before
-    wait_until(lambda: bool(came), "the mark")
+    wait_until(hear, "the mark")
     live.pass_time(0.1)
-    wait_until(lambda: len(came) > 1, "the message")
+    wait_until(lambda: hear() and len(came) > 1, "the message")
     assert came == [None, MessageWire("b", "vote/opinion", b"x")]
 
 
@@ -415,7 +426,7 @@ def test_touches_are_counted_and_recorded(make: Make, tmp_path: Path) -> None:
 
 def asked(live: LiveWorld, deed: Callable[[WorldView], WorldState]) -> WorldState:
     """The reply to a viewer's request, done or refused."""
-    with ThreadPoolExecutor(1) as pool, WorldView("s", live.link.endpoint) as view:
+    with ThreadPoolExecutor(1) as pool, WorldView("s", live.link.viewers) as view:
         answer = pool.submit(deed, view)
 
         def is_answered() -> bool:
