@@ -22,7 +22,7 @@ from typing import Any
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 from swarmd.core.host_messages import HostCommand, HostEvent, Step, Stepped
-from swarmd.core.processes import die_with_parent
+from swarmd.core.processes import SHORT_SLICE, ask_for_slices, die_with_parent
 from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
@@ -93,6 +93,7 @@ class StampedSink(DriverSink):
 
 async def serve(config: Path) -> None:
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    ask_for_slices(SHORT_SLICE)
     loop.add_signal_handler(signal.SIGTERM, stop.set)
     settings = load_daemon_settings(config, {})
     driver = StampedDriver(

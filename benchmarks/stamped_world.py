@@ -2,12 +2,15 @@
 
 `python -m benchmarks.stamped_world FILE.npz ...` with the arguments of `swarmd.sim.live.server`.
 Stamps are in ns on CLOCK_MONOTONIC, taken just before a scan is sent, and by the kernel when a
-command has arrived: the bases apply a command with the next 100 Hz step.
+command has arrived: the bases apply a command with the next 100 Hz step. A thread reads commands at
+once, since the kernel tells the time of the newest of those that wait.
 """
 
 from __future__ import annotations
 
+import select
 import sys
+import threading
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -28,7 +31,19 @@ class StampedLink(WorldLink):
         self._path = path
         self._puts: list[tuple[int, str, bytes]] = []
         self._came: list[tuple[int, str, bytes]] = []
+        self._reading, self._is_over = threading.Lock(), False
         super().__init__(swarm, ids, endpoint)
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        while not self._is_over:
+            if select.select([self._robots], [], [], 0.1)[0]:
+                self.receive()
+
+    def receive(self) -> None:
+        with self._reading:
+            super().receive()
 
     def publish(self, robot: str, name: str, payload: bytes) -> None:
         if name == "scan":
@@ -40,6 +55,8 @@ class StampedLink(WorldLink):
         super()._on_command(robot, payload, arrival)
 
     def close(self) -> None:
+        self._is_over = True
+        self._reader.join()
         super().close()
         spec = load_platform("waffle_pi").scan
         puts = [(at, robot, decode_scan(scan, spec).seq) for at, robot, scan in self._puts]

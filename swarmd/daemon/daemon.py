@@ -28,6 +28,7 @@ from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Reply, Status
+from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
@@ -93,6 +94,7 @@ async def serve(settings: DaemonSettings) -> int:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    ask_for_slices(SHORT_SLICE)  # before any thread
     for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
         loop.add_signal_handler(number, stop.set)
     daemon = Daemon(settings, make_driver(settings))
