@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.codec import encode
 from swarmd.network.carriers.robot_link import (
     HELLO,
     MAX_CONNECTIONS_OF_ROBOT,
@@ -77,7 +76,7 @@ def test_frames_come_whole_and_in_their_order(ends: tuple[Connection, Connection
 
 def test_a_frame_without_room_is_dropped_whole(ends: tuple[Connection, Connection]) -> None:
     one, other = ends
-    sent = []
+    sent: list[int] = []
     while one.send("n", b"%06d" % len(sent) + b"x" * 9_000):
         sent.append(len(sent))
     assert not one.send("n", b"dropped")
@@ -197,7 +196,7 @@ def test_a_client_connects_again_to_a_server_that_returns() -> None:
         for number in range(2):
             while not client.is_known or len(came) <= number:
                 server.receive()
-                server.send("a", "scan", encode(number))
+                server.send("a", "scan", bytes([number]))
                 await asyncio.sleep(0.01)
             assert client.send("cmd_vel", b"x")
             server.close()
@@ -211,4 +210,4 @@ def test_a_client_connects_again_to_a_server_that_returns() -> None:
         server.close()
 
     asyncio.run(asyncio.wait_for(story(), CAP))
-    assert [payload for _, payload in came] == [encode(0), encode(1)]
+    assert [payload for _, payload in came] == [b"\0", b"\1"]
