@@ -14,6 +14,7 @@ from swarmd.network.carriers.robot_link import (
     HELLO,
     MAX_CONNECTIONS_OF_ROBOT,
     MAX_PAYLOAD,
+    MAX_STRANGERS,
     Connection,
     Frame,
     Hello,
@@ -164,6 +165,24 @@ def test_a_robot_has_a_bounded_number_of_connections(server: RobotServer) -> Non
     wait_until(is_known, "another robot")
     for one in (*made[1:], other):
         one.close()
+
+
+def test_connections_that_say_nothing_keep_no_daemon_out(server: RobotServer) -> None:
+    where = read_endpoint(server.endpoint, "")
+    silent = []
+    for _ in range(3 * MAX_STRANGERS):
+        silent.append(Connection(socket.create_connection((where.host, where.port))))
+        server.receive()
+    one = dial(where, Hello("s", "a"), CAP)
+    assert one is not None
+
+    def is_known() -> bool:
+        server.receive()
+        return bool(one.receive())
+
+    wait_until(is_known, "the daemon is known")
+    for each in (*silent, one):
+        each.close()
 
 
 def test_a_connection_that_does_not_listen_is_sent_nothing(server: RobotServer) -> None:

@@ -32,7 +32,7 @@ HELLO = "hello"
 RETRY_PERIOD = 0.5  # s between two attempts to connect
 MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
 MAX_CONNECTIONS_OF_ROBOT = 4
-_MAX_STRANGERS = 16  # connections that have said no hello
+MAX_STRANGERS = 16  # connections that have said no hello
 _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
 _SEND_BUFFER = 1 << 16  # bytes that wait for a frozen receiver, besides its own
@@ -236,9 +236,9 @@ class RobotServer:
             accepted, _ = self._socket.accept()
         except OSError:  # gone already, or no descriptor is left
             return
-        if len(self._connections) - len(self._robots) >= _MAX_STRANGERS:
-            accepted.close()
-            return
+        strangers = [file for file, one in self._connections.items() if one not in self._robots]
+        if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
+            self._forget(strangers[0], self._connections[strangers[0]])
         one = Connection(accepted, is_timed=True)
         self._connections[accepted.fileno()] = one
         self._poll.register(accepted, select.EPOLLIN)
