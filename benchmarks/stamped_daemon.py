@@ -14,23 +14,21 @@ import os
 import signal
 import sys
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-import zenoh
-
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 from swarmd.core.host_messages import HostCommand, HostEvent, Step, Stepped
-from swarmd.core.processes import die_with_parent
+from swarmd.core.processes import SHORT_SLICE, ask_for_slices, die_with_parent
 from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.driver import DriverSink
+from swarmd.driver_api.driver import Sink
 from swarmd.drivers import simulated
-from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.settings.settings import load_daemon_settings
 
@@ -40,7 +38,7 @@ class Stamps:
 
     def __init__(self) -> None:
         self.by_border: dict[str, dict[int, int]] = defaultdict(dict)
-        self.thread = self.loop = self.frame = 0
+        self.loop = self.frame = 0
 
     def put(self, border: str, seq: int, at: int | None = None) -> None:
         self.by_border[border].setdefault(seq, monotonic_ns() if at is None else at)
@@ -50,6 +48,10 @@ STAMPS = Stamps()  # of this process, which is one measurement
 
 
 class StampedDriver(simulated.SimulatedDriver):
+    def _take(self, sink: Sink, name: str, payload: bytes) -> None:
+        STAMPS.loop = monotonic_ns()
+        super()._take(sink, name, payload)
+
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
@@ -84,40 +86,14 @@ class StampedRunner(ProcessRunner):
 
 class StampedSink(DriverSink):
     def scan(self, scan: Scan) -> None:
-        STAMPS.put("thread", scan.seq, STAMPS.thread)
         STAMPS.put("loop", scan.seq, STAMPS.loop)
         STAMPS.put("decoded", scan.seq)
         super().scan(scan)
 
 
-class StampedInbox(LatestSamples):
-    """Stamps scans on the network's thread and on the loop, just before they are read."""
-
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        take: Callable[[str, bytes], None],
-        dropped: Callable[[str], None],
-    ) -> None:
-        def take_stamped(name: str, payload: bytes) -> None:
-            STAMPS.loop = monotonic_ns()
-            take(name, payload)
-
-        super().__init__(loop, take_stamped, dropped)
-
-    def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
-        receive = super().receiver(name, key)
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            if name == "scan":
-                STAMPS.thread = monotonic_ns()
-            receive(sample)
-
-        return on_sample
-
-
 async def serve(config: Path) -> None:
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    ask_for_slices(SHORT_SLICE)
     loop.add_signal_handler(signal.SIGTERM, stop.set)
     settings = load_daemon_settings(config, {})
     driver = StampedDriver(
@@ -135,7 +111,6 @@ def main() -> None:
     config, stamps, parent = sys.argv[1:]
     die_with_parent(int(parent))
     logging.basicConfig(stream=sys.stderr, level=logging.INFO)
-    setattr(simulated, "LatestSamples", StampedInbox)  # noqa: B010
     setattr(daemon_module, "ProcessRunner", StampedRunner)  # noqa: B010
     asyncio.run(serve(Path(config)))
     Path(stamps).write_text(json.dumps(STAMPS.by_border))

@@ -126,7 +126,9 @@ class Swarm:
         line = self.world.stdout.readline()
         if not line:
             sys.exit(f"the world did not start: {self._last_words()}")
-        self.endpoint = json.loads(line)["endpoint"]
+        ready = json.loads(line)
+        self.endpoint = ready["endpoint"]
+        self.driver_options: Mapping[str, object] = ready["driver_options"]
         for robot in self.robots:
             self.daemons[robot] = self._spawn(robot, self._daemon_command(robot))
         self.operator = self._exit.enter_context(Operator(NetworkSettings(swarm=self.name)))
@@ -136,7 +138,12 @@ class Swarm:
         there = {**dict.fromkeys(self.robots, self._platform), **self._others}
         side = 6 if len(self.robots) <= 9 else 9
         options = {"swarm": self.name, "robots": there, "arena": f"{side}x{side}", **self._options}
-        command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), json.dumps(options)]
+        command = [
+            "-m",
+            "benchmarks.stamped_world",
+            str(self.folder / "world.npz"),
+            json.dumps(options),
+        ]
         command += ["--die-with-parent", str(os.getpid())]
         return self._spawn("world", command, stdout=subprocess.PIPE)
 
@@ -147,21 +154,22 @@ class Swarm:
             "swarm": self.name,
             "platform": self._platform,
             "driver": "simulated",
-            "driver_options": {"endpoint": self.endpoint},
+            "driver_options": dict(self.driver_options),
             "state_dir": str(self.folder / "state"),
             "plugin_dir": str(PLUGINS),
         }
         config.write_text(yaml.safe_dump(settings))
         if self._is_stamped:
             stamps = str(self.folder / f"{robot}.json")
-            return ["benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]
+            return ["-m", "benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]
         tie = ["--die-with-parent", str(os.getpid())]
-        return ["swarmd.cli.daemon", "--config", str(config), *tie]
+        start = "from swarmd.cli.entry import swarmd; swarmd()"
+        return ["-c", start, "--config", str(config), *tie]
 
     def _spawn(self, name: str, arguments: Sequence[str], stdout: int | None = None) -> Process:
         with (self.folder / f"{name}.log").open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, "-m", *arguments],
+                [sys.executable, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=log if stdout is None else stdout,
                 stderr=log,

@@ -1,35 +1,31 @@
-"""A simulated robot of a world process, reached over the `hw/*` keys."""
+"""A simulated robot of a world process, reached over a `robot_link`."""
 
 from __future__ import annotations
 
 import asyncio
 import math
 from collections.abc import Mapping
-from functools import partial
 from time import monotonic
 
-import zenoh
 from msgspec import Struct
 
-from swarmd.core import keys
 from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
-from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, ScanSpec, Twist, Value
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
-from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
-from swarmd.network.carriers.session import (
-    PROMPT_OPTIONS,
-    has_subscriber,
-    open_in_thread,
-    open_with,
-    realtime_publisher,
+from swarmd.network.carriers.robot_link import (
+    Connection,
+    Frame,
+    Hello,
+    RobotClient,
+    dial,
+    read_endpoint,
 )
-from swarmd.network.settings import parse_endpoint
+from swarmd.network.settings import Endpoint
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
@@ -37,6 +33,7 @@ SENSOR_TIMEOUT = 1.0
 """Seconds without any sample after which the base counts as lost."""
 
 _WATCH_PERIOD = 0.1
+_DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
 class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -47,7 +44,7 @@ class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class SimulatedDriver:
-    """Connects to one robot of a world process through a Zenoh session of its own."""
+    """Connects to one robot of a world process."""
 
     is_simulated = True
 
@@ -59,41 +56,32 @@ class SimulatedDriver:
         hw_codec.check_measures(platform)
         chosen = Layered(("driver simulated", options)).build(SimulatedOptions)
         self._endpoint, self.carries_messages = chosen.endpoint, chosen.radio
-        parse_endpoint(self._endpoint, "driver simulated: endpoint is ", DEFAULT_ENDPOINT)
-        self._commands: zenoh.Publisher | None = None
-        self._sent: zenoh.Publisher | None = None
+        self._where = _read(self._endpoint)
+        self._link: RobotClient | None = None
         self._gate = CommandGate()
         self._last_sample = -math.inf
 
     async def run(self, sink: Sink) -> None:
-        """Feed the sink until cancelled; the session reconnects by itself."""
+        """Feed the sink until cancelled; the link reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no simulated robot yet at {self._endpoint}")
-        session = await open_in_thread(partial(_session, self._endpoint, self._robot))
-        inbox = LatestSamples(
-            loop,
-            lambda name, payload: self._take(sink, name, payload),
-            lambda what: sink.dropped(f"hw/{what}"),
+        hello = Hello(self._swarm, self._robot)
+        link = self._link = RobotClient(
+            self._where, hello, lambda frames: self._take_frames(sink, frames)
         )
+        linking = loop.create_task(link.run())
         try:
-            self._commands = realtime_publisher(session, self._key("cmd_vel"))
-            for name in hw_codec.INPUTS:
-                session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
-            if self.carries_messages:
-                self._sent = session.declare_publisher(self._key("sent"))
-                received = partial(hand_over, loop, partial(self._take_messages, sink))
-                session.declare_subscriber(self._key("received"), received)
-            while True:
-                await asyncio.sleep(_WATCH_PERIOD)
+            while not linking.done():
+                left = self._last_sample + SENSOR_TIMEOUT - loop.time()
+                await asyncio.wait({linking}, timeout=max(left, _WATCH_PERIOD))
                 self._watch(sink, loop.time())
+            linking.result()
         finally:
-            inbox.close()
-            try:
-                if self._gate.end():
-                    self._put(ZERO, -1, -1)
-            finally:  # an open session would keep the process for ever
-                self._commands = self._sent = None
-                session.close()
+            if self._gate.end():
+                self._put(ZERO, -1, -1)
+            self._link = None
+            linking.cancel()
+            await asyncio.gather(linking, return_exceptions=True)
 
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
@@ -104,9 +92,9 @@ class SimulatedDriver:
             self._put(command, scan_seq, requested_scan_seq)
 
     def send_message(self, channel: str, payload: bytes) -> None:
-        """Send a pattern's message by the simulated radio; dropped while there is no session."""
-        if self._sent is not None:
-            self._sent.put(hw_codec.encode_message(self._robot, channel, payload))
+        """Send a pattern's message by the simulated radio; dropped while there is no link."""
+        if self._link is not None:
+            self._link.send("sent", hw_codec.encode_message(self._robot, channel, payload))
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry arrive and commands have a subscriber; moves nothing."""
@@ -119,7 +107,7 @@ class SimulatedDriver:
         except TimeoutError:
             pass  # the findings name what is missing
         finally:
-            is_taken = self._commands is not None and has_subscriber(self._commands)
+            is_taken = self._link is not None and self._link.is_known
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
         return self._findings(seen, is_taken)
@@ -135,7 +123,7 @@ class SimulatedDriver:
         content, scans = seen.content, seen.scans
         has_odometry = bool(seen.odometries)
         arrives = f"{content.text}; the platform has {len(self._platform.scan.bearings)} rays"
-        taken = "has a subscriber" if is_taken else f"no simulated robot takes commands; {hint}"
+        taken = "is taken" if is_taken else f"no simulated robot takes commands; {hint}"
         return (
             Finding(
                 "scan",
@@ -147,12 +135,25 @@ class SimulatedDriver:
             scan_delay_finding(scans, seen.odometries, content.last, self._platform.scan),
         )
 
-    def _key(self, name: str) -> str:
-        return keys.build(self._swarm, self._robot, "hw", name)
-
     def _put(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        if self._commands is not None:
-            self._commands.put(hw_codec.encode_command(twist, scan_seq, requested_scan_seq))
+        if self._link is not None:
+            command = hw_codec.encode_command(twist, scan_seq, requested_scan_seq)
+            self._link.send("cmd_vel", command)
+
+    def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
+        """Take messages in their order, and the newest frame of each sense: older are outdated."""
+        newest: dict[str, bytes] = {}
+        for name, payload in frames:
+            if name == "received":
+                self._take_messages(sink, payload)
+            elif name not in hw_codec.INPUTS:
+                sink.dropped("hw/unknown")
+            else:
+                if name in newest:
+                    sink.dropped(f"hw/{name}:overtaken")
+                newest[name] = payload
+        for name, payload in newest.items():
+            self._take(sink, name, payload)
 
     def _take(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
@@ -166,9 +167,11 @@ class SimulatedDriver:
             sink.state(True, f"simulated robot at {self._endpoint}")
         hw_codec.deliver(sink, value)
 
-    def _take_messages(self, sink: Sink, sample: zenoh.Sample) -> None:
+    def _take_messages(self, sink: Sink, payload: bytes) -> None:
+        if not self.carries_messages:
+            return
         try:
-            wires = hw_codec.decode_messages(sample.payload.to_bytes())
+            wires = hw_codec.decode_messages(payload)
         except CodecError:
             sink.dropped("hw/received")
             return
@@ -186,21 +189,28 @@ class SimulatedZeroSender:
     """Sends zero to a simulated robot, from the watchdog's process; reconnects by itself."""
 
     def __init__(self, swarm: str, robot: str, endpoint: str) -> None:
-        self._robot, self._endpoint = robot, endpoint
-        self._key = keys.build(swarm, robot, "hw", "cmd_vel")
+        self._where, self._hello = _read(endpoint), Hello(swarm, robot, listens=False)
+        self._link: Connection | None = None
 
     def open(self) -> None:
-        """Open a session; the robot may come later."""
-        self._session = _session(self._endpoint, self._robot)
-        self._commands = realtime_publisher(self._session, self._key)
+        """Connect; the robot may come later."""
+        self._link = dial(self._where, self._hello, _DIAL_TIME)
 
     def send_zero(self) -> None:
         """Send zero once."""
-        self._commands.put(hw_codec.encode_command(ZERO, -1, -1))
+        link = self._link
+        if link is not None:
+            link.receive()  # it tells of its end
+        if link is None or not link.is_open:
+            self.close()
+            self.open()
+        if self._link is not None:
+            self._link.send("cmd_vel", hw_codec.encode_command(ZERO, -1, -1))
 
     def close(self) -> None:
-        """Close the session."""
-        self._session.close()
+        """Close the connection."""
+        if self._link is not None:
+            self._link.close()
 
 
 class _CheckSink(NullSink):
@@ -221,19 +231,5 @@ class _CheckSink(NullSink):
         self.odometries.append((monotonic(), odometry.stamp))
 
 
-def _session(endpoint: str, robot: str) -> zenoh.Session:
-    options: dict[str, object] = {
-        **PROMPT_OPTIONS,
-        "mode": "peer",
-        "listen/endpoints": [],
-        "connect/endpoints": [endpoint],
-        # Retries for ever, as long as connect/timeout_ms is left alone: 0 there means once.
-        "connect/retry": {
-            "period_init_ms": 500,
-            "period_max_ms": 500,
-            "period_increase_factor": 1.0,
-        },
-        # A world that ends closes its socket; a frozen world keeps its link.
-        "transport/link/tx/lease": 60_000,
-    }
-    return open_with(options, what=f"the simulated robot {robot} at {endpoint}")
+def _read(endpoint: str) -> Endpoint:
+    return read_endpoint(endpoint, "driver simulated: endpoint is ", DEFAULT_ENDPOINT)

@@ -36,7 +36,7 @@ FORBIDDEN = {
 }
 # Modules that may break a rule of FORBIDDEN, with the reason.
 EXCEPTIONS: dict[tuple[str, str], str] = {
-    ("sim/live/link.py", "zenoh"): "the world's own session, for the bodies of real-time mode",
+    ("sim/live/link.py", "zenoh"): "the world's own session, for viewers of real-time mode",
 }
 # Packages that take the time as an argument, and read no clock.
 PURE = ("robot", "protection", "kit", "mission", "sensing", "calibration")

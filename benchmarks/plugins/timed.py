@@ -20,8 +20,8 @@ class Timed(Attraction):
         super().__init__(params, context)
         self._stamps: dict[str, int] = {}
         self._came = 0
-        host = sys.modules["__main__"]
-        if hasattr(host, "decode_command"):
+        host = sys.modules.get("swarmd.pattern_host.worker")
+        if host is not None:
             setattr(host, "decode_command", self._on_frame(host.decode_command))  # noqa: B010
             setattr(host, "encode_event", self._on_answer(host.encode_event))  # noqa: B010
 

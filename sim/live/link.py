@@ -1,9 +1,9 @@
-"""The Zenoh session of a live world: the robots' `hw/*` keys, its state and its requests.
+"""The links of a live world: those of its robots, and a Zenoh session with its state and requests.
 
-`EmulatorTransport` replaces the `hw/*` keys for robots that emulate a ROS driver.
+`EmulatorTransport` replaces the robots' links for robots that emulate a ROS driver.
 
-The only module of the simulation that imports Zenoh. Multicast and gossip are off: drivers and
-viewers connect to the world and to no other peer.
+The only module of the simulation that imports Zenoh. Multicast and gossip are off: viewers connect
+to the world and to no other peer.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from typing import Any
 
 import zenoh
 
-from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
 from swarmd.core.values import Platform, Twist
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
+from swarmd.network.carriers.robot_link import RobotServer, read_endpoint
 from swarmd.network.carriers.session import open_listening, open_with, tune_sockets
 from swarmd.sim.live.state import (
     Action,
@@ -37,9 +37,7 @@ from swarmd.sim.live.state import (
     state_key,
 )
 
-# s. A frozen daemon on this host keeps its link until it resumes; the closed socket of a dead
-# daemon is noticed at once.
-LEASE = 60.0
+LEASE = 60.0  # s, of viewers
 MAX_PENDING_REQUESTS = 64  # until the next step; more are dropped
 MAX_PENDING_MESSAGES = 4096  # of all robots until the next step; more are dropped
 _OPTIONS: dict[str, object] = {
@@ -47,7 +45,7 @@ _OPTIONS: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": round(LEASE * 1000),
-    # The loop never waits for a robot that does not read; the sender may lag by a burst.
+    # The loop never waits for a viewer that does not read; the sender may lag by a burst.
     "transport/link/tx/queue/size/real_time": 16,
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
@@ -74,7 +72,10 @@ class PendingRequest:
 
 
 class WorldLink:
-    """The world's side: publishes sensor data, keeps the newest command of each robot."""
+    """The world's side: sends sensor data, keeps the newest command of each robot.
+
+    Daemons connect to `endpoint`, viewers to `viewers`.
+    """
 
     def __init__(
         self,
@@ -84,35 +85,33 @@ class WorldLink:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Open the session; NetworkError if the endpoint is in use, ConfigError if invalid.
+        """Listen; NetworkError if the endpoint is in use, ConfigError if invalid.
 
         Port 0 selects a free port, which `endpoint` then holds.
         """
-        self.dropped = 0
-        self._clock = clock
         self._lock = threading.Lock()
         self._commands: dict[str, Command] = {}
         self._messages: list[hw_codec.MessageWire] = []
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
-        self._ids = frozenset(ids)
-        self._session, self.endpoint = open_listening(endpoint, _OPTIONS, "the world")
+        self._dropped = 0
+        self._robots = RobotServer(endpoint, swarm, ids, "the world", clock=clock)
+        self.endpoint = self._robots.endpoint
+        host = read_endpoint(self.endpoint, "").host
+        host = f"[{host}]" if ":" in host else host
+        self._session, self.viewers = open_listening(f"tcp/{host}:0", _OPTIONS, "the world")
         tune_sockets(self._session, LEASE)
-        self._publishers = {
-            (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
-            for robot in self._ids
-            for name in (*hw_codec.INPUTS, "received")
-        }
         self._state = self._session.declare_publisher(state_key(swarm))
-        self._session.declare_subscriber(
-            keys.build(swarm, keys.ANY, "hw", "cmd_vel"), self._on_command
-        )
-        self._session.declare_subscriber(keys.build(swarm, keys.ANY, "hw", "sent"), self._on_sent)
         self._session.declare_queryable(control_key(swarm), self._on_query)
 
+    @property
+    def dropped(self) -> int:
+        """Frames and requests that were dropped, unreadable ones among them."""
+        return self._dropped + self._robots.dropped
+
     def publish(self, robot: str, name: str, payload: bytes) -> None:
-        """Publish sensor data of a robot; dropped if the link is busy."""
-        self._publishers[robot, name].put(payload)
+        """Send sensor data of a robot; dropped if the link is busy."""
+        self._robots.send(robot, name, payload)
 
     def send(self, robot: str, name: str, value: Any) -> None:
         """Publish what the sensor `name` of INPUTS of a robot has measured."""
@@ -134,16 +133,28 @@ class WorldLink:
         """Publish the state for viewers."""
         self._state.put(encode(state))
 
+    def receive(self) -> None:
+        """Take in what daemons have sent."""
+        for robot, name, payload, arrival in self._robots.receive():
+            try:
+                if name == "cmd_vel":
+                    self._on_command(robot, payload, arrival)
+                elif name == "sent":
+                    self._on_sent(robot, payload)
+                else:
+                    self._dropped += 1
+            except CodecError:  # keep the newest valid command
+                self._dropped += 1
+
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""
-        with self._lock:
-            commands, self._commands = self._commands, {}
+        self.receive()
+        commands, self._commands = self._commands, {}
         return commands
 
     def take_messages(self) -> list[hw_codec.MessageWire]:
-        """The messages that patterns have sent since the last call, in order of arrival."""
-        with self._lock:
-            messages, self._messages = self._messages, []
+        """The messages that patterns have sent, up to the last `receive`, in order of arrival."""
+        messages, self._messages = self._messages, []
         return messages
 
     def take_requests(self) -> list[PendingRequest]:
@@ -153,46 +164,21 @@ class WorldLink:
         return questions
 
     def close(self) -> None:
-        """Close the session."""
+        """Close all links."""
+        self._robots.close()
         self._session.close()
 
-    def _publisher(self, key: str) -> zenoh.Publisher:
-        return self._session.declare_publisher(
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME,
-            express=True,
-        )
-
-    def _on_command(self, sample: zenoh.Sample) -> None:
-        key = keys.parse(str(sample.key_expr))
-        if key is None or key.swarm != self._swarm or key.robot not in self._ids:
-            self.dropped += 1
-            return
-        arrival = self._clock()
-        try:
-            wire = hw_codec.decode_command(sample.payload.to_bytes())
-        except CodecError:  # keep the newest valid command
-            self.dropped += 1
-            return
+    def _on_command(self, robot: str, payload: bytes, arrival: float) -> None:
+        wire = hw_codec.decode_command(payload)
         twist = Twist(wire.linear, wire.angular, wire.lateral)
-        with self._lock:
-            self._commands[key.robot] = Command(twist, arrival, wire.scan_seq)
+        self._commands[robot] = Command(twist, arrival, wire.scan_seq)
 
-    def _on_sent(self, sample: zenoh.Sample) -> None:
-        key = keys.parse(str(sample.key_expr))
-        try:
-            wire = hw_codec.decode_message(sample.payload.to_bytes())
-        except CodecError:
-            self.dropped += 1
-            return
-        source = None if key is None else (key.swarm, key.robot)
-        is_ours = source == (self._swarm, wire.robot) and wire.robot in self._ids
-        with self._lock:
-            if is_ours and len(self._messages) < MAX_PENDING_MESSAGES:
-                self._messages.append(wire)
-            else:
-                self.dropped += 1
+    def _on_sent(self, robot: str, payload: bytes) -> None:
+        wire = hw_codec.decode_message(payload)
+        if wire.robot == robot and len(self._messages) < MAX_PENDING_MESSAGES:
+            self._messages.append(wire)
+        else:
+            self._dropped += 1
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
@@ -205,7 +191,7 @@ class WorldLink:
             if len(payload) <= MAX_CONTROL and len(self._requests) < MAX_PENDING_REQUESTS:
                 self._requests.append(PendingRequest(payload, answer))
                 return
-            self.dropped += 1
+            self._dropped += 1
         query.drop()
 
 
@@ -308,7 +294,7 @@ class Command:
 
 
 class EmulatorTransport:
-    """The emulator of a driver's robots, in place of the `hw/*` keys of the world's link.
+    """The emulator of a driver's robots, in place of the world's own links of robots.
 
     `side` is the hub to which the daemons connect.
     """

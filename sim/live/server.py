@@ -113,7 +113,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
                 stops_after(p.drivers.get(driver, {}), f"platform {p.name}: drivers.{driver}")
                 for p in robots.values()
             ]
-        ready = {"endpoint": link.endpoint, "swarm": swarm, "driver": driver}
+        ready = {"endpoint": link.viewers, "swarm": swarm, "driver": driver}
         print(json.encode({**ready, "driver_options": driver_options}).decode(), flush=True)
         # What is alive now stays alive; a collection would only walk through it again.
         gc.collect()

@@ -20,8 +20,8 @@ class WorldOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The command line of a world's process, as JSON.
 
     `scenario`: the file of an effective scenario; without one `robots` (platform by id) start in
-    `arena` by `layout`, texts as of `parse_arena` and `parse_layout`. `endpoint` is for drivers and
-    viewers; with an `emulator` its drivers connect to `emulator_endpoint`. Port 0 is any. `trace`
+    `arena` by `layout`, texts as of `parse_arena` and `parse_layout`. `endpoint` is for drivers,
+    `emulator_endpoint` for those of an `emulator`. Port 0 is any. `trace`
     is the path of the recording, `trace_rate` in Hz; it ends after `seconds` of simulation, which
     count from the start or from a request `start`. `radio_range` in m; None: without limit.
     """

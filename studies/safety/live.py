@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-import zenoh
 
 from benchmarks.latency import FULL_BUDGET, REFLEX_BUDGET, Stamps, between, read_stamps, row
 from benchmarks.swarm import Swarm
@@ -31,14 +30,13 @@ from studies.safety.driven import faults
 from studies.safety.hazards import OBSTACLES, ObstaclePlacer, Rammer, room
 from studies.safety.judge import FAULT, Collision, collisions
 from studies.safety.scenes import KINDS, VISIBILITIES
-from swarmd.core import keys
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Platform
 from swarmd.driver_api.hw_codec import encode_command
-from swarmd.network.carriers.session import open_with
+from swarmd.network.carriers.robot_link import Connection, Hello, dial, read_endpoint
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.demo_run import WorldWatcher
-from swarmd.sim.live.link import WorldView, client_options
+from swarmd.sim.live.link import WorldView
 from swarmd.sim.trace import Trace, load_trace
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import gaps, radius, transform
@@ -135,10 +133,9 @@ def run_course(
         with (
             Swarm(robots, protected, others={RAMMER: fast}, world=options) as swarm,
             WorldView(swarm.name, swarm.endpoint) as world,
-            _steering(swarm.endpoint) as steering,
+            _steering(swarm) as steering,
         ):
             watch = WorldWatcher(world)
-            key = keys.build(swarm.name, RAMMER, "hw", "cmd_vel")
             swarm.run("random_walk", **_WALK)
             state = world.ask("start").state
             began, end = time.monotonic_ns(), state.time + seconds
@@ -146,7 +143,7 @@ def run_course(
             while state.time < end and (count < appeared or state.contacts < touches):
                 state = watch.wait(since=state.time)
                 twist = rammer.command(state, state.ids.index(RAMMER))
-                steering.put(key, encode_command(twist, _NEWEST, _NEWEST))
+                steering.send("cmd_vel", encode_command(twist, _NEWEST, _NEWEST))
                 chosen = obstacles.next(state)
                 with contextlib.suppress(SwarmError):  # a wall or another thing is there
                     if chosen is not None:
@@ -179,14 +176,15 @@ def _busy(cores: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _steering(endpoint: str) -> Iterator[zenoh.Session]:
-    """A session that reaches the simulated robots of a world."""
-    options: dict[str, object] = {"mode": "peer", "scouting/multicast/enabled": False}
-    session = open_with({**options, **client_options(endpoint)}, what=f"the world at {endpoint}")
+def _steering(swarm: Swarm) -> Iterator[Connection]:
+    """A link to the simulated robot RAMMER."""
+    where = read_endpoint(str(swarm.driver_options["endpoint"]), "")
+    link = dial(where, Hello(swarm.name, RAMMER, listens=False), timeout=10.0)
+    assert link is not None
     try:
-        yield session
+        yield link
     finally:
-        session.close()
+        link.close()
 
 
 def _variant(path: Path, platform: str, **sections: Mapping[str, str | float]) -> str:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.ask_robots import next_status, statuses_of
 from swarmd.cli.options import Failure
 from swarmd.core.clock import boottime
 from swarmd.core.keys import is_id
@@ -82,6 +81,8 @@ def watch_canary(
 
     It ends at the first fault. A robot that sends no status is one.
     """
+    from swarmd.cli.ask_robots import next_status, statuses_of  # most runs have no canary
+
     heard, until = dict.fromkeys(names, boottime()), boottime() + seconds
     first: dict[str, Status] = {}
     faults: dict[str, str] = {}

@@ -23,7 +23,12 @@ def swarmctl() -> None:
 def swarmd() -> None:
     """Run swarmd and exit with its code."""
     try:
-        from swarmd.cli.daemon import main
+        from swarmd.core.processes import without_openssl
+
+        with without_openssl():
+            import secrets  # noqa: F401  # that of the daemon
+
+            from swarmd.cli.daemon import main
 
         main()
     except KeyboardInterrupt:

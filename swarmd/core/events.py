@@ -194,7 +194,7 @@ class NoteInput(Struct, frozen=True, array_like=True, tag="note"):
 
 
 class TickInput(Struct, frozen=True, array_like=True, tag="tick"):
-    """Time has passed: 20 times a second, and at `Robot.wake_at`."""
+    """Time has passed: 20 times a second, at rest 10 times, and at `Robot.wake_at`."""
 
 
 Input = (

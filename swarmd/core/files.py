@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -79,6 +78,8 @@ def remove_whole(path: Path) -> None:
             os.fchmod(folder, 0o700)
         finally:
             os.close(folder)
+    import shutil  # with three compressors, which take 2 ms
+
     shutil.rmtree(path, ignore_errors=True)
 
 

@@ -21,7 +21,7 @@ ANYONE = "anyone"
 """The asker in an insecure swarm."""
 CONTROL, SHARED = "control", "shared"
 _ASKED = frozenset({CONTROL, SHARED})
-_PLANES = frozenset({"state", "msg", "sense", "multicast", "unicast", "hw"}) | _ASKED
+_PLANES = frozenset({"state", "msg", "sense", "multicast", "unicast"}) | _ASKED
 
 
 class Key(NamedTuple):

@@ -1,4 +1,4 @@
-"""Child processes that end with their parent (Linux)."""
+"""Processes of this machine: children that end with their parent (Linux), limits and size."""
 
 from __future__ import annotations
 
@@ -6,7 +6,11 @@ import ctypes
 import os
 import resource
 import signal
+import struct
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 
 _PR_SET_PDEATHSIG = 1
 _PR_SET_DUMPABLE = 4
@@ -59,3 +63,40 @@ def limit_growth(growth: int) -> None:
     if hard != resource.RLIM_INFINITY:
         limit = min(limit, hard)
     resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+
+
+@contextmanager
+def without_openssl() -> Iterator[None]:
+    """Import asyncio, hashlib, hmac and secrets meanwhile: they do without OpenSSL's 4 MB.
+
+    Later imports find it, such as `ssl` where a robot has keys. Nothing changes for a Python that
+    has no hash functions of its own.
+    """
+    has_own = any(map(find_spec, ("_sha2", "_sha256")))  # from Python 3.12 on, and before
+    hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()
+    sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: ImportError
+    try:
+        yield
+    finally:
+        for name in hidden:
+            del sys.modules[name]
+
+
+_SET_SCHEDULER = {"x86_64": 314, "aarch64": 274}  # sched_setattr(2), which libc does not offer
+SHORT_SLICE = 100_000
+"""Nanoseconds, the shortest that Linux grants."""
+
+
+def ask_for_slices(slice: int | None) -> None:
+    """Ask for slices of the processor of so many ns, or for the usual; children inherit that.
+
+    A process with short slices gets the processor sooner when it wakes, and no larger share of it.
+    Without them the scheduler of Linux 6.6 and later lets a daemon that has just sent a step wait
+    for milliseconds until it may read the answer, once each core has a process that computes. A
+    kernel before 6.12 keeps its own slices.
+    """
+    number = _SET_SCHEDULER.get(os.uname().machine)
+    if number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:
+        nice = os.getpriority(os.PRIO_PROCESS, 0)
+        attributes = struct.pack("=IIQiIQQQ", 48, os.SCHED_OTHER, 0, nice, 0, slice or 0, 0, 0)
+        ctypes.CDLL(None).syscall(number, 0, attributes, 0)

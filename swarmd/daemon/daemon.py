@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import math
 import secrets
 import signal
 import time
@@ -27,6 +28,7 @@ from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Reply, Status
+from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
@@ -61,7 +63,7 @@ from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import TakenRoster
-from swarmd.settings.driver_options import base_options
+from swarmd.settings.driver_options import base_options, may_rest
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
@@ -70,6 +72,21 @@ NEIGHBORS_PERIOD = 10  # ticks
 USAGE_PERIOD = 20  # ticks
 MOTION_PERIOD = 2  # ticks
 STORAGE_PERIOD = 100  # ticks between two tries to write to a folder that could not be written
+ACTIVE_TIME = 1.0
+"""Seconds for which a robot at rest ticks 20 times a second after an event."""
+_MEASURED = (  # inputs that come all the time; each other one is an event
+    events.ScanInput,
+    events.RangesInput,
+    events.OdometryInput,
+    events.NeighborsInput,
+    events.PoseInput,
+    events.ReadingsInput,
+    events.MessageInput,
+    events.LeaseInput,
+    events.PeersInput,
+    events.PlaceInput,
+    events.TickInput,
+)
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -77,6 +94,7 @@ async def serve(settings: DaemonSettings) -> int:
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    ask_for_slices(SHORT_SLICE)  # before any thread
     for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
         loop.add_signal_handler(number, stop.set)
     daemon = Daemon(settings, make_driver(settings))
@@ -92,6 +110,8 @@ class Daemon:
         self._settings = settings
         self._carrier = message_carrier(driver)
         base = base_options(settings.driver_options, f"driver {settings.driver}")
+        self._may_rest = may_rest(base, driver)
+        self._active_until = -math.inf
         self._output = DriverOutput(
             driver, settings.driver, base.idle_output, self._on_driver_crash
         )
@@ -160,7 +180,7 @@ class Daemon:
             drops=self._drops,
             is_secured=settings.identity is not None,
         )
-        self._ticks = 0
+        self._periods = 0  # of the timer, at the tick before
         self._provisional: tuple[int, ...] = ()  # as the robot knows them
         self._shown_scan = -1  # sequence of the last scan for viewers
         self._robot = make_robot(
@@ -293,11 +313,15 @@ class Daemon:
     @fail_stop
     def step(self, input: events.Input) -> None:
         """Hand an input to the robot, and carry out what follows."""
-        if type(input) is events.TickInput or type(input) is events.HostInput:
+        kind = type(input)
+        if kind is events.TickInput or kind is events.HostInput:
             self._tell_provisional()
+        if kind not in _MEASURED:
+            self._active_until = boottime() + ACTIVE_TIME
+            self._timer.rest(False)
         actions = self._recording.recorder.step(self._robot, input, boottime())
         if actions is not None:
-            self._carry_out(actions)
+            self._carry_out(actions, may_repeat=kind is not events.ScanInput)
 
     def _tell_provisional(self) -> None:
         """Tell the robot which of the patterns that run or load are provisional code."""
@@ -427,25 +451,31 @@ class Daemon:
     # Ticks and actions
 
     def _on_tick(self) -> None:
-        self._ticks += 1
+        before, self._periods = self._periods, self._timer.periods
+
+        def is_due(period: int) -> bool:
+            return self._periods // period > before // period
+
         self.step(events.TICK_INPUT)
+        is_quiet = self._may_rest and boottime() >= self._active_until
+        self._timer.rest(is_quiet and self._robot.is_at_rest)
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
         if told := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*told)
-        if self._ticks % MOTION_PERIOD == 0:
+        if is_due(MOTION_PERIOD):
             self._publish_motion()
         self._tools.advance(boottime())
-        if self._latches.fault and self._ticks % STORAGE_PERIOD == 0 and not self._robot.is_running:
+        if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
             self._check_storage()  # on the loop, where a slow disk would end a run
-        if self._ticks % USAGE_PERIOD == 0:
+        if is_due(USAGE_PERIOD):
             robot = self._robot
             self._code_runs.advance(
                 boottime(), robot.running_generation, is_running=robot.is_running
             )
             self._health.measure(self._runner.pid, boottime())
-        if self._ticks % NEIGHBORS_PERIOD == 0:
+        if is_due(NEIGHBORS_PERIOD):
             self.on_members()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
 
@@ -478,8 +508,8 @@ class Daemon:
             if kept is not None:
                 self.step(events.HostInput(self._code_runs.granted(kept)))
 
-    def _carry_out(self, actions: Actions) -> None:
-        self._output.command(actions, boottime())
+    def _carry_out(self, actions: Actions, *, may_repeat: bool) -> None:
+        self._output.command(actions, boottime(), may_repeat=may_repeat)
         if actions.is_quiet:
             return
         robot = self._robot

@@ -89,6 +89,9 @@ class DriverOutput:
         self._driver = driver
         self._name = name
         self._idle = IdleOutputFilter(idle_output)
+        self._sent: tuple[Twist, bool] | None = (
+            None  # the last command, and whether it was a stop's
+        )
         self._on_crash = on_crash
 
     async def run(self, sink: Sink) -> None:
@@ -101,9 +104,17 @@ class DriverOutput:
                 sink.state(False, str(error))
             await asyncio.sleep(RETRY_PERIOD)
 
-    def command(self, actions: Actions, now: float) -> None:
-        """Send the command of these actions, unless an idle robot sends none."""
+    def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
+        """Send the command of these actions, unless an idle robot sends none.
+
+        Without `may_repeat`, the zero of a robot that does not run is not sent a second time.
+        """
+        is_zero = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
+        command = actions.twist, actions.is_stopped
+        if is_zero and not may_repeat and command == self._sent:
+            return
         if self._idle.allows(actions.twist, actions.is_idle, now):
+            self._sent = command
             self._send(
                 actions.twist,
                 actions.decision.scan_seq,
@@ -113,6 +124,7 @@ class DriverOutput:
 
     def send_zero(self) -> None:
         """Send the command zero."""
+        self._sent = None
         self._send(ZERO, -1, -1)
 
     def _send(

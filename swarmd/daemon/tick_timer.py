@@ -1,4 +1,7 @@
-"""The daemon's timer: 20 ticks a second against absolute deadlines, and one wake-up in between."""
+"""The daemon's timer: ticks against absolute deadlines, and one wake-up in between.
+
+There are 20 ticks a second, and 10 while the timer rests.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +12,42 @@ from collections.abc import Callable
 from swarmd.core.clock import STALL_TIMEOUT, TICK
 
 MAX_LATENESS_SAMPLES = 400
+RESTING_PERIODS = 2
+"""Periods of 50 ms between two ticks while the timer rests."""
 
 
 class TickTimer:
-    """Calls `tick` every 50 ms, and once more at the time that `wake_in` has set."""
+    """Calls `tick` every 50 ms, and once more at the time that `wake_in` has set.
+
+    `periods`: how many periods of 50 ms have ended with a tick; a wake-up ends none.
+    """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
         self._loop = loop
         self._tick = tick
         self._next = loop.time() + TICK
+        self._step = 1  # periods until the next tick
+        self._is_resting = False
         self._handle = loop.call_at(self._next, self._on_time)
         self._wake_at: float | None = None
         self._wake: asyncio.TimerHandle | None = None
         self._lateness: deque[float] = deque(maxlen=MAX_LATENESS_SAMPLES)
-        self.stalls = 0
+        self.stalls = self.periods = 0
 
     @property
     def p99(self) -> float:
         """The 99th percentile of how late the last ticks were, in s."""
         ranked = sorted(self._lateness)
         return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
+
+    def rest(self, is_resting: bool) -> None:
+        """Tick every RESTING_PERIODS from the next tick on, or every 50 ms from now on."""
+        self._is_resting = is_resting
+        at = self._loop.time() + TICK
+        if not is_resting and self._step > 1 and at < self._next:
+            self._handle.cancel()
+            self._next, self._step = at, 1
+            self._handle = self._loop.call_at(at, self._on_time)
 
     def wake_in(self, seconds: float | None) -> None:
         """Set the wake-up, replacing the one before; None: the ticks are enough."""
@@ -49,9 +68,11 @@ class TickTimer:
         self._lateness.append(late)
         if late > STALL_TIMEOUT:
             self.stalls += 1
-        self._next += TICK
+        self.periods += self._step
+        self._step = RESTING_PERIODS if self._is_resting else 1
+        self._next += self._step * TICK
         if self._next <= now:  # more than a period late: do not catch up
-            self._next = now + TICK
+            self._next = now + self._step * TICK
         self._handle = self._loop.call_at(self._next, self._on_time)
         self._arm()
         self._tick()

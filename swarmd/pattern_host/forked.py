@@ -15,7 +15,6 @@ from pathlib import Path
 
 import msgspec
 
-from swarmd.core.fork_server import SERVER_PATH
 from swarmd.core.processes import die_with_parent
 
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -73,7 +72,8 @@ def take_forked_host(
 
 
 def _become_host(fd: int, parent: int) -> None:
-    from swarmd.pattern_host import worker  # a daemon by itself need not import it
+    from swarmd.core.fork_server import SERVER_PATH  # other daemons need neither
+    from swarmd.pattern_host import worker
 
     die_with_parent(parent)
     os.setsid()

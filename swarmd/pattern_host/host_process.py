@@ -139,7 +139,7 @@ def _execute(
 ) -> tuple[subprocess.Popen[bytes], socket.socket]:
     ours, theirs = host_sockets()
     # -P: a random.py in the current folder must not shadow a module.
-    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker"]
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host"]
     command += [str(theirs.fileno()), str(os.getpid()), msgspec.json.encode(folders).decode()]
     with theirs:
         process = subprocess.Popen(

@@ -23,7 +23,7 @@ from msgspec.structs import replace
 import swarmd.api  # noqa: F401  # all patterns import it: a first run need not wait for that
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Load, Loaded, PatternFailed
-from swarmd.core.processes import OUT_OF_MEMORY, die_with_parent, limit_growth
+from swarmd.core.processes import OUT_OF_MEMORY, ask_for_slices, die_with_parent, limit_growth
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
@@ -35,7 +35,7 @@ NICE = 10
 
 
 def main() -> None:
-    """Entry of `python -m swarmd.pattern_host.worker FD PARENT FOLDERS`.
+    """Entry of `python -m swarmd.pattern_host FD PARENT FOLDERS`.
 
     The daemon's socket and id, and the folders that `confine` takes, readable and secret, as JSON.
     """
@@ -87,9 +87,6 @@ def _serve(daemon: socket.socket) -> None:
 
 def _lower_priority() -> None:
     os.nice(NICE)
+    ask_for_slices(None)  # short ones are for the daemon, which started this process
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
-
-
-if __name__ == "__main__":
-    main()

@@ -179,6 +179,11 @@ class Robot:
         """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
         return _HANDLERS[type(input)](self, input, now)
 
+    @property
+    def is_at_rest(self) -> bool:
+        """True if no time changes the state: nothing runs, loads or is tried, no answer is due."""
+        return not self.is_running and self._lifecycle.due_at() == math.inf
+
     # Inputs from the driver and the network
 
     def _on_scan(self, one: events.ScanInput, now: float) -> Actions:
@@ -337,7 +342,7 @@ class Robot:
     # Time
 
     def _tick(self, one: events.TickInput, now: float) -> Actions:
-        """Check all deadlines: 20 times a second, and at `wake_at`."""
+        """Check all deadlines: 20 times a second, at rest 10 times, and at `wake_at`."""
         if now >= self._quiet_until:
             self._look_ahead()
         is_quiet = now < self._quiet_until and now - self._last_tick <= STALL_TIMEOUT

@@ -1,13 +1,18 @@
-"""Checks a certificate against its key and its authority with Python's `ssl`, which robots have."""
+"""Checks a certificate against its key and its authority with Python's `ssl`, which robots have.
+
+A robot without keys does not import it.
+"""
 
 from __future__ import annotations
 
-import ssl
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    import ssl
 
 _FLIGHTS = 10  # a handshake of TLS 1.3 takes three
 
@@ -26,6 +31,8 @@ def check_certificate(certificate: Path, key: Path, authority: Path) -> Certific
     By a handshake in memory, as of a link. ConfigError in one line if a part does not fit. It needs
     a clock that is right to the life of the authority: not before 1970, not after its end.
     """
+    import ssl
+
     try:
         server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         server.load_cert_chain(certificate, key, password=_no_passphrase)
@@ -52,6 +59,8 @@ def _no_passphrase() -> str:
 
 def _peer_of(client: ssl.SSLContext, server: ssl.SSLContext) -> dict[str, Any]:
     """The certificate of the server as the client has verified it. Raises SSLError."""
+    import ssl
+
     to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
     ends = (
         client.wrap_bio(to_client, to_server),

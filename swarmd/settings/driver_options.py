@@ -20,6 +20,12 @@ from swarmd.settings.layered import Layered
 IDLE_ZEROS_PERIOD = 1.0
 """Seconds of zero commands to a robot that becomes idle, with `idle_output: silent`."""
 
+RESTING_TIMEOUT = 0.4
+"""Seconds without a command that a base must bear if its idle robot is to tick 10 times a second.
+
+The watchdog bears as many.
+"""
+
 DEFAULT_COMMAND_TIMEOUT = 0.5
 """Seconds without a command after which a base with `command_timeout: base` stops."""
 
@@ -86,3 +92,9 @@ def stops_after(options: Mapping[str, Value], what: str) -> float:
 def effective_command_timeout(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
     """The command timeout, with its default: `none` for a real robot, else `base`."""
     return base.command_timeout or ("base" if driver.is_simulated else "none")
+
+
+def may_rest(base: BaseOptions, driver: Driver) -> bool:
+    """True if the base bears that a robot which stands is sent zero 10 times a second only."""
+    timeout = effective_command_timeout(base, driver)
+    return isinstance(timeout, str) or timeout >= RESTING_TIMEOUT

@@ -1,16 +1,18 @@
-"""What processes of one user can do to each other."""
+"""What processes of one user can do to each other, and what a process asks of the machine."""
 
 from __future__ import annotations
 
 import ctypes
 import os
 import signal
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable
 
 import pytest
 
-from swarmd.core.processes import keep_from_tracing
+from swarmd.core.processes import SHORT_SLICE, ask_for_slices, keep_from_tracing
 
 NOBODY = 65534
 PR_SET_DUMPABLE = 4
@@ -62,3 +64,33 @@ def test_another_process_of_the_user_reads_its_memory_unless_that_is_denied(is_k
         os.waitpid(target, 0)
         os.close(ready)
         os.close(told)
+
+
+def test_short_slices_change_neither_priority_nor_policy() -> None:
+    def ask() -> None:
+        os.nice(3)
+        before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+        ask_for_slices(SHORT_SLICE)
+        ask_for_slices(None)
+        assert (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)) == before
+
+    _, status = os.waitpid(as_nobody(ask), 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+
+
+@pytest.mark.parametrize(
+    ("module", "is_loaded"), [("asyncio", False), ("hmac", False), ("ssl", True)]
+)
+def test_imports_without_openssl_find_it_later(module: str, is_loaded: bool) -> None:
+    lines = (
+        "from swarmd.core.processes import without_openssl",
+        "with without_openssl():",
+        "    import asyncio, hmac, secrets",
+        f"import {module}",
+        "assert len(hmac.digest(b'key', b'text', 'sha256')) == 32",
+        "print('libssl' in open('/proc/self/maps').read())",
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == str(is_loaded)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from itertools import pairwise
 from typing import cast
 
 import pytest
 
 from swarmd.core.clock import TICK
-from swarmd.daemon.tick_timer import TickTimer
+from swarmd.daemon.tick_timer import RESTING_PERIODS, TickTimer
 
 
 class HandLoop:
@@ -65,3 +66,50 @@ def test_wake_up_is_replaced_and_stopped() -> None:
     timer.stop()
     loop.run_until(9.0 * TICK)
     assert times == pytest.approx([1.0, 2.0, 3.0])
+
+
+def test_a_timer_at_rest_ticks_half_as_often_and_counts_all_periods() -> None:
+    loop, times = HandLoop(), list[float]()
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))
+    timer.rest(True)
+    loop.run_until((1.5 + 3 * RESTING_PERIODS) * TICK)
+    assert times == pytest.approx([1.0 + RESTING_PERIODS * i for i in range(4)])
+    assert timer.periods == 1 + 3 * RESTING_PERIODS
+
+
+@pytest.mark.parametrize("waited", [0.1, 0.9, 1.0, 1.1, 1.9])
+def test_a_rest_ends_with_a_tick_within_a_period(waited: float) -> None:
+    loop, times = HandLoop(), list[float]()
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))
+    timer.rest(True)
+    loop.run_until((1.0 + RESTING_PERIODS + waited) * TICK)
+    timer.rest(False)
+    timer.rest(False)
+    times.clear()
+    loop.run_until(loop.now + 3.01 * TICK)
+    assert times[0] <= 1.0 + RESTING_PERIODS + waited + 1.0 + 1e-9
+    assert all(1.0 - 1e-9 <= b - a <= 1.0 + 1e-9 for a, b in pairwise(times))
+    assert len(times) >= 3
+
+
+def test_a_stall_of_a_resting_timer_counts_from_the_time_of_its_tick() -> None:
+    loop = HandLoop()
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: None)
+    timer.rest(True)
+    loop.run_until(1.1 * TICK)
+    for lateness, stalls in ((0.99, 0), (1.01, 1)):
+        (call,) = loop.calls
+        call.cancel()
+        loop.now = call.at + lateness
+        call.call()
+        assert timer.stalls == stalls
+
+
+def test_a_resting_timer_keeps_its_wake_up() -> None:
+    loop, times = HandLoop(), list[float]()
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))
+    timer.rest(True)
+    loop.run_until(1.1 * TICK)
+    timer.wake_in(0.5 * TICK)
+    loop.run_until(3.1 * TICK)
+    assert times == pytest.approx([1.0, 1.6, 1.0 + RESTING_PERIODS])

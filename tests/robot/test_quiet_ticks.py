@@ -350,3 +350,41 @@ def test_quiet_tick_gives_the_command_alone() -> None:
     assert (actions.host, actions.trial, actions.latches) == (None,) * 3
     assert not actions.has_status
     assert (dict(actions.messages), actions.replies) == ({}, ())
+
+
+def known_of(robot: Robot) -> tuple[object, ...]:
+    """What operators and peers act on."""
+    return robot.state, robot.reason, robot.epoch, dict(robot.latches), robot.generations
+
+
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.too_slow])
+@given(st.randoms(use_true_random=False))
+def test_time_changes_nothing_of_a_robot_at_rest(chance: Random) -> None:
+    pair = Pair()
+    robot = pair.robots[0]
+    pair.live(0.25)
+    assert robot.is_at_rest
+    pair.ask(RunRequest, pattern="a")
+    assert not robot.is_at_rest
+    for what in chance.choices(tuple(WEIGHTS), tuple(WEIGHTS.values()), k=30):
+        happen(pair, what, chance.randrange(60))
+        if not robot.is_at_rest:
+            continue
+        before = known_of(robot)
+        for _ in range(chance.randrange(1, 70)):
+            pair.now += 2.0 * TICK
+            pair.odometry()
+            pair.do(TICK_INPUT)
+            assert robot.decision.safe.is_zero
+        assert robot.is_at_rest
+        assert known_of(robot) == before
+
+
+@pytest.mark.parametrize("late", [0.99, 1.01])
+def test_a_stall_of_a_robot_at_rest_is_found_as_ever(late: float) -> None:
+    pair = Pair()
+    pair.live(1.0)
+    assert pair.robots[0].is_at_rest
+    pair.now += late
+    pair.tick()
+    assert pair.robots[0].epoch.revision == (late > 1.0)

@@ -1,4 +1,4 @@
-"""A scripted body: speaks `hw/*` like the simulated world, but does what a test tells it.
+"""A scripted body: speaks like the simulated world, but does what a test tells it.
 
 It listens on loopback for the daemon's simulated driver. Scans and odometry are published from a
 thread of its own at their nominal rates; `scans` makes each scan and can be replaced at any time.
@@ -6,22 +6,19 @@ thread of its own at their nominal rates; `scans` makes each scan and can be rep
 
 from __future__ import annotations
 
-import json
+import select
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 
-import zenoh
-
-from swarmd.core import keys
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import decode_command, encode_odometry, encode_scan
+from swarmd.network.carriers.robot_link import RobotServer
 from swarmd.testing.scans import empty_scan
-from tests.support.processes import free_endpoint
 
 CAP = 60.0
 ODOMETRY_RATE = 20.0
@@ -64,22 +61,17 @@ class Body:
         self._period = 1.0 / (rate or platform.scan.rate)
         self._changed = threading.Condition()
         self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._publish, name=f"body {robot}", daemon=True)
-        self.endpoint = endpoint or free_endpoint()
-        config = zenoh.Config()
-        for path, value in (
-            ("mode", "peer"),
-            ("listen/endpoints", [self.endpoint]),
-            ("scouting/multicast/enabled", False),
-            ("scouting/gossip/enabled", False),
-            ("transport/link/tx/lease", 60_000),
-        ):
-            config.insert_json5(path, json.dumps(value))
-        self._session = zenoh.open(config)
-        self._subscriber = self._session.declare_subscriber(self._key("cmd_vel"), self._on_command)
+        self._threads = [
+            threading.Thread(target=run, name=f"body {robot}", daemon=True)
+            for run in (self._publish, self._receive)
+        ]
+        self._server = RobotServer(endpoint or "tcp/127.0.0.1:0", swarm, (robot,), "the body")
+        self._sending = threading.Lock()
+        self.endpoint = self._server.endpoint
 
     def __enter__(self) -> Body:
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
         return self
 
     def __exit__(
@@ -94,16 +86,23 @@ class Body:
         """Be gone, as a body whose plug is pulled; harmless if it is already."""
         if not self._stopping.is_set():
             self._stopping.set()
-            self._thread.join(CAP)
-            self._session.close()
+            for thread in self._threads:
+                if thread.ident is not None:
+                    thread.join(CAP)
+            self._server.close()
 
     def clear(self, seq: int, stamp: float, distance: float = 3.0) -> Scan:
         """A scan in which every ray returns `distance` m."""
         return empty_scan(self.platform, seq, stamp, distance)
 
-    def put(self, key: str, payload: bytes) -> None:
-        """Say anything on any key to whoever is linked to this body, and lose nothing of it."""
-        self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+    def put(self, name: str, payload: bytes) -> None:
+        """Send any frame to whoever is linked to this body, and lose nothing of it."""
+        while not self._send(name, payload) and not self._stopping.is_set():
+            self._stopping.wait(0.002)
+
+    def _send(self, name: str, payload: bytes) -> bool:
+        with self._sending:
+            return self._server.send(self.robot, name, payload)
 
     def wait(self, what: Callable[[Commanded], bool], since: float = 0.0) -> Commanded:
         """The first command after `since` for which `what` holds; AssertionError after a minute."""
@@ -163,12 +162,19 @@ class Body:
                 if one.at >= moving.at
             )
 
-    def _key(self, name: str) -> str:
-        return keys.build(self.swarm, self.robot, "hw", name)
+    def _receive(self) -> None:
+        while not self._stopping.is_set():
+            if not select.select([self._server], [], [], 0.05)[0]:
+                continue
+            with self._sending:
+                received = self._server.receive()
+            for _, name, payload, _ in received:
+                if name == "cmd_vel":
+                    self._on_command(payload)
 
-    def _on_command(self, sample: zenoh.Sample) -> None:
+    def _on_command(self, payload: bytes) -> None:
         try:
-            wire = decode_command(sample.payload.to_bytes())
+            wire = decode_command(payload)
         except CodecError:
             return
         twist = Twist(wire.linear, wire.angular, wire.lateral)
@@ -184,7 +190,7 @@ class Body:
             stamp = boottime() - begin
             if self.odometry is not None:
                 odometry = Odometry(stamp, Pose(), self.odometry)
-                self._session.put(self._key("odometry"), encode_odometry(odometry))
+                self._send("odometry", encode_odometry(odometry))
             if stamp < next_scan:
                 continue
             next_scan = max(next_scan + self._period, stamp)
@@ -192,4 +198,4 @@ class Body:
             scan = self.scans(seq, stamp)
             if scan is not None:
                 payload = scan if isinstance(scan, bytes) else encode_scan(scan)
-                self._session.put(self._key("scan"), payload)
+                self._send("scan", payload)

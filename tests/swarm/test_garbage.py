@@ -63,9 +63,7 @@ pytestmark = pytest.mark.integration
 PER_KIND = 10
 PER_KEY = 5
 MESH = ("control/", "state/")
-WRONG_HW = tuple(
-    f"driver/hw/{sense}:key" for sense in ("scan", "odometry", "neighbors", "readings")
-)
+WRONG_HW = ("driver/hw/unknown",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,15 +180,15 @@ def mesh_targets(swarm: str) -> Iterator[Target]:
         yield Target(key, valid, MAX_CONTROL, (f"control/{verb}",), is_query=True)
 
 
-def body_targets(swarm: str, body: Body) -> Iterator[Target]:
-    """Every key of the driver's session."""
+def body_targets(body: Body) -> Iterator[Target]:
+    """Every sense of the driver's link."""
     for name, valid, limit in (
         ("scan", encode_scan(body.clear(1, 0.0)), MAX_SENSOR_PAYLOAD),
         ("odometry", encode_odometry(Odometry(1.0, Pose(), Twist())), MAX_CONTROL),
         ("neighbors", encode_neighbors((Neighbor("r2", 0.0),)), MAX_CONTROL),
         ("readings", encode_readings({"battery": 0.9}), MAX_CONTROL),
     ):
-        yield Target(build(swarm, "r1", "hw", name), valid, limit, (f"driver/hw/{name}",))
+        yield Target(name, valid, limit, (f"driver/hw/{name}",))
 
 
 def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vandal: Vandal) -> None:
@@ -204,7 +202,7 @@ def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vanda
 
     for target in mesh_targets(swarm.name):
         vandal.flood(vandal.ask, target)
-    for target in body_targets(swarm.name, body):
+    for target in body_targets(body):
         vandal.flood(body.put, target)
     say_on_wrong_keys(swarm, vandal, body)
     send_wrong_datagrams(vandal)
@@ -232,7 +230,7 @@ def say_on_wrong_keys(swarm: Swarm, vandal: Vandal, body: Body) -> None:
     for key in (*everyone, f"swarm/{name}/r1/control/*/eve", "swarm/*/r1/*/*/*"):
         vandal.count(vandal.ask, key, itertools.repeat(query, PER_KEY), MESH)
     scan = encode_scan(body.clear(1, 0.0))
-    for key in (*everyone, f"swarm/{name}/*/hw/scan"):
+    for key in (*everyone, "", "hello", "cmd_vel", "scan2"):
         vandal.count(body.put, key, itertools.repeat(scan, PER_KEY), WRONG_HW)
 
 

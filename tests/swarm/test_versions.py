@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core import codec
-from tests.support.processes import DaemonProcess
+from tests.support.processes import DaemonProcess, wait_until
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -56,7 +56,10 @@ def test_robots_of_other_versions_are_stopped_and_shown_and_refuse_the_rest_by_n
         for robot, other in others.items():
             done = swarm.ctl("run", "drive", robot)
             assert done.outcome == (7, f"1 targeted, 0 applied, 1 refused ({robot})")
-            assert other.text().count("refused (other_version)") == 2
+            wait_until(  # the answer comes before the line
+                lambda other=other: other.text().count("refused (other_version)") == 2,  # type: ignore[misc]
+                "two refusals",
+            )
 
         assert swarm.ctl("stop").outcome == (0, "3 targeted, 3 applied")
         assert swarm.ctl("estop", "r2").outcome == (0, "1 targeted, 1 applied")

@@ -17,9 +17,11 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Protocol
 
 import zenoh
+from zenoh.handlers import Callback
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.keys import ANY, CONTROL, SHARED, Key, build, parse
@@ -127,6 +129,12 @@ class ZenohBus:
             )
             for name in ("status", "motion", "scan", "log")
         }
+        # Zenoh's answer whether somebody subscribes takes 50 us: it is asked for after a change.
+        self._watched = dict.fromkeys(self._publishers, False)
+        self._unsure = set(self._publishers)
+        for name, publisher in self._publishers.items():
+            on_change = Callback(partial(self._on_viewers, name), indirect=False)
+            publisher.declare_matching_listener(on_change)
         self._is_closed = False
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
@@ -135,7 +143,12 @@ class ZenohBus:
         `name`: status, motion, scan or log. A `payload` of None: there is nothing to publish.
         """
         publisher = self._publishers[name]
-        if self._is_closed or not has_subscriber(publisher):
+        if self._is_closed:
+            return
+        if name in self._unsure:
+            self._unsure.discard(name)  # first: what changes meanwhile is asked for again
+            self._watched[name] = has_subscriber(publisher)
+        if not self._watched[name]:
             return
         try:
             content = payload()
@@ -202,6 +215,10 @@ class ZenohBus:
         for queue in self._queues:
             queue.close()
         undeclare(*self._entities, *self._publishers.values())
+
+    def _on_viewers(self, name: str, _: zenoh.MatchingStatus) -> None:
+        """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""
+        self._unsure.add(name)
 
     def _is_own(self, key: Key, plane: str, name: str) -> bool:
         asked = (key.swarm, key.plane, key.name)

@@ -9,7 +9,6 @@ robot that does not know the age of its goal asks robots that hold the same goal
 from __future__ import annotations
 
 import hashlib
-import random
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -57,7 +56,9 @@ class GoalSync:
     """Which robots to ask for their goals; `seed` of the numbers of questions."""
 
     def __init__(self, seed: int) -> None:
-        self._random = random.Random(seed)
+        from random import Random  # operators use the rest of this file
+
+        self._random = Random(seed)
         self._asks = Asks(ASK_PERIOD, ASKED_AT_ONCE)
         self._questions: dict[int, _Question] = {}
         self._budget = TokenBucket(ASK_RATE, ASK_BURST)

@@ -1,12 +1,10 @@
-"""The world's Zenoh session with real peers on loopback."""
+"""The world's links with real peers on loopback."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 
 import pytest
-import zenoh
 from msgspec.structs import replace
 
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, encode
@@ -18,12 +16,13 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
     encode_message,
 )
-from swarmd.sim.live.link import WorldLink, WorldView, client_options
+from swarmd.network.carriers.robot_link import Connection, Frame, Hello, dial, read_endpoint
+from swarmd.sim.live.link import Command, WorldLink, WorldView
 from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until
 from tests.support.traces import world_state
 
-COMMAND = encode_command(Twist(0.2), -1, -1)
+CAP = 20.0
 ANY_PORT = "tcp/127.0.0.1:0"
 
 
@@ -34,17 +33,19 @@ def link() -> Iterator[WorldLink]:
     with_two.close()
 
 
+def dialled(link: WorldLink, robot: str, swarm: str = "s") -> Connection:
+    """A connection of a daemon; what it has sent has arrived, but was not taken in."""
+    made = dial(read_endpoint(link.endpoint, ""), Hello(swarm, robot), CAP)
+    assert made is not None
+    return made
+
+
 @pytest.fixture
-def peer(link: WorldLink) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    for path, value in {
-        **client_options(link.endpoint),
-        "scouting/multicast/enabled": False,
-    }.items():
-        config.insert_json5(path, json.dumps(value))
-    session = zenoh.open(config)
-    yield session
-    session.close()
+def peers(link: WorldLink) -> Iterator[dict[str, Connection]]:
+    made = {robot: dialled(link, robot) for robot in ("a", "b")}
+    yield made
+    for one in made.values():
+        one.close()
 
 
 def test_an_endpoint_in_use_is_one_clear_error(link: WorldLink) -> None:
@@ -58,75 +59,161 @@ def test_an_invalid_endpoint_is_refused(endpoint: str) -> None:
         WorldLink("s", ("a",), endpoint)
 
 
-def test_only_the_newest_valid_command_of_each_robot_is_kept(
-    link: WorldLink, peer: zenoh.Session
+def test_only_the_newest_command_of_each_robot_is_kept(
+    link: WorldLink, peers: dict[str, Connection]
 ) -> None:
-    def put(robot: str, payload: bytes) -> None:
-        peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
+    for speed in (0.1, 0.2, 9.0):
+        for robot, peer in peers.items():
+            peer.send("cmd_vel", encode_command(Twist(speed if robot == "a" else -speed), 1, 1))
+    taken: dict[str, Command] = {}
 
-    def is_linked() -> bool:
-        put("a", COMMAND)
-        return bool(link.take_commands())
+    def all_there() -> bool:
+        taken.update(link.take_commands())
+        return {one.twist.linear for one in taken.values()} == {9.0, -9.0}
 
-    wait_until(is_linked, "linked")  # from now on everything arrives in order
-    for speed in (0.1, 0.2):
-        for robot in ("a", "b"):
-            put(robot, encode_command(Twist(speed), 1, 1))
-    put("a", encode_command(Twist(9.0), -1, -1))
-    put("a", b"garbage")
-    wait_until(lambda: link.dropped == 1, "counted")
-    taken = link.take_commands()
-    assert {robot: command.twist.linear for robot, command in taken.items()} == {"a": 9.0, "b": 0.2}
+    wait_until(all_there, "all_there")
+    assert (taken["a"].twist.linear, taken["b"].twist.linear) == (9.0, -9.0)
+    assert link.take_commands() == {}
 
 
-@pytest.mark.parametrize(
-    ("key", "payload"),
-    [
-        ("swarm/s/*/hw/cmd_vel", COMMAND),
-        ("swarm/**", COMMAND),
-        ("swarm/s/stranger/hw/cmd_vel", COMMAND),
-        ("swarm/s/b/hw/sent", encode_message("a", "vote/opinion", b"of another")),
-        ("swarm/s/b/hw/sent", b"garbage"),
-    ],
-)
-def test_what_comes_on_the_key_of_another_or_is_malformed_is_counted_and_dropped(
-    link: WorldLink, peer: zenoh.Session, key: str, payload: bytes
+def test_a_malformed_command_replaces_no_valid_one(
+    link: WorldLink, peers: dict[str, Connection]
 ) -> None:
+    peers["a"].send("cmd_vel", encode_command(Twist(0.2), 1, 1))
+    peers["a"].send("cmd_vel", b"garbage")
+    peers["a"].send("velocity", encode_command(Twist(0.3), 1, 1))
+    taken: dict[str, Command] = {}
+
     def counted() -> bool:
-        peer.put(key, payload)
+        taken.update(link.take_commands())
+        return link.dropped == 2
+
+    wait_until(counted, "counted")
+    assert taken["a"].twist.linear == 0.2
+
+
+def test_what_names_no_robot_of_this_world_first_is_counted_and_ended(link: WorldLink) -> None:
+    strangers = [dialled(link, "stranger"), dialled(link, "a", swarm="other")]
+    silent = dial(read_endpoint(link.endpoint, ""), Hello("s", "a"), CAP)
+    assert silent is not None
+    for one in strangers:
+        one.send("cmd_vel", encode_command(Twist(0.2), -1, -1))
+
+    def ended() -> bool:
+        link.receive()
+        for one in strangers:
+            one.receive()
+        return link.dropped >= 2 and not any(one.is_open for one in strangers)
+
+    wait_until(ended, "ended")
+    assert link.take_commands() == {}
+    for one in (*strangers, silent):
+        one.close()
+
+
+def test_a_frozen_daemon_holds_up_neither_the_world_nor_the_commands_of_others(
+    link: WorldLink, peers: dict[str, Connection]
+) -> None:
+    def welcomed() -> bool:
+        link.receive()
+        return bool(peers["b"].receive())
+
+    wait_until(welcomed, "welcomed")
+    payload = b"x" * 1500
+    while not link.dropped:  # the daemon reads nothing
+        link.publish("a", "scan", payload)
+    peers["b"].send("cmd_vel", encode_command(Twist(0.1), 1, 1))
+    taken: dict[str, Command] = {}
+
+    def came() -> bool:
+        taken.update(link.take_commands())
+        return "b" in taken
+
+    wait_until(came, "the command")
+    before = link.dropped
+    link.publish("b", "scan", payload)
+    assert link.dropped == before
+    frames: list[Frame] = []
+
+    def thawed() -> bool:
+        frames.extend(peers["a"].receive())
+        link.publish("a", "odometry", b"new")
+        return frames[-1].name == "odometry"
+
+    wait_until(thawed, "what is sent after the thaw")
+    assert {one.payload for one in frames if one.name == "scan"} == {payload}
+
+
+def test_the_age_of_a_command_counts_from_its_arrival() -> None:
+    now = [100.0]
+    link = WorldLink("s", ("a",), ANY_PORT, clock=lambda: now[0])
+    peer = dialled(link, "a")
+    peer.send("cmd_vel", encode_command(Twist(0.1), 1, 1))
+    taken: dict[str, Command] = {}
+
+    def came() -> bool:
+        taken.update(link.take_commands())
+        return bool(taken)
+
+    wait_until(came, "the command")
+    assert taken["a"].arrival <= now[0]
+    assert taken["a"].arrival == pytest.approx(100.0)  # no longer ago than the last look
+    peer.close()
+    link.close()
+
+
+@pytest.mark.parametrize("payload", [encode_message("a", "vote/opinion", b"x"), b"garbage"])
+def test_a_message_of_another_or_a_malformed_one_is_counted_and_dropped(
+    link: WorldLink, peers: dict[str, Connection], payload: bytes
+) -> None:
+    peers["b"].send("sent", payload)
+    taken: list[MessageWire] = []
+
+    def counted() -> bool:
+        link.receive()
+        taken.extend(link.take_messages())
         return link.dropped > 0
 
     wait_until(counted, "counted")
-    assert link.take_commands() == {}
-    assert link.take_messages() == []
+    assert taken == []
 
 
-def test_messages_and_the_state_of_the_world_arrive(link: WorldLink, peer: zenoh.Session) -> None:
+def test_messages_are_passed_on(link: WorldLink, peers: dict[str, Connection]) -> None:
     said = MessageWire("b", "vote/opinion", b"x")
     came: list[MessageWire] = []
-    seen: list[WorldState] = []
-    peer.declare_subscriber(
-        "swarm/s/a/hw/received", lambda s: came.extend(decode_messages(s.payload.to_bytes()))
-    )
 
     def passed_on() -> bool:
-        peer.put("swarm/s/b/hw/sent", encode_message("b", "vote/opinion", b"x"))
+        peers["b"].send("sent", encode_message("b", "vote/opinion", b"x"))
+        link.receive()
         link.messages("a", link.take_messages())
-        link.publish_state(world_state([(0.0, 0.0, 0.0)], time=12.5))
-        return bool(came and seen)
+        for name, payload in peers["a"].receive():
+            if name == "received":
+                came.extend(decode_messages(payload))
+        return bool(came)
 
-    with WorldView("s", link.endpoint) as view:
-        view.watch(seen.append)
-        wait_until(passed_on, "passed on")
+    wait_until(passed_on, "passed on")
     assert came[0] == said
-    assert (seen[0].time, seen[0].arena) == (12.5, (6.0, 6.0))
+
+
+def test_a_viewer_sees_the_state(link: WorldLink) -> None:
+    seen: list[WorldState] = []
+    with WorldView("s", link.viewers) as view:
+        view.watch(seen.append)
+
+        def shown() -> bool:
+            link.publish_state(world_state([(0.0, 0.0, 0.0)], time=12.5))
+            return bool(seen)
+
+        wait_until(shown, "shown")
+    assert seen[0].time == 12.5
+    assert seen[0].arena == (6.0, 6.0)
 
 
 def test_a_world_that_is_not_there_is_one_clear_error() -> None:
     gone = WorldLink("s", ("a",), ANY_PORT)
     gone.close()
     with (
-        WorldView("s", gone.endpoint) as view,
+        WorldView("s", gone.viewers) as view,
         pytest.raises(NetworkError, match="'poses'"),
     ):
         view.ask("poses", timeout=0.2)

@@ -285,7 +285,7 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it_over_zenoh(tmp_path: Path) 
 
     def asked(deed: Callable[[WorldView], WorldState]) -> WorldState:
         """The reply to a viewer's request."""
-        with ThreadPoolExecutor(1) as pool, WorldView("s", link.endpoint) as view:
+        with ThreadPoolExecutor(1) as pool, WorldView("s", link.viewers) as view:
             answer = pool.submit(deed, view)
 
             def is_answered() -> bool:

@@ -36,13 +36,14 @@ def options(**changes: Any) -> str:
 
 
 @contextmanager
-def world(**changes: Any) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A running world and its endpoint."""
+def world(**changes: Any) -> Iterator[tuple[subprocess.Popen[bytes], str, str]]:
+    """A running world, and its endpoints for viewers and for drivers."""
     command = [*SERVER, options(**changes)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
             assert process.stdout is not None
-            yield process, json.loads(process.stdout.readline())["endpoint"]
+            ready = json.loads(process.stdout.readline())
+            yield process, ready["endpoint"], ready["driver_options"]["endpoint"]
         finally:
             process.kill()
 
@@ -62,14 +63,14 @@ def test_a_robot_follows_its_driver_and_stops_when_commands_end(
 ) -> None:
     trace = tmp_path / "run.npz"
 
-    async def story(endpoint: str) -> None:
+    async def story(viewers: str, endpoint: str) -> None:
         heard = CollectingSink()
         driver = SimulatedDriver(
             swarm="s", robot="a", platform=load_platform("waffle_pi"),
             options={"endpoint": endpoint},
         )  # fmt: skip
         task = asyncio.create_task(driver.run(heard))
-        with WorldView("s", endpoint) as view:
+        with WorldView("s", viewers) as view:
             async with asyncio.timeout(CAP):
                 while not heard.scans:
                     await asyncio.sleep(0.01)
@@ -88,8 +89,8 @@ def test_a_robot_follows_its_driver_and_stops_when_commands_end(
         assert not any(done.state.commanded)
         check(heard)
 
-    with world(trace=str(trace)) as (_, endpoint):
-        asyncio.run(story(endpoint))
+    with world(trace=str(trace)) as (_, viewers, endpoint):
+        asyncio.run(story(viewers, endpoint))
     run = load_trace(trace)
     assert run.meta["layout"] == "list:0:0:0,0:2:0"
     way = path_lengths(run)
@@ -119,13 +120,13 @@ asyncio.run(drive())
 
 @pytest.mark.integration
 def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
-    async def story(endpoint: str, frozen: subprocess.Popen[bytes]) -> None:
+    async def story(viewers: str, endpoint: str, frozen: subprocess.Popen[bytes]) -> None:
         heard = CollectingSink()
         driver = SimulatedDriver(
             swarm="s", robot="b", platform=load_platform("burger"), options={"endpoint": endpoint}
         )
         task = asyncio.create_task(driver.run(heard))
-        with WorldView("s", endpoint) as view:
+        with WorldView("s", viewers) as view:
             async with asyncio.timeout(CAP):
                 while not (await asyncio.to_thread(view.ask, "poses")).state.commanded[0]:
                     await asyncio.sleep(0.05)
@@ -148,11 +149,11 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
         check(heard)
 
     with (
-        world() as (_, endpoint),
+        world() as (_, viewers, endpoint),
         subprocess.Popen([sys.executable, "-c", _DRIVE, endpoint]) as frozen,
     ):
         try:
-            asyncio.run(story(endpoint, frozen))
+            asyncio.run(story(viewers, endpoint, frozen))
         finally:
             frozen.kill()
 
@@ -163,8 +164,8 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
 )
 def test_a_signal_ends_it_and_writes_the_trace(tmp_path: Path, number: signal.Signals) -> None:
     trace = tmp_path / "run.npz"
-    with world(trace=str(trace), radio_range=1.5, realism="realistic") as (process, endpoint):
-        with WorldView("s", endpoint) as view:
+    with world(trace=str(trace), radio_range=1.5, realism="realistic") as (process, viewers, _):
+        with WorldView("s", viewers) as view:
             reply = view.ask("poses")
         process.send_signal(number)
         assert process.wait(CAP) == 0

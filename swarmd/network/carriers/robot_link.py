@@ -1,0 +1,361 @@
+"""The link of a simulated robot and its daemon: named frames on a TCP connection of their own.
+
+The daemon dials the process that simulates the robot, and its first frame is a `Hello`. Each frame
+has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). Neither side ever
+waits: a frame for which the connection has no room is dropped, and receivers use the newest.
+
+A frame is the length of its name (1 byte) and of its payload (4 bytes, little-endian), then both.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import TYPE_CHECKING, NamedTuple
+
+from msgspec import Struct
+
+from swarmd.core.bounds import Name
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.network.settings import Endpoint, parse_endpoint
+
+if TYPE_CHECKING:
+    import asyncio
+
+HELLO = "hello"
+RETRY_PERIOD = 0.5  # s between two attempts to connect
+MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
+MAX_CONNECTIONS_OF_ROBOT = 4
+MAX_STRANGERS = 16  # connections that have said no hello
+_HEAD = struct.Struct("<BI")
+_CHUNK = 1 << 16
+_SEND_BUFFER = 1 << 16  # bytes that wait for a frozen receiver, besides its own
+_SO_TIMESTAMPNS = 35  # asm-generic/socket.h
+_TIMESPEC = struct.Struct("@ll")
+_ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
+# s: a host that vanished is given up after half a minute.
+_KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 4))
+
+
+class Hello(Struct, frozen=True, array_like=True):
+    """The first frame of a daemon, and the answer. `listens`: it wants what the robot senses."""
+
+    swarm: Name
+    robot: Name
+    listens: bool = True
+
+
+_hello = Decoder(Hello)
+
+
+class Frame(NamedTuple):
+    """A named payload."""
+
+    name: str
+    payload: bytes
+
+
+class Received(NamedTuple):
+    """A frame from the daemon of `robot`, and when it arrived, on the clock of the server."""
+
+    robot: str
+    name: str
+    payload: bytes
+    arrival: float
+
+
+class Connection:
+    """Frames on a connected TCP socket; no method waits or raises.
+
+    `is_open` is false from the end of the connection on; `close` it then. `age`: s for which the
+    newest frame had waited when it was received, if `is_timed`.
+    """
+
+    def __init__(self, connected: socket.socket, *, is_timed: bool = False) -> None:
+        self.socket = connected
+        self.is_open = True
+        self.age = 0.0
+        self._room = _ROOM if is_timed else 0
+        self._received = bytearray()
+        self._unsent = b""
+        connected.setblocking(False)
+        with suppress(OSError):  # it has ended already
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+            connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, is_timed)
+            connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+            for option, value in _KEEPALIVE:
+                connected.setsockopt(socket.IPPROTO_TCP, option, value)
+
+    def send(self, name: str, payload: bytes) -> bool:
+        """Send a frame; False if it is dropped, since there is no room or no connection."""
+        try:
+            while self._unsent:  # of a frame that had room for its beginning
+                self._unsent = self._unsent[self.socket.send(self._unsent) :]
+            word = name.encode()
+            frame = b"".join((_HEAD.pack(len(word), len(payload)), word, payload))
+            self._unsent = frame[self.socket.send(frame) :]
+        except BlockingIOError:
+            return False
+        except OSError:
+            self.is_open = False
+            with suppress(OSError):  # who receives learns of the end
+                self.socket.shutdown(socket.SHUT_RDWR)
+            return False
+        return True
+
+    def receive(self) -> list[Frame]:
+        """The frames that have arrived; a frame that is too long ends the connection."""
+        data = b" " * _CHUNK
+        try:
+            while len(data) == _CHUNK and self.is_open:
+                data, ancillary, _, _ = self.socket.recvmsg(_CHUNK, self._room)
+                self._received += data
+                self.age = _age(ancillary)
+                self.is_open = bool(data)
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.is_open = False
+        return self._take_frames()
+
+    def close(self) -> None:
+        """Send what was handed over, and close."""
+        self.is_open = False
+        with suppress(OSError):
+            self.socket.shutdown(socket.SHUT_WR)
+            while self.socket.recv(_CHUNK):  # a reset would overtake the last frame
+                pass
+        self.socket.close()
+
+    def _take_frames(self) -> list[Frame]:
+        frames, buffer, at = list[Frame](), self._received, 0
+        while len(buffer) - at >= _HEAD.size:
+            word, length = _HEAD.unpack_from(buffer, at)
+            if length > MAX_PAYLOAD:
+                self.is_open = False
+                break
+            begin = at + _HEAD.size + word
+            if begin + length > len(buffer):
+                break
+            name = buffer[at + _HEAD.size : begin].decode(errors="replace")
+            at = begin + length
+            frames.append(Frame(name, bytes(buffer[begin:at])))
+        del buffer[:at]
+        return frames
+
+
+class RobotServer:
+    """The robots' side: takes the connections of their daemons. `dropped`: frames, both ways.
+
+    `endpoint` has the port that was chosen for port 0. Methods but `send` are for one thread.
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        swarm: str,
+        robots: Iterable[str],
+        what: str,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Listen; NetworkError naming `what` if that is impossible, ConfigError for a bad text."""
+        where = read_endpoint(endpoint, "endpoint is ")
+        self.dropped = 0
+        self._swarm, self._clock = swarm, clock
+        self._listeners: dict[str, tuple[Connection, ...]] = dict.fromkeys(robots, ())
+        self._robots: dict[Connection, str] = {}
+        self._connections: dict[int, Connection] = {}
+        self._emptied_at = clock()
+        family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+        try:
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind((where.host, where.port))
+            self._socket.listen(128)
+        except OSError as error:
+            self._socket.close()
+            is_taken = error.errno == errno.EADDRINUSE
+            why = "is in use on this machine" if is_taken else f"{error.strerror}"
+            raise NetworkError(f"{what} cannot listen: {endpoint} {why}") from error
+        port = self._socket.getsockname()[1]
+        self.endpoint = f"{endpoint.rpartition(':')[0]}:{port}"
+        self._poll = select.epoll()
+        self._poll.register(self._socket, select.EPOLLIN)
+
+    def fileno(self) -> int:
+        """A descriptor that becomes readable when `receive` has something to do."""
+        return self._poll.fileno()
+
+    def send(self, robot: str, name: str, payload: bytes) -> bool:
+        """Send to all that listen to a robot; False if one has no room for it."""
+        is_sent = True
+        for one in self._listeners[robot]:
+            if not one.send(name, payload):
+                is_sent = False
+                self.dropped += 1
+        return is_sent
+
+    def receive(self, timeout: float = 0.0) -> list[Received]:
+        """The frames since the last call; waits at most `timeout` s for the first."""
+        found: list[Received] = []
+        for file, _ in self._poll.poll(timeout):
+            one = self._connections.get(file)
+            if one is None:
+                self._accept()
+                continue
+            frames, now = one.receive(), self._clock()
+            # The wall clock, by which the kernel tells the age, may be set meanwhile.
+            arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
+            for name, payload in frames:
+                if one in self._robots:
+                    found.append(Received(self._robots[one], name, payload, arrival))
+                else:
+                    self._welcome(one, name, payload)
+            if not one.is_open:
+                self._forget(file, one)
+        self._emptied_at = self._clock()
+        return found
+
+    def close(self) -> None:
+        """Close all connections."""
+        for file, one in list(self._connections.items()):
+            self._forget(file, one)
+        self._poll.close()
+        self._socket.close()
+
+    def _accept(self) -> None:
+        try:
+            accepted, _ = self._socket.accept()
+        except OSError:  # gone already, or no descriptor is left
+            return
+        strangers = [file for file, one in self._connections.items() if one not in self._robots]
+        if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
+            self._forget(strangers[0], self._connections[strangers[0]])
+        one = Connection(accepted, is_timed=True)
+        self._connections[accepted.fileno()] = one
+        self._poll.register(accepted, select.EPOLLIN)
+
+    def _welcome(self, one: Connection, name: str, payload: bytes) -> None:
+        """Take the first frame of a connection, which ends if it is no hello to a robot here."""
+        try:
+            hello = _hello(payload)
+        except CodecError:
+            hello = None
+        there = None if hello is None else self._listeners.get(hello.robot)
+        count = 0 if hello is None else [*self._robots.values()].count(hello.robot)
+        is_full = count >= MAX_CONNECTIONS_OF_ROBOT
+        if name != HELLO or hello is None or hello.swarm != self._swarm or there is None or is_full:
+            self.dropped += 1
+            one.is_open = False
+            return
+        self._robots[one] = hello.robot
+        one.send(HELLO, payload)
+        if hello.listens:
+            self._listeners[hello.robot] = (*there, one)
+
+    def _forget(self, file: int, one: Connection) -> None:
+        del self._connections[file]
+        robot = self._robots.pop(one, None)
+        if robot is not None:
+            left = tuple(other for other in self._listeners[robot] if other is not one)
+            self._listeners[robot] = left
+        one.close()
+
+
+class RobotClient:
+    """A daemon's side: connects and connects again while `run` runs, on an asyncio loop.
+
+    `on_frames` takes what came, in its order. `is_known`: the other side has this robot.
+    """
+
+    def __init__(
+        self, endpoint: Endpoint, hello: Hello, on_frames: Callable[[list[Frame]], None]
+    ) -> None:
+        self._endpoint, self._on_frames = endpoint, on_frames
+        self._hello = encode(hello)
+        self._connection: Connection | None = None
+        self.is_known = False
+
+    async def run(self) -> None:
+        """Keep a connection until cancelled; then what was handed to `send` is sent."""
+        import asyncio
+
+        loop = asyncio.get_running_loop()
+        where = self._endpoint
+        family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
+        while True:
+            made = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+            try:
+                await loop.sock_connect(made, (where.host, where.port))
+                await self._use(Connection(made), loop)
+            except OSError:  # nothing listens there now
+                pass
+            finally:
+                made.close()
+            await asyncio.sleep(RETRY_PERIOD)
+
+    async def _use(self, one: Connection, loop: asyncio.AbstractEventLoop) -> None:
+        ended: asyncio.Future[None] = loop.create_future()
+
+        def on_readable() -> None:
+            frames = one.receive()
+            if not one.is_open and not ended.done():
+                loop.remove_reader(file)
+                ended.set_result(None)
+            if frames and not self.is_known:
+                self.is_known = True
+                del frames[0]
+            if frames:
+                self._on_frames(frames)
+
+        file = one.socket.fileno()
+        self._connection = one
+        one.send(HELLO, self._hello)
+        loop.add_reader(file, on_readable)
+        try:
+            await ended
+        finally:
+            if not ended.done() or ended.cancelled():
+                loop.remove_reader(file)
+            self._connection, self.is_known = None, False
+            one.close()
+
+    def send(self, name: str, payload: bytes) -> bool:
+        """Send a frame; False if it is dropped: there is no room, or no connection."""
+        one = self._connection
+        return one is not None and one.is_open and one.send(name, payload)
+
+
+def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
+    """A connection without a loop, within `timeout` s; None if there is none."""
+    try:
+        made = socket.create_connection((endpoint.host, endpoint.port), timeout)
+    except OSError:
+        return None
+    one = Connection(made)
+    return one if one.send(HELLO, encode(hello)) else None
+
+
+def read_endpoint(text: str, prefix: str, example: str = "tcp/127.0.0.1:0") -> Endpoint:
+    """The host and port of a link. Raises ConfigError: the prefix, the text, and an example."""
+    endpoint = parse_endpoint(text, prefix, example)
+    if endpoint.protocol != "tcp" or endpoint.suffix:
+        raise ConfigError(f"{prefix}{text!r}; expected a value such as {example}")
+    return endpoint
+
+
+def _age(ancillary: list[tuple[int, int, bytes]]) -> float:
+    """Seconds since the last byte arrived, by the wall clock; 0 without the kernel's time."""
+    for level, kind, content in ancillary:
+        if (level, kind, len(content)) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS, _TIMESPEC.size):
+            seconds, nanoseconds = _TIMESPEC.unpack(content)
+            return time.time() - float(seconds) - 1e-9 * float(nanoseconds)
+    return 0.0
