@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -54,9 +55,18 @@ def test_file_and_folder_are_synced_before_the_ack(
     assert synced == [file.path.stat().st_ino, file.path.parent.stat().st_ino]
 
 
-def test_unreadable_file_latches(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda path: path.write_bytes(b"\x01\x93 not a latch record"),
+        lambda path: path.write_bytes(b""),
+        lambda path: path.mkdir(),
+    ],
+    ids=["rubbish", "empty", "folder"],
+)
+def test_unreadable_file_latches(tmp_path: Path, harm: Callable[[Path], object]) -> None:
     file = LatchFile(tmp_path)
-    file.path.write_bytes(b"rubbish")
+    harm(file.path)
     assert Latches(file.read()).held
 
 

@@ -213,13 +213,12 @@ def test_an_endless_import_leaves_an_idle_robot_idle(robot: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "state", "reason"),
+    ("verb", "state", "reason", "is_driving"),
     [
-        ("stop", State.STOPPED, Reason.OPERATOR),
-        ("estop", State.ESTOPPED, Reason.ESTOP),
+        ("stop", State.STOPPED, Reason.OPERATOR, True),
+        ("estop", State.ESTOPPED, Reason.ESTOP, False),
     ],
 )
-@pytest.mark.parametrize("is_driving", [True, False])
 def test_a_stop_while_a_pattern_is_loaded_cancels_the_load(
     robot: Bench, verb: Literal["stop", "estop"], state: State, reason: Reason, is_driving: bool
 ) -> None:

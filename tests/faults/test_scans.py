@@ -42,15 +42,6 @@ def frozen(spec: ScanSpec, seq: int, stamp: float) -> Scan:
     return scan_of(spec, 1, 0.05, np.full(len(spec.bearings), 3.0))
 
 
-def all_unknown(spec: ScanSpec, seq: int, stamp: float) -> Scan:
-    return scan_of(spec, seq, stamp, np.full(len(spec.bearings), np.nan))
-
-
-def sector_lost(spec: ScanSpec, seq: int, stamp: float) -> Scan:
-    in_sector = np.abs(spec.bearings - math.pi) <= math.radians(15.0)
-    return scan_of(spec, seq, stamp, np.where(in_sector, np.nan, 3.0))
-
-
 def of_different_length(spec: ScanSpec, seq: int, stamp: float) -> bytes:
     ranges = np.full(len(spec.bearings) - 7, 3.0)
     bearings = spec.bearings.astype("<f4").tobytes()
@@ -67,11 +58,6 @@ def changing_rays(spec: ScanSpec, seq: int, stamp: float) -> Scan:
     return replace(scan_of(spec, seq, stamp, np.full(n, 3.0)), bearings=bearings)
 
 
-def a_tenth_unknown(spec: ScanSpec, seq: int, stamp: float) -> Scan:
-    unknown = np.random.default_rng(seq).random(len(spec.bearings)) < 0.1
-    return scan_of(spec, seq, stamp, np.where(unknown, np.nan, 3.0))
-
-
 def source_of(
     platform: Platform, source: ScanSource
 ) -> Callable[[int, float], Scan | bytes | None]:
@@ -83,8 +69,6 @@ def source_of(
     [
         (none, Reason.STALE_SCAN),
         (frozen, Reason.FROZEN_SCAN),
-        (all_unknown, Reason.INVALID_SCAN),
-        (sector_lost, Reason.INVALID_SCAN),
         (of_different_length, Reason.INVALID_SCAN),
         (garbage, Reason.STALE_SCAN),
     ],
@@ -109,10 +93,9 @@ def test_bad_scans_stop_a_robot_and_good_scans_do_not_start_it(
     assert (status.state, status.reason) == (State.STOPPED, reason)
 
 
-@pytest.mark.parametrize("twist", [Twist(0.2), Twist()], ids=["moves", "stands"])
-def test_repeated_scans_of_a_noisy_sensor_are_frozen(robot: Bench, twist: Twist) -> None:
+def test_repeated_scans_of_a_noisy_sensor_are_frozen(robot: Bench) -> None:
     robot.drive()
-    robot.body.odometry = twist
+    robot.body.odometry = Twist()
     first = robot.body.clear(1, 0.0)
     begun = boottime()
     robot.body.scans = lambda seq, stamp: replace(first, seq=seq, stamp=stamp)
@@ -138,9 +121,8 @@ def test_garbage_instead_of_scans_is_counted(robot: Bench) -> None:
     assert robot.status().epoch.instance == instance
 
 
-@pytest.mark.parametrize("source", [changing_rays, a_tenth_unknown])
-def test_normal_lidar_defects_do_not_stop_a_robot(robot: Bench, source: ScanSource) -> None:
-    robot.body.scans = source_of(robot.body.platform, source)
+def test_scans_of_changing_length_do_not_stop_a_robot(robot: Bench) -> None:
+    robot.body.scans = source_of(robot.body.platform, changing_rays)
     moving = robot.drive()
     robot.body.wait(lambda command: command.scan_seq >= moving.scan_seq + 20, moving.at)
     assert robot.status().state is State.RUNNING
@@ -150,37 +132,23 @@ def test_normal_lidar_defects_do_not_stop_a_robot(robot: Bench, source: ScanSour
     assert len(used) >= 18
 
 
-def test_returned_driver_finds_its_robot_stopped(bench: Bench) -> None:
-    bench.start()
-    bench.drive()
+@pytest.mark.parametrize("is_stopped", [True, False])
+def test_returned_driver_first_gets_zero_and_starts_no_robot(
+    robot: Bench, is_stopped: bool
+) -> None:
+    robot.drive()
     gone = boottime()
-    bench.body.close()
-    bench.await_reason(Reason.DRIVER_LOST, gone)
-    stopped = bench.await_state(State.STOPPED, Reason.DRIVER_LOST, gone)
-    print(f"stopped {stopped.at - gone:.3f} s after its driver left")
-
-    bench.replace_body(same_place(bench.body))
-    returned = boottime()
-    first = bench.body.wait(lambda command: True)
-    print(f"commanded again {first.at - returned:.3f} s after its driver returned")
-    bench.moves_not(0.0)
-    status = bench.status()
-    assert (status.state, status.reason) == (State.STOPPED, Reason.DRIVER_LOST)
-    bench.drive()
-
-
-def test_returned_driver_of_a_running_robot_first_gets_zero(bench: Bench) -> None:
-    bench.start()
-    bench.drive()
-    gone = boottime()
-    bench.body.close()
-    bench.await_reason(Reason.DRIVER_LOST, gone)
-    bench.replace_body(same_place(bench.body))
-    returned = boottime()
-    first = bench.body.wait(lambda command: True)
-    print(f"commanded again {first.at - returned:.3f} s after its driver returned")
-    assert first.twist.is_zero
-    print("afterwards:", bench.status().state)
+    robot.body.close()
+    robot.await_reason(Reason.DRIVER_LOST, gone)
+    if is_stopped:
+        robot.await_state(State.STOPPED, Reason.DRIVER_LOST, gone)
+    robot.replace_body(same_place(robot.body))
+    assert robot.body.wait(lambda command: True).twist.is_zero
+    if is_stopped:
+        robot.moves_not(0.0)
+        status = robot.status()
+        assert (status.state, status.reason) == (State.STOPPED, Reason.DRIVER_LOST)
+        robot.drive()
 
 
 def same_place(body: Body) -> Body:

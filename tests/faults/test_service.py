@@ -17,7 +17,8 @@ from swarmd.core.clock import boottime
 from swarmd.daemon.systemd import unit_text
 from tests.faults.conftest import ROBOT
 from tests.support import unit_sandbox
-from tests.support.processes import run_command, wait_until, watchdogs
+from tests.support.processes import wait_until, watchdogs
+from tests.support.swarmctl import run_command
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
