@@ -49,7 +49,7 @@ from swarmd.security.roster_change import SharedRoster
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.daemon.test_daemon import RecordingDriver
 from tests.support.examples import examples
-from tests.support.garbage import KINDS, Garbage, hostile_message, packed
+from tests.support.garbage import KINDS, hostile_message, packed
 from tests.support.keys import SwarmKeys
 from tests.support.processes import CAP, unique_swarm, wait_until
 from tests.support.viewer import Viewer
@@ -60,8 +60,8 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-PER_KIND = 40
-PER_KEY = 20
+PER_KIND = 10
+PER_KEY = 5
 MESH = ("control/", "state/")
 WRONG_HW = tuple(
     f"driver/hw/{sense}:key" for sense in ("scan", "odometry", "neighbors", "readings")
@@ -106,8 +106,10 @@ class Vandal:
         )
         self.sessions = self.viewer.look()
 
-    def flood(self, say: Callable[[str, bytes], None], target: Target, kind: Garbage) -> None:
-        payloads = (kind(self._rng, target.valid, target.limit) for _ in range(PER_KIND))
+    def flood(self, say: Callable[[str, bytes], None], target: Target) -> None:
+        """Garbage of every kind on a key."""
+        kinds = itertools.chain.from_iterable(itertools.repeat(kind, PER_KIND) for kind in KINDS)
+        payloads = (kind(self._rng, target.valid, target.limit) for kind in kinds)
         self.count(say, target.key, payloads, target.counters)
 
     def count(
@@ -200,17 +202,17 @@ def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vanda
     moving = body.wait_stepped()
     before = swarm.status("r1")
 
-    for target, kind in itertools.product(mesh_targets(swarm.name), KINDS):
-        vandal.flood(vandal.ask, target, kind)
-    for target, kind in itertools.product(body_targets(swarm.name, body), KINDS):
-        vandal.flood(body.put, target, kind)
+    for target in mesh_targets(swarm.name):
+        vandal.flood(vandal.ask, target)
+    for target in body_targets(swarm.name, body):
+        vandal.flood(body.put, target)
     say_on_wrong_keys(swarm, vandal, body)
     send_wrong_datagrams(vandal)
 
     after = swarm.status("r1")
     print(f"{vandal.sent} bad messages; {after.health.dropped}")
     print(f"loop p99 {after.health.loop_p99 * 1e3:.1f} ms")
-    assert vandal.sent >= 2_000
+    assert vandal.sent >= 500
     assert (after.state, after.epoch) == (State.RUNNING, before.epoch)
     assert after.health.loop_stalls == 0
     body.wait_moving(boottime())
