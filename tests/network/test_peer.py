@@ -221,14 +221,14 @@ def test_every_robot_acks_a_stop_on_any_link(delay: float, loss: float) -> None:
     assert network.acks().keys() == network.robots.keys()
 
 
-def test_a_hundred_robots_that_all_hear_the_operator_say_little() -> None:
-    network = VirtualNetwork(100)
+def test_fifty_robots_that_all_hear_the_operator_say_little() -> None:
+    network = VirtualNetwork(50)
     network.sent_kinds.clear()
     network.send(Stop(id="s", verb="stop", operator="anna"))
     network.run(5.0)
-    assert len(network.acks()) == 100
-    assert network.sent_kinds[Ack] <= 110
-    assert 1 < network.sent_kinds[Stop] <= 40
+    assert len(network.acks()) == 50
+    assert network.sent_kinds[Ack] <= 55
+    assert 1 < network.sent_kinds[Stop] <= 30
 
 
 @with_and_without_keys

@@ -326,11 +326,9 @@ def test_the_kernel_thins_stops_of_one_source_or_of_all(peers: Peers) -> None:
 
 
 FLOODS = {
-    "junk": (b"what is this" * 10, 1),
     "of another swarm": (stop("x", OTHER), 1),
     "of beacons": (beacon(7), 1),
     "of beacons from 500 sources": (beacon(7), 500),
-    "of stops": (stop("x"), 1),
     "of stops from 500 sources": (stop("x"), 500),
     "of solicits of any swarm": (pack(ANY_SWARM, Solicit(echo=1)), 1),
 }
