@@ -20,7 +20,7 @@ from swarmd.cli.swarmctl import run_cli
 from swarmd.settings.settings import load_daemon_settings, load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, DaemonProcess, unique_swarm
-from tests.support.swarmctl import run_command
+from tests.support.swarmctl import fork_command
 
 DRIVER = """
 from pathlib import Path
@@ -58,7 +58,7 @@ drivers: {real: {command_timeout: base}}
 
 
 def swarmd(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return run_command("swarmd", *args, cwd=cwd, SWARM="")
+    return fork_command("swarmd", *args, cwd=cwd, SWARM="")
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def with_drivers(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
     )
     (folder / "outsider_driver.py").write_text(DRIVER)
     words = ["--state-dir", str(folder / "state"), *args]
-    return run_command("swarmd", *words, cwd=folder, PYTHONPATH=str(folder))
+    return fork_command("swarmd", *words, cwd=folder, PYTHONPATH=str(folder))
 
 
 @pytest.mark.integration

@@ -16,7 +16,7 @@ from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import unique_swarm
-from tests.support.swarmctl import run_command
+from tests.support.swarmctl import fork_command
 
 LOADED = """
 import json, sys
@@ -65,7 +65,7 @@ def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str
 
 
 def test_help_lists_all_verbs(tmp_path: Path) -> None:
-    done = run_command("swarmctl", "--help", cwd=tmp_path)
+    done = fork_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for verb in (*VERBS, "sim", "demo", "exp"):
         assert f"\n  {verb} " in done.stdout
@@ -82,7 +82,7 @@ def test_every_verb_has_a_help(capsys: pytest.CaptureFixture[str], verb: str) ->
 
 def test_the_shell_completes_verbs_of_core_and_plugins(tmp_path: Path) -> None:
     words = {"COMP_WORDS": "swarmctl de", "COMP_CWORD": "1"}
-    done = run_command("swarmctl", cwd=tmp_path, _SWARMCTL_COMPLETE="bash_complete", **words)
+    done = fork_command("swarmctl", cwd=tmp_path, _SWARMCTL_COMPLETE="bash_complete", **words)
     assert done.stdout.split() == ["plain,describe", "plain,demo"]
 
 
@@ -147,7 +147,7 @@ def test_without_a_daemon_verbs_end_with_6_and_write_nothing(
     tmp_path: Path, args: list[str]
 ) -> None:
     swarm = unique_swarm()
-    done = run_command("swarmctl", *args, cwd=tmp_path, SWARM=swarm)
+    done = fork_command("swarmctl", *args, cwd=tmp_path, SWARM=swarm)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (6, "", 1), done
     assert f"'{swarm}'" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -163,17 +163,17 @@ def test_an_unknown_network_interface_ends_with_6(capsys: pytest.CaptureFixture[
 def test_the_swarm_is_that_of_the_file_given(tmp_path: Path) -> None:
     (tmp_path / "swarm.yaml").write_text("swarm: from-file")
     command = ("swarmctl", "members", *SOON)
-    named = run_command(*command, "--config", "swarm.yaml", cwd=tmp_path)
+    named = fork_command(*command, "--config", "swarm.yaml", cwd=tmp_path)
     assert "'from-file'" in named.stderr
-    by_environment = run_command(*command, cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
+    by_environment = fork_command(*command, cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
     assert "'from-file'" in by_environment.stderr
-    overridden = run_command(*command, "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path)
+    overridden = fork_command(*command, "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path)
     assert "'other'" in overridden.stderr
 
 
 def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("import nothing_of_that_name")
-    done = run_command(
+    done = fork_command(
         "swarmctl", "patterns", "list", "--plugin-dir", ".", "-o", "json", cwd=tmp_path
     )
     answer = json.loads(done.stdout)
@@ -204,7 +204,7 @@ def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: 
 
 
 def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
-    done = run_command(
+    done = fork_command(
         "swarmctl", "patterns", "show", "drive", "--platform", "burger", cwd=tmp_path
     )
     speed = next(line for line in done.stdout.splitlines() if line.startswith("speed "))
@@ -227,7 +227,7 @@ def test_a_verb_that_lacks_a_library_names_its_installation(tmp_path: Path) -> N
         "import click\n@click.command()\ndef go():\n    import absent.deep\n"
     )
     for verb in ("early", "late"):
-        done = run_command("swarmctl", verb, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+        done = fork_command("swarmctl", verb, cwd=tmp_path, PYTHONPATH=str(tmp_path))
         assert done.returncode == 1
         assert "pip install 'outsider[far]'" in done.stderr
         assert done.stderr.count("\n") == 1

@@ -18,7 +18,7 @@ from swarmd.daemon.systemd import unit_text
 from tests.faults.conftest import ROBOT
 from tests.support import unit_sandbox
 from tests.support.processes import wait_until, watchdogs
-from tests.support.swarmctl import run_command
+from tests.support.swarmctl import fork_command
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
@@ -39,7 +39,7 @@ def test_the_base_gets_zero_although_daemon_and_watchdog_were_killed(bench: Benc
     unit = unit_sandbox.settings_of(unit_text(Path("swarmd"), bench.folder / f"{ROBOT}.yaml"))
     (line,) = unit["ExecStopPost"]
     ended = boottime()
-    done = run_command("swarmd", *shlex.split(line.removeprefix("-"))[1:], cwd=bench.folder)
+    done = fork_command("swarmd", *shlex.split(line.removeprefix("-"))[1:], cwd=bench.folder)
     assert (done.returncode, done.stderr) == (0, "")
     assert bench.body.wait_zero(ended)
     assert all(one.twist.is_zero for one in commands[count:])
@@ -50,7 +50,7 @@ def test_zero_for_a_base_that_is_not_reached_is_not_claimed(tmp_path: Path) -> N
     config.write_text(
         "id: r1\nplatform: burger\ndriver: rmw_zenoh\ndriver_options: {endpoint: tcp/127.0.0.1:9}\n"
     )
-    done = run_command("swarmd", "stop-base", "--config", config, "--within", "0.5s", cwd=tmp_path)
+    done = fork_command("swarmd", "stop-base", "--config", config, "--within", "0.5s", cwd=tmp_path)
     assert done.returncode == 5
     assert "not reached" in done.stderr
 

@@ -15,7 +15,7 @@ from swarmd.network.exit_codes import PARTIAL
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
-from tests.support.processes import run_command
+from tests.support.swarmctl import fork_command
 
 
 def test_members_come_with_their_own_status(settings: NetworkSettings, robots: Robots) -> None:
@@ -94,7 +94,7 @@ def test_a_robot_that_takes_no_connection_changes_neither_the_answer_nor_the_exi
     robots("a")
     with contextlib.closing(Hole(settings, "hole")):
         words = ("members", "--swarm", settings.swarm, "-o", "json")
-        done = run_command("swarmctl", *words, cwd=tmp_path)
+        done = fork_command("swarmctl", *words, cwd=tmp_path)
     assert done.returncode == PARTIAL
     answer = json.loads(done.stdout)
     assert answer["missing"] == ["hole"]

@@ -124,7 +124,7 @@ class Running(ForkedProcess):
             return self.poll() is not None
 
 
-def run_command(
+def fork_command(
     name: str, *words: object, cwd: Path, **environ: str
 ) -> subprocess.CompletedProcess[str]:
     """Run `swarmctl` or `swarmd` to its end in a fork, in a swarm and with a home of its own."""
