@@ -163,8 +163,14 @@ class SecuredSwarm:
         """No daemon is frozen, and no robot runs or is latched, whatever was before."""
         for daemon in self.daemons.values():
             daemon.thaw()
-        wait_until(lambda: self.anna.members().answered >= set(RUNNING), "both answer")
-        assert set(self.anna.send_stop("stop").replies) >= set(RUNNING)
-        for robot in RUNNING:
-            if self.status(robot).latches:
-                self.reset(robot)
+        done = self.anna.send_stop("stop", select=lambda names: RUNNING, names=RUNNING)
+        assert done.exit_code == 0, done
+
+        def is_reset() -> bool:
+            view = self.anna.members()
+            latches = tuple(view.latches(RUNNING))
+            if latches:
+                self.anna.request(ResetRequest, view.epochs(RUNNING), ids=latches)
+            return not latches
+
+        wait_until(is_reset, "no latch is held")
