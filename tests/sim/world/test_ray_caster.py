@@ -115,7 +115,7 @@ def test_sectors_have_the_bits_of_the_interpreted_file(data: st.DataObject) -> N
         ranges = np.full((5, rays), -7.0)
         (lidar, _), *_ = sensors([platform] * 5, arena, visibility, is_compiled=is_compiled).lidars
         first, counts = lidar.sectors(ends)
-        lidar.cast_sectors(ranges, np.arange(5), at, np.arange(5), first, counts)
+        lidar.cast_sectors(ranges, np.arange(5), at, np.arange(5), np.arange(5), first, counts)
         found.append(ranges)
         whole.append(lidar.cast(at, np.arange(5)))
     same_bits(list(found[0]), list(found[1]))
