@@ -144,9 +144,10 @@ class Lidar:
         """
         count, rays = len(observers), len(self._spec.bearings)
         ranges = np.full((count, rays), np.inf)
-        first, counts = np.zeros(count, dtype=np.intp), np.full(count, rays)
+        first, counts = np.array([0], dtype=np.intp), np.array([rays], dtype=np.intp)
+        whole = np.zeros(count, dtype=np.intp)
         observers = np.ascontiguousarray(observers)
-        self._caster.cast(poses, observers, first, counts, np.arange(count), ranges)
+        self._caster.cast(poses, observers, whole, first, counts, np.arange(count), ranges)
         return ranges
 
     def sectors(self, ends: Indices) -> tuple[Indices, Indices]:
@@ -167,14 +168,16 @@ class Lidar:
         rows: Indices,
         poses: Array,
         observers: Indices,
+        numbers: Indices,
         first: Indices,
         counts: Indices,
     ) -> None:
-        """Put sectors `first`, `counts` (m,) of robots `observers` (m,) in `rows` of `ranges`.
+        """Put the sectors `numbers` (m,) of robots `observers` (m,) in `rows` of `ranges`.
 
-        `ranges` (r, rays), `rows` (m,); `poses` as in `cast`.
+        `first` and `counts` (k,) as of `sectors`; `ranges` (r, rays), `rows` (m,); `poses` as in
+        `cast`.
         """
-        self._caster.cast(poses, observers, first, counts, rows, ranges)
+        self._caster.cast(poses, observers, numbers, first, counts, rows, ranges)
 
 
 class RangeSensors:

@@ -152,12 +152,16 @@ class Caster:
         self,
         poses: cython.double[:, ::1],
         observers: cython.Py_ssize_t[::1],
+        numbers: cython.Py_ssize_t[::1],
         first: cython.Py_ssize_t[::1],
         counts: cython.Py_ssize_t[::1],
         rows: cython.Py_ssize_t[::1],
         ranges: cython.double[:, ::1],
     ):
-        """Fill `counts` (m,) rays from place `first` (m,) on, in `rows` (m,) of `ranges`."""
+        """Fill the sectors `numbers` (m,), in `rows` (m,) of `ranges`.
+
+        A sector has `counts` (k,) rays from place `first` (k,) on.
+        """
         one: cython.Py_ssize_t
         robot: cython.Py_ssize_t
         i: cython.Py_ssize_t
@@ -168,12 +172,16 @@ class Caster:
         if not cython.compiled:
             poses, observers, ranges = memoryview(poses), memoryview(observers), memoryview(ranges)
             first, counts, rows = memoryview(first), memoryview(counts), memoryview(rows)
-        self._set_bodies(poses)
+            numbers = memoryview(numbers)
+        is_set: cython.bint = False
         for one in range(observers.shape[0]):
             robot = observers[one]
-            self._first, self._count = first[one], counts[one]
+            self._first, self._count = first[numbers[one]], counts[numbers[one]]
             if not self._count:
                 continue
+            if not is_set:
+                self._set_bodies(poses)
+                is_set = True
             for i in range(self._count):
                 self._nearness[i] = 0.0
             # All are NaN if one is: `isfinite` of one is enough.

@@ -1583,14 +1583,22 @@ class Barrier:
                     was_lever: cython.double = lever[j]
                     lever[j] = swung if ahead > was_most else was_lever
                     most[j] = ahead if ahead > was_most else was_most
+            at: cython.Py_ssize_t = self._rows
+            row_x: cython.p_double = _first(self._row_x, at + count)
+            row_y: cython.p_double = _first(self._row_y, at + count)
+            row_cap: cython.p_double = _first(self._row_cap, at + count)
+            row_gap: cython.p_double = _first(self._row_gap, at + count)
             for j in range(count):
                 if cap[j] <= 0.0:
                     rest: cython.double = 0.5 * (gap[j] - (self._at_free[j] + self._at_hidden[j]))
                     rest /= self._at_age[j] + _tick
                     rest -= self._side_reserve
                     linear: cython.double = ax[j] * self._along_x + ay[j] * self._along_y
-                    least: cython.double = _maximum(rest, CREEP_SPEED)
-                    self._add(linear, lever[j], least, gap[j] - self._at_radius[j], first + j)
+                    row_x[at], row_y[at] = linear * self._limit, lever[j] * self._angular_limit
+                    row_cap[at] = _maximum(rest, CREEP_SPEED)
+                    row_gap[at], self._source[at] = gap[j] - self._at_radius[j], first + j
+                    at += 1
+            self._rows = at
         return 0
 
     @cython.cfunc
@@ -2157,7 +2165,10 @@ class Barrier:
         for i in range(self._all):
             if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
                 tight += 1
-                if i < self._rows:
+                if i < self._rows and (
+                    found < MAX_REPORTED
+                    or not (row_cap[i] > row_cap[self._ranked[MAX_REPORTED - 1]])
+                ):
                     found = self._rank(found, i)
         points: cython.Py_ssize_t = self._count + self._discs
         if tight == 0 and points:  # limited by the stop alone: the nearest obstacle
