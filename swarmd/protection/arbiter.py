@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol, TypeGuard
@@ -16,16 +17,26 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
 from swarmd.protection.assumption_monitor import AssumptionMonitor
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
+from swarmd.protection.avoidance import Avoidance
+from swarmd.protection.decision import (
+    NO_PERMIT,
+    Avoided,
+    Decision,
+    DecisionContext,
+    ModeDecision,
+    Permit,
+)
 from swarmd.protection.following import FollowingMonitor
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.tracks import Tracker
 
 if TYPE_CHECKING:
     from swarmd.protection.barrier import Barrier
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
+_AVOIDING_PATIENCE = 2.0  # s of blocked motion before a robot that avoids recovers
 _STOPPED = ModeDecision(ZERO, is_active=False)
 _ZERO_TOLERANCE = 1e-9  # m/s or rad/s: what rounding leaves of a zero command
 _NO_POINTS = np.empty((0, 2))
@@ -114,7 +125,15 @@ class Protection:
         self._case: tuple[object, ...] = ()
         self._last: Decision
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
-        self._recovery = None if clearance is None else Recovery(clearance, platform.limits, seed)
+        self._recovery: Recovery | None = None
+        is_avoiding = platform.protection.get("avoidance", "none") == "orca"
+        if clearance is not None:
+            patience = (_AVOIDING_PATIENCE,) if is_avoiding else ()
+            self._recovery = Recovery(clearance, platform.limits, seed, *patience)
+        self._avoidance: Avoidance | None = None
+        if clearance is not None and is_avoiding:
+            self._avoidance = Avoidance(clearance, platform.limits)
+            self._tracker = Tracker(platform)
 
     @property
     def passage(self) -> NarrowestPassage | None:
@@ -130,6 +149,8 @@ class Protection:
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
+        if self._avoidance is not None:
+            self._tracker.observe(scan, context)
         if self._monitor is not None and self._is_running:
             oldest = 0.0 if scan.ages is None else float(scan.ages.max(initial=0.0))
             delay = self._latency + context.scan_delay + oldest
@@ -142,6 +163,8 @@ class Protection:
             self.events.append(text)
         if self._is_running:
             self.following.on_odometry(odometry)
+        if self._avoidance is not None:
+            self._tracker.on_odometry(odometry)
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -181,9 +204,12 @@ class Protection:
         if not is_running or hold is not None:
             if recovery is not None:
                 recovery.reset()
+            if self._avoidance is not None:
+                self._avoidance.reset()
             return self._decision(wanted, _STOPPED, hold, context)
         if recovery is not None and permit.may_recover:
-            judged = recovery.replacement(wanted, self._allowed, context, self._points)
+            passing = self._passing(wanted, context)
+            judged = recovery.replacement(passing, self._allowed, context, self._points)
         is_recovering = recovery is not None and recovery.is_active
         case = wanted, judged, judged is wanted, is_recovering, permit.touch
         if context is self._context and case == self._case:
@@ -208,6 +234,17 @@ class Protection:
         last = self._last = self._decision(wanted, decision, reason, context)
         self._context, self._case = context, case
         return last
+
+    def _passing(self, wanted: Twist, context: DecisionContext) -> Twist:
+        """The command that leads past others; `wanted` if nothing is in its way."""
+        avoidance, recovery = self._avoidance, self._recovery
+        if avoidance is None or recovery is None:
+            return wanted
+        if recovery.is_active:
+            avoidance.avoiding = None
+            return wanted
+        around = self._tracker.surroundings(context)
+        return avoidance.command(wanted, self._allowed, context.now, around)
 
     def _points(self) -> Array:
         """(k, 2) returns of the scan within the lookahead, and of the ring, base frame, m."""
@@ -246,4 +283,12 @@ class Protection:
             self._scan_seq,
             recovery is not None and recovery.is_active,
             share,
+            self._avoided(),
         )
+
+    def _avoided(self) -> Avoided | None:
+        """What avoidance leads the robot past in this decision."""
+        track = None if self._avoidance is None else self._avoidance.avoiding
+        if track is None:
+            return None
+        return Avoided(math.atan2(track.y, track.x), math.hypot(track.x, track.y))
