@@ -1,8 +1,8 @@
-"""`python -m studies.safety hours | progress | one`: see docs/safety.md.
+"""`python -m studies.safety hours | progress | encounters | one`: see docs/safety.md.
 
-hours: robot-hours over all scenes. progress: goals reached in each mode. one: a single run with
-every collision and those at fault. Runs that build/safety has from the same sources are not
-repeated.
+hours: robot-hours over all scenes. progress: goals reached in each mode. encounters: how robots get
+past each other in each mode. one: a single run with every collision and those at fault. Runs that
+build/safety has from the same sources are not repeated, but for encounters.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.table import machine
-from studies.safety import hours, progress
+from studies.safety import encounters, hours, progress
 from studies.safety.columns import COLUMNS
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
@@ -99,6 +99,12 @@ def _parser() -> argparse.ArgumentParser:
         else:
             verb.add_argument("--modes", nargs="+", choices=MODES, default=progress.MODES)
             verb.add_argument("--seeds", type=_count, default=5, help="how many")
+    verb = verbs.add_parser("encounters", help="How robots get past each other in each mode.")
+    verb.add_argument("--tasks", nargs="+", choices=encounters.TASKS, default=encounters.TASKS)
+    verb.add_argument("--modes", nargs="+", choices=MODES, default=encounters.MODES)
+    verb.add_argument("--seeds", type=_count, default=20, help="how many")
+    verb.add_argument("--dev", action="store_true", help="seeds to work with, not to accept by")
+    verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
     one = verbs.add_parser("one", help="A single run with every collision.")
     for name, choices in (
         ("family", FAMILIES),
@@ -117,7 +123,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.verb == "one":
         _run_one(options)
         return
-    tasks = options.plan(options, DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS)
+    seeds = DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS
+    if options.verb == "encounters":
+        chosen = seeds[: options.seeds]
+        found = encounters.carry_out(options.tasks, options.modes, chosen, options.jobs)
+        print(encounters.table(found))
+        return
+    tasks = options.plan(options, seeds)
     if not tasks:
         raise ConfigError(
             "no run: none of these families has a scene on these platforms, or --robot-hours is 0"

@@ -10,7 +10,7 @@ from typing import Any
 
 from msgspec import Struct
 
-from studies.safety.scenes import PLUGINS
+from studies.safety.scenes import PLUGINS, protected
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
@@ -23,8 +23,8 @@ class Passage(Struct, frozen=True):
     """An opening of `width` m in a wall across the arena, `length` m deep: a door or a corridor.
 
     `left` and `right`: the number of robots on each side. `platform` with `barrier` settings that
-    replace those of its file; the lidars see whole bodies or, with `visibility` real, what is in
-    their plane.
+    replace those of its file and one of the modes of scenes; the lidars see whole bodies or, with
+    `visibility` real, what is in their plane.
     """
 
     width: float
@@ -33,6 +33,7 @@ class Passage(Struct, frozen=True):
     right: int = 0
     platform: str = "burger"
     visibility: str = "body"
+    mode: str = "barrier"
     duration: float = 200.0
     recovery: bool = True
     barrier: dict[str, float] | None = None
@@ -46,7 +47,7 @@ def passage_scenario(passage: Passage) -> Scenario:
     start = 0.5 * passage.length + 0.7
     barrier: dict[str, Any] = {"unseen_extent": 0.0} if passage.visibility == "body" else {}
     barrier |= passage.barrier or {}
-    own = {"extends": passage.platform, "protection": {"mode": "barrier", "barrier": barrier}}
+    own = protected(passage.platform, passage.mode, barrier)
     return scenario_of(
         {
             "name": "passage",

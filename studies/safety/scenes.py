@@ -24,7 +24,7 @@ KINDS = ("burger", "waffle_pi", "jackal")
 TURTLEBOTS = ("burger", "waffle_pi")
 PLATFORMS = (*KINDS, "mixed")
 VISIBILITIES = ("body", "real")
-MODES = ("barrier", "reciprocal", "potential_field", "stop_zone", "off", "ghost")
+MODES = ("barrier", "orca", "reciprocal", "potential_field", "stop_zone", "off", "ghost")
 ATTACKERS = "attackers"
 """The group of attacking robots, and the prefix of their platform."""
 DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
@@ -260,17 +260,28 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
         barrier |= {} if scene.is_told else {"keep_out": _MIXED_KEEP_OUT}
     if scene.mode == "reciprocal":
         barrier |= {"responsibility": "reciprocal", "margin": 0.08}
-    mode = {"reciprocal": "barrier", "ghost": "off"}.get(scene.mode, scene.mode)
     found: dict[str, dict[str, Any]] = {}
     for kind in kinds_of(scene.platform):
-        own: dict[str, Any] = {"extends": kind, "protection": {"mode": mode}}
-        if barrier:
-            own["protection"]["barrier"] = barrier
-        if scene.mode == "ghost":
-            own["body"] = {"solid": 0}
-        found[kind] = own
+        found[kind] = protected(kind, scene.mode, barrier)
         if scene.of.attack:
             found[f"{ATTACKERS}-{kind}"] = _attacker(kind, attack_speed(scene, kind))
+    return found
+
+
+def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any]:
+    """A platform under one of MODES, with these settings of the barrier.
+
+    orca: the barrier with avoidance. ghost: no protection, and a body that others pass through.
+    """
+    of_mode = {"reciprocal": "barrier", "orca": "barrier", "ghost": "off"}.get(mode, mode)
+    protection: dict[str, Any] = {"mode": of_mode}
+    if mode == "orca":
+        protection["avoidance"] = "orca"
+    if barrier:
+        protection["barrier"] = dict(barrier)
+    found: dict[str, Any] = {"extends": kind, "protection": protection}
+    if mode == "ghost":
+        found["body"] = {"solid": 0}
     return found
 
 

@@ -165,6 +165,7 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: it
     judged a way around an obstacle and not the requested command. `duty`: the share of ticks
     since `run` in which protection was active. `speed_share`: below 1 after a violated assumption.
+    `avoiding`: the peer or object that avoidance leads the robot past; empty without one.
     """
 
     mode: Word = "potential_field"
@@ -182,6 +183,7 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     decisions: Count = 0
     speed_share: Annotated[float, Meta(ge=0.0, le=1.0)] = 1.0
+    avoiding: Line = ""
 
 
 class RecordingSummary(Struct, frozen=True, kw_only=True):

@@ -6,6 +6,7 @@ holds of old scans and odometry are found in `robot/sensors.py`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Protocol, TypeGuard
@@ -16,10 +17,19 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
+from swarmd.protection.avoidance import Avoidance
+from swarmd.protection.decision import (
+    NO_PERMIT,
+    Avoided,
+    Decision,
+    DecisionContext,
+    ModeDecision,
+    Permit,
+)
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.tracks import Tracker
 
 if TYPE_CHECKING:
     from swarmd.protection.assumption_monitor import AssumptionMonitor
@@ -30,6 +40,7 @@ else:
     FollowingMonitor = load_kernel("swarmd.protection.following").FollowingMonitor
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
+_AVOIDING_PATIENCE = 2.0  # s of blocked motion before a robot that avoids recovers
 _STOPPED = ModeDecision(ZERO, is_active=False)
 _ZERO_TOLERANCE = 1e-9  # m/s or rad/s: what rounding leaves of a zero command
 _NO_POINTS = np.empty((0, 2))
@@ -118,7 +129,15 @@ class Protection:
         self._case: tuple[object, ...] = ()
         self._last: Decision
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
-        self._recovery = None if clearance is None else Recovery(clearance, platform.limits, seed)
+        self._recovery: Recovery | None = None
+        is_avoiding = platform.protection.get("avoidance", "none") == "orca"
+        if clearance is not None:
+            patience = (_AVOIDING_PATIENCE,) if is_avoiding else ()
+            self._recovery = Recovery(clearance, platform.limits, seed, *patience)
+        self._avoidance: Avoidance | None = None
+        if clearance is not None and is_avoiding:
+            self._avoidance = Avoidance(clearance, platform.limits)
+            self._tracker = Tracker(platform)
 
     @property
     def passage(self) -> NarrowestPassage | None:
@@ -134,6 +153,8 @@ class Protection:
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
+        if self._avoidance is not None:
+            self._tracker.observe(scan, context)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
             oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])
@@ -147,6 +168,8 @@ class Protection:
             self.events.append(text)
         if self._is_running:
             self.following.on_odometry(odometry)
+        if self._avoidance is not None:
+            self._tracker.on_odometry(odometry)
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -186,9 +209,12 @@ class Protection:
         if not is_running or hold is not None:
             if recovery is not None:
                 recovery.reset()
+            if self._avoidance is not None:
+                self._avoidance.reset()
             return self._decision(wanted, _STOPPED, hold, context)
         if recovery is not None and permit.may_recover:
-            judged = recovery.replacement(wanted, self._allowed, context, self._points)
+            passing = self._passing(wanted, context)
+            judged = recovery.replacement(passing, self._allowed, context, self._points)
         is_recovering = recovery is not None and recovery.is_active
         case = wanted, judged, judged is wanted, is_recovering, permit.touch
         if context is self._context and case == self._case:
@@ -213,6 +239,17 @@ class Protection:
         last = self._last = self._decision(wanted, decision, reason, context)
         self._context, self._case = context, case
         return last
+
+    def _passing(self, wanted: Twist, context: DecisionContext) -> Twist:
+        """The command that leads past others; `wanted` if nothing is in its way."""
+        avoidance, recovery = self._avoidance, self._recovery
+        if avoidance is None or recovery is None:
+            return wanted
+        if recovery.is_active:
+            avoidance.avoiding = None
+            return wanted
+        around = self._tracker.surroundings(context)
+        return avoidance.command(wanted, self._allowed, context.now, around)
 
     def _points(self) -> Array:
         """(k, 2) returns of the scan within the lookahead, and of the ring, base frame, m."""
@@ -251,4 +288,12 @@ class Protection:
             self._scan_seq,
             recovery is not None and recovery.is_active,
             share,
+            self._avoided(),
         )
+
+    def _avoided(self) -> Avoided | None:
+        """What avoidance leads the robot past in this decision."""
+        track = None if self._avoidance is None else self._avoidance.avoiding
+        if track is None:
+            return None
+        return Avoided(math.atan2(track.y, track.x), math.hypot(track.x, track.y))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from msgspec import Struct
 
@@ -67,6 +69,21 @@ class ModeDecision(Struct, frozen=True):
     rows: tuple[LimitingObstacle, ...] = ()
 
 
+class Avoided(Struct, frozen=True):
+    """The object that avoidance leads the robot past: bearing in rad and distance in m.
+
+    From the axle to its middle.
+    """
+
+    bearing: float
+    distance: float
+
+    @property
+    def text(self) -> str:
+        """Such as `an object at -30 deg`."""
+        return f"an object at {round(math.degrees(self.bearing))} deg"
+
+
 class Decision(Struct, frozen=True):
     """The safe command with its reasons.
 
@@ -76,7 +93,7 @@ class Decision(Struct, frozen=True):
     from the footprint to the nearest return (None: no return), `scan_age` in s (None: no scan yet),
     `scan_seq` -1 without a scan. `is_recovering`: recovery replaced the requested command before
     the mode judged it. `speed_share`: of the command that the mode allows, after a violated
-    assumption.
+    assumption. `avoided`: avoidance changed the command to get past it; None if it did not.
     """
 
     mode: str
@@ -90,3 +107,4 @@ class Decision(Struct, frozen=True):
     scan_seq: int
     is_recovering: bool = False
     speed_share: float = 1.0
+    avoided: Avoided | None = None

@@ -71,8 +71,14 @@ class Recovery:
     which a corridor is checked.
     """
 
-    def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
-        """`seed` seeds the random choices.
+    def __init__(
+        self,
+        clearance: Clearance,
+        limits: Limits,
+        seed: str,
+        patience: float = _MOVE_BLOCKED_TIME,
+    ) -> None:
+        """`seed` seeds the random choices, `patience`: s of blocked motion before it begins.
 
         `clearance` is the room, ahead and to each side, that a corridor needs so that protection
         allows nearly full speed.
@@ -89,7 +95,7 @@ class Recovery:
         self._bearing = self._yaw = self._speed = 0.0
         self._is_backing = False
         self._attempts, self._back_time = 0, _BACK_OFF_TIME
-        self._patience = _MOVE_BLOCKED_TIME
+        self._patience = self._least_patience = patience
         self._last_block: tuple[float, Pose] | None = None
         self.reset()
 
@@ -176,13 +182,13 @@ class Recovery:
         is_beside = np.abs(_BEARINGS) <= 0.5 * np.pi
         is_enclosed = self._free_lengths(points, _BEARINGS[is_beside]).max() < self.lookahead
         before, self._last_block = self._last_block, None if pose is None else (now, pose)
-        patience, self._patience = self._patience, _MOVE_BLOCKED_TIME
+        patience, self._patience = self._patience, self._least_patience
         if not is_enclosed or before is None or pose is None or now - before[0] > _ROUND_TIME:
             self._attempts, self._back_time = 0, _BACK_OFF_TIME
             return False
         dx, dy = pose.x - before[1].x, pose.y - before[1].y
         gain = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
-        if gain > _MIN_GAIN and patience == _MOVE_BLOCKED_TIME:
+        if gain > _MIN_GAIN and patience == self._least_patience:
             self._patience = self._rng.uniform(*_PATIENCE)
             return True
         self._attempts += 1

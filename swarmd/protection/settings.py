@@ -11,6 +11,7 @@ Speed = Annotated[float, Meta(gt=0.0, le=20.0)]
 Reserve = Annotated[float, Meta(ge=0.0, le=20.0)]
 Braking = Annotated[float, Meta(gt=0.0, le=100.0)]
 Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
+Avoidance = Literal["orca", "none"]
 
 
 class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -48,7 +48,7 @@ OWN = {
     "Decision": (
         "std_msgs/Header header\nstring cause\nstring state\nstring reason\nstring mode\n"
         "geometry_msgs/Twist requested\ngeometry_msgs/Twist safe\nint64 scan_seq\n"
-        "bool is_active\nbool is_recovering\nfloat64 speed_share\n"
+        "bool is_active\nbool is_recovering\nstring avoiding\nfloat64 speed_share\n"
         "float64 gap\nfloat64 scan_age\n"
         "float64[] bearings\nfloat64[] gaps\nfloat64[] caps"
     ),
@@ -222,6 +222,7 @@ def decision_message(entry: DecisionEntry, stamp: float) -> Message:
     cdr = CdrWriter().header(stamp, "base_link").text(entry.cause).text(entry.state)
     cdr.text(entry.reason).text(one.mode).doubles(*_twist(one.requested), *_twist(one.safe))
     cdr.int64(one.scan_seq).uint8(one.is_active, one.is_recovering)
+    cdr.text("" if one.avoided is None else one.avoided.text)
     gap = math.nan if one.min_gap is None else one.min_gap
     cdr.doubles(one.speed_share, gap, math.nan if one.scan_age is None else one.scan_age)
     columns = zip(*((row.bearing, row.gap, row.cap) for row in one.rows), strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -25,6 +26,7 @@ MAX_NEIGHBORS = 64
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
 MAX_VALUE = 256
+_SAME_PLACE = 0.4  # m between a neighbour and the object that it may be
 
 
 @dataclass(slots=True, eq=False)
@@ -82,7 +84,7 @@ def make_status(
         labels=lifecycle.goals.labels,
         params={name: Param(value=value, source=src) for name, (value, src) in values.items()},
         report=_clean(lifecycle.report),
-        decision=_summary(decision, duty),
+        decision=_summary(decision, duty, _avoided(decision, sensors, now)),
         health=Health(
             scan_rate=sensors.scan_rate(now),
             host_restarts=lifecycle.pattern_run.restarts,
@@ -118,7 +120,22 @@ def status_reason(lifecycle: Lifecycle, decision: Decision) -> Reason | None:
     return decision.reason if lifecycle.is_running else lifecycle.state_machine.reason
 
 
-def _summary(decision: Decision, duty: DutyCycle) -> DecisionSummary:
+def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
+    """The neighbour that is sensed where the avoided object is, else where the object is."""
+    avoided = decision.avoided
+    if avoided is None:
+        return ""
+    for one in sensors.neighbors(now):
+        if one.distance is None or one.bearing is None:
+            continue
+        off = math.remainder(one.bearing - avoided.bearing, 2.0 * math.pi)
+        way = abs(one.distance - avoided.distance) + avoided.distance * abs(off)
+        if way < _SAME_PLACE:
+            return one.id
+    return avoided.text
+
+
+def _summary(decision: Decision, duty: DutyCycle, avoiding: str = "") -> DecisionSummary:
     return DecisionSummary(
         mode=decision.mode,
         is_active=decision.is_active,
@@ -135,6 +152,7 @@ def _summary(decision: Decision, duty: DutyCycle) -> DecisionSummary:
         duty=duty.share,
         decisions=duty.decisions,
         speed_share=decision.speed_share,
+        avoiding=avoiding,
     )
 
 

@@ -20,6 +20,7 @@ from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
+    Avoidance,
     BarrierSettings,
     Mode,
     PotentialFieldSettings,
@@ -109,9 +110,14 @@ class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The protection mode and the settings of each; `preset` names one of the potential field."""
+    """The protection mode and the settings of each; `preset` names one of the potential field.
+
+    - `avoidance`: `orca` leads a robot past moving ones, in the modes `barrier` and `stop_zone`.
+      None: the robot drives at them until protection or recovery turns it away.
+    """
 
     mode: Mode = "barrier"
+    avoidance: Avoidance = "none"
     preset: str
     presets: dict[str, PotentialFieldSettings]
     barrier: BarrierSettings | None = None
@@ -398,6 +404,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         provides=frozenset(file.provides),
         protection={
             "mode": protection.mode,
+            "avoidance": protection.avoidance,
             "preset": protection.preset,
             **to_builtins(protection.presets[protection.preset]),
             "barrier": to_builtins(protection.barrier),

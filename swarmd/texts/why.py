@@ -82,6 +82,8 @@ def why(member: SeenMember) -> str:
     reason = status.reason
     if reason is None:
         way = " around an obstacle" if status.decision.is_recovering else ""
+        if status.decision.avoiding:
+            way = f" past {status.decision.avoiding}"
         return (
             f"{status.state} {status.pattern or 'no pattern'}, moving{way}{_limit(status.decision)}"
         )
@@ -137,17 +139,28 @@ def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingO
 
 
 def activity(decision: DecisionSummary) -> str:
-    """Whether protection changes the requested command: `clear`, `active` or `recovering`.
+    """Whether protection changes the requested command: a `protection_word`.
 
     After a violated assumption with the share of the speed that is left: `active, speed 60%`.
     """
-    word = protection_word(is_active=decision.is_active, is_recovering=decision.is_recovering)
+    word = protection_word_of(decision)
     return word if decision.speed_share == 1.0 else f"{word}, speed {decision.speed_share:.0%}"
 
 
-def protection_word(*, is_active: bool, is_recovering: bool) -> str:
-    """`clear`, `active` or `recovering`."""
-    return "recovering" if is_recovering else "active" if is_active else "clear"
+def protection_word_of(decision: DecisionSummary) -> str:
+    """The `protection_word` of a status."""
+    return protection_word(
+        is_active=decision.is_active,
+        is_recovering=decision.is_recovering,
+        avoiding=decision.avoiding,
+    )
+
+
+def protection_word(*, is_active: bool, is_recovering: bool, avoiding: str = "") -> str:
+    """`clear`, `active`, `recovering`, or such as `avoiding tb3-04`."""
+    if is_recovering:
+        return "recovering"
+    return f"avoiding {avoiding}" if avoiding else "active" if is_active else "clear"
 
 
 def _lost(status: Status) -> str:

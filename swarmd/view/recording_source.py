@@ -110,7 +110,11 @@ def _row(robot: Track, now: float) -> dict[str, Any]:
 def _decided(decision: Any, row: Mapping[str, Any]) -> dict[str, Any]:
     """What a decision tells, which comes more often than a status."""
     is_running = decision.state == "running"
-    protection = protection_word(is_active=decision.is_active, is_recovering=decision.is_recovering)
+    protection = protection_word(
+        is_active=decision.is_active,
+        is_recovering=decision.is_recovering,
+        avoiding=decision.avoiding,
+    )
     reason = decision.reason.replace("_", " ")
     is_same = decision.state == row.get("state") and row.get("why", "").startswith(reason)
     columns = (decision.bearings, decision.gaps, decision.caps)

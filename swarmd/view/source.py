@@ -13,7 +13,7 @@ import numpy as np
 
 from swarmd.core.messages import Status
 from swarmd.core.values import Array
-from swarmd.texts.why import protection_word
+from swarmd.texts.why import protection_word_of
 from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
@@ -171,7 +171,7 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 def row_of(status: Status) -> dict[str, Any]:
     """The row of a status."""
     decision = status.decision
-    protection = protection_word(is_active=decision.is_active, is_recovering=decision.is_recovering)
+    protection = protection_word_of(decision)
     row: dict[str, Any] = {
         "presence": "alive",
         "state": status.state.value,

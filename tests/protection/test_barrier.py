@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.barrier import CREEP_SPEED
-from swarmd.protection.decision import DecisionContext, ToldObstacle
+from swarmd.protection.decision import DecisionContext, Permit, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
@@ -27,6 +27,9 @@ PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_p
 BURGER, WAFFLE, JACKAL = PLATFORMS
 SIDEWAYS = replace(BURGER, limits=Limits(0.22, 2.84, 0.2))
 WEAK = under_barrier(WAFFLE, braking_linear=0.3)
+AVOIDING = [
+    replace(one, protection={**one.protection, "avoidance": "orca"}) for one in (BURGER, SIDEWAYS)
+]
 VARIANTS = [
     under_barrier(BURGER, responsibility="reciprocal"),
     under_barrier(WAFFLE, keep_out=0.5),
@@ -91,7 +94,7 @@ WILD = st.floats(-1e6, 1e6)
 
 
 @given(
-    PLATFORM,
+    st.sampled_from([*PLATFORMS, *AVOIDING]),
     arrays(np.float64, RAYS, elements=st.one_of(st.floats(0.0, 5.0), st.sampled_from(
         [-math.inf, math.inf]))),
     st.builds(Twist, ANYTHING, ANYTHING, ANYTHING),
@@ -108,7 +111,9 @@ def test_any_input_gives_a_finite_command_within_limits(
     for at in (5.0, 5.2):
         context = DecisionContext(at, age, odometry, age)
         protection.observe(scan, context)
-        safe = protection.decide(requested, context, is_running=True, hold=None).safe
+        safe = protection.decide(
+            requested, context, is_running=True, hold=None, permit=Permit(may_recover=True)
+        ).safe
         assert safe.is_finite
         assert platform.limits.clip(safe) == safe
 

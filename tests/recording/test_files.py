@@ -18,6 +18,7 @@ import pytest
 import zstandard
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from msgspec import structs
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import (
@@ -37,7 +38,7 @@ from swarmd.core.events import (
 from swarmd.core.host_messages import Stepped
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Scan, SharedPose, Twist
-from swarmd.protection.decision import Decision
+from swarmd.protection.decision import Avoided, Decision
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import CdrWriter, Message
 from swarmd.recording.limits import FileLimits
@@ -256,6 +257,7 @@ def test_other_inputs_are_the_same_after_writing_and_reading() -> None:
 def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Path) -> None:
     row = LimitingObstacle(0.1, 0.2, 0.3)
     decision = Decision("barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, None, 3)
+    decision = structs.replace(decision, avoided=Avoided(math.radians(-30.0), 0.8))
     scan = Scan(7, 2.0, np.array([0.7, math.inf]), np.array([-0.1, 0.3]), 0.12, 3.5)
     stepped = Stepped(1, Outputs(Twist(0.2)), 7)
     converter = Converter(frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, FileLimits()))
@@ -319,5 +321,6 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     assert found["/driver"][1].text == "Grüße"
     told = found["/decision"][1]
     assert (told.safe.linear.x, told.scan_seq, list(told.caps)) == (0.1, 3, [0.3])
+    assert told.avoiding == "an object at -30 deg"
     assert (found["/event"][1].level, found["/event"][1].msg) == (20, "a line")
     assert (found["/clock/pair"][1].peer_clock, found["/clock/pair"][1].returned) == ("00ff", 3.0)

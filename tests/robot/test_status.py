@@ -13,10 +13,13 @@ from msgspec import structs
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, ReadingsInput
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
-from swarmd.core.values import Scan, Twist
-from swarmd.protection.decision import Decision
+from swarmd.core.values import Neighbor, Scan, Twist
+from swarmd.protection.decision import Avoided, Decision
+from swarmd.robot.sensors import Sensors
 from swarmd.robot.status import MAX_ROWS, DutyCycle
+from swarmd.robot.status import _avoided as avoided_text
 from swarmd.robot.status import _summary as make_summary
+from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -84,6 +87,19 @@ def test_status_reports_recovery(harness: RobotHarness) -> None:
     commanded = harness.twist
     assert (blocked.safe_linear, blocked.safe_angular) == (commanded.linear, commanded.angular)
     assert summary(harness, 0.0, 0.3, recovery=True).is_recovering
+
+
+@pytest.mark.parametrize(
+    ("bearing", "named"), [(0.5, "tb3-04"), (-0.5, "an object at 29 deg")], ids=["there", "not"]
+)
+def test_what_is_avoided_has_the_name_of_the_neighbor_there(bearing: float, named: str) -> None:
+    sensors = Sensors(load_platform("burger"))
+    others = (Neighbor("tb3-03", 0.0), Neighbor("tb3-04", 0.0, 0.8, bearing))
+    sensors.on_neighbors(others, 1.0)
+    decision = Decision("barrier", Twist(0.2), Twist(0.1), None, True, (), None, None, 1)
+    assert avoided_text(decision, sensors, 1.0) == ""
+    decision = structs.replace(decision, avoided=Avoided(0.5, 0.9))
+    assert avoided_text(decision, sensors, 1.0) == named
 
 
 def test_status_reports_finite_readings(harness: RobotHarness) -> None:

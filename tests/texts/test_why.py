@@ -62,6 +62,11 @@ def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
             False,
             "moving around an obstacle, limited by an obstacle at -30 deg, 0.21 m",
         ),
+        (
+            {"is_active": True, "avoiding": "tb3-04"},
+            False,
+            "moving past tb3-04, limited by an obstacle at -30 deg, 0.21 m",
+        ),
         ({"is_active": True}, True, "protection holds it, limited by an obstacle at -30 deg"),
         ({"min_gap": 0.61}, True, "0.61 m away"),
     ],

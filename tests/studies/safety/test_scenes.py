@@ -59,8 +59,9 @@ def test_sparse_scenes_have_more_room(platform: str) -> None:
 def test_robots_have_the_protection_mode_of_the_scene(mode: str) -> None:
     scene = Scene("goals", "burger", mode=mode)
     protection = next(iter(scenario(scene).robots.values())).protection
-    words = {"ghost": "off", "reciprocal": "barrier"}
+    words = {"ghost": "off", "reciprocal": "barrier", "orca": "barrier"}
     assert protection["mode"] == words.get(mode, mode)
+    assert protection["avoidance"] == ("orca" if mode == "orca" else "none")
     shares = {"reciprocal": "reciprocal"}.get(mode, "passive")
     assert protection["barrier"]["responsibility"] == shares
 

@@ -1,0 +1,159 @@
+"""The choice among commands: what is passed, on which side, and what never happens."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
+from swarmd.protection.avoidance import Avoidance, Line, excess, nearest
+from swarmd.protection.decision import Permit
+from swarmd.protection.recovery import Clearance
+from swarmd.protection.tracks import Surroundings, Track
+from swarmd.settings.settings import load_platform
+from tests.support.examples import examples
+from tests.support.filter_sim import FilterSim, pole, under_barrier
+
+BURGER = under_barrier(load_platform("burger"))
+AVOIDING = replace(BURGER, protection={**BURGER.protection, "avoidance": "orca"})
+BASE, HOLONOMIC = Limits(0.22, 2.84), Limits(0.22, 2.84, 0.22)
+AHEAD = Twist(0.22)
+NO_WALLS = np.empty((0, 2))
+UNIT = st.floats(-1.0, 1.0)
+
+
+def made(limits: Limits = BASE) -> Avoidance:
+    return Avoidance(Clearance(0.5, 0.18, 0.09), limits)
+
+
+def track(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> Track:
+    return Track(7, x, y, vx, vy, 0.1, 0.05)
+
+
+def command(*tracks: Track, requested: Twist = AHEAD, limits: Limits = BASE) -> Twist:
+    return made(limits).command(requested, requested, 0.0, Surroundings(tracks, NO_WALLS))
+
+
+@pytest.mark.parametrize(
+    "found", [(), (track(-0.6, 0.0),), (track(2.0, 1.0),), (track(0.8, 0.0, 0.4),)]
+)
+def test_a_request_without_anything_in_its_way_passes_unchanged(found: tuple[Track, ...]) -> None:
+    assert command(*found) is AHEAD
+
+
+@pytest.mark.parametrize("limits", [BASE, HOLONOMIC], ids=["differential", "holonomic"])
+def test_of_two_that_meet_each_goes_to_its_right(limits: Limits) -> None:
+    chosen = command(track(0.9, 0.0, -0.22), limits=limits)
+    aside = chosen.lateral if limits.lateral else chosen.angular
+    assert aside < 0.0
+    assert chosen.linear > 0.0
+
+
+def test_an_object_that_crosses_behind_is_passed_before_it() -> None:
+    assert command(track(0.8, -0.9, 0.0, -0.2)) is AHEAD
+
+
+@pytest.mark.parametrize("requested", [ZERO, Twist(0.0, 2.0), Twist(0.01, 1.0)])
+def test_what_does_not_drive_is_not_changed(requested: Twist) -> None:
+    assert command(track(0.5, 0.0, -0.2), requested=requested) is requested
+
+
+def test_a_command_that_avoids_names_the_track() -> None:
+    avoidance = made()
+    avoidance.command(AHEAD, AHEAD, 0.0, Surroundings((track(0.9, 0.0, -0.22),), NO_WALLS))
+    assert avoidance.avoiding is not None
+    assert avoidance.avoiding.id == 7
+    avoidance.command(AHEAD, AHEAD, 0.1, Surroundings((), NO_WALLS))
+    assert avoidance.avoiding is None
+
+
+def test_a_robot_that_is_held_up_looks_farther_to_the_right() -> None:
+    avoidance, found = made(), Surroundings((track(0.42, 0.0), track(0.42, 0.4)), NO_WALLS)
+    chosen = [avoidance.command(AHEAD, ZERO, 0.05 * tick, found) for tick in range(200)]
+    assert chosen[-1].angular < chosen[0].angular < 0.0
+
+
+def test_a_robot_beside_a_wall_goes_aside_less() -> None:
+    walls = np.stack((np.linspace(-0.5, 1.5, 40), np.full(40, -0.14)), axis=1)
+    found = Surroundings((track(0.9, 0.0, -0.22),), walls)
+    chosen = made().command(AHEAD, AHEAD, 0.0, found)
+    assert command(track(0.9, 0.0, -0.22)).angular < chosen.angular
+
+
+def test_a_robot_drives_along_a_wall_at_the_gap_that_protection_allows() -> None:
+    walls = np.stack((np.linspace(-0.5, 1.5, 40), np.full(40, -0.125)), axis=1)
+    assert made().command(AHEAD, AHEAD, 0.0, Surroundings((), walls)) is AHEAD
+
+
+def test_a_wall_ahead_slows_the_robot() -> None:
+    walls = np.stack((np.full(40, 0.25), np.linspace(-1.0, 1.0, 40)), axis=1)
+    chosen = made().command(AHEAD, AHEAD, 0.0, Surroundings((), walls))
+    assert chosen.linear < 0.15
+
+
+@settings(max_examples=examples(200))
+@given(st.tuples(UNIT, UNIT), st.lists(st.tuples(UNIT, UNIT, UNIT, UNIT), max_size=5))
+def test_no_command_is_faster_than_the_request(
+    asked: tuple[float, float], given: list[tuple[float, float, float, float]]
+) -> None:
+    requested = Twist(0.22 * asked[0], 2.84 * asked[1])
+    tracks = [track(1.5 * x, 1.5 * y, 0.3 * vx, 0.3 * vy) for x, y, vx, vy in given]
+    chosen = command(*tracks, requested=requested)
+    speed, most = (math.hypot(one.linear, 0.22 / 2.84 * one.angular) for one in (chosen, requested))
+    assert chosen.is_finite
+    assert speed <= most + 1e-9
+
+
+def kept(lines: list[Line], velocities: Array) -> NDArray[np.bool_]:
+    """Which velocities (k, 2) keep all lines."""
+    found = [[excess(line, x, y) <= 1e-9 for line in lines] for x, y in velocities.tolist()]
+    shaped = np.array(found, dtype=np.bool_).reshape(len(velocities), -1)
+    return np.asarray(shaped.all(axis=1), np.bool_)
+
+
+@settings(max_examples=examples(100))
+@given(
+    st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-math.pi, math.pi)), max_size=6),
+    st.tuples(UNIT, UNIT),
+)
+def test_the_velocity_is_the_nearest_that_keeps_all_lines(
+    given: list[tuple[float, float]], wanted: tuple[float, float]
+) -> None:
+    # Zero keeps each of these lines.
+    lines = [Line(a * math.cos(b), a * math.sin(b), -math.sin(b), math.cos(b)) for a, b in given]
+    x, y = nearest(lines, 0, *wanted, 1.0)
+    assert kept(lines, np.array([(x, y)])).all() or max(excess(one, x, y) for one in lines) < 1e-6
+    assert math.hypot(x, y) <= 1.0 + 1e-9
+    radii, angles = np.meshgrid(np.linspace(0.0, 1.0, 11), np.linspace(-np.pi, np.pi, 25))
+    grid = np.stack((radii * np.cos(angles), radii * np.sin(angles)), axis=-1).reshape(-1, 2)
+    allowed = grid[kept(lines, grid)]
+    best = np.hypot(*(allowed - wanted).T).min(initial=math.inf)
+    assert math.hypot(x - wanted[0], y - wanted[1]) <= best + 1e-6
+
+
+def test_where_no_velocity_keeps_all_lines_walls_go_first() -> None:
+    wall = Line(0.0, 0.0, 0.0, 1.0)  # x <= 0
+    other = Line(0.5, 0.0, 0.0, -1.0)  # x >= 0.5
+    x, _ = nearest([wall, other], 1, 1.0, 0.0, 1.0)
+    assert x == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_pattern_without_recovery_is_not_led_past_anything() -> None:
+    rides = [FilterSim(one, [pole(0.1, Pose(1.0))]).run(AHEAD, 4.0) for one in (BURGER, AVOIDING)]
+    assert rides[0].twists == rides[1].twists
+    assert all(decision.avoided is None for _, decision in rides[1].decisions)
+
+
+def test_a_decision_says_what_is_avoided_and_keeps_the_margin() -> None:
+    ride = FilterSim(AVOIDING, [pole(0.1, Pose(1.0))]).run(AHEAD, 6.0, Permit(may_recover=True))
+    avoided = [decision.avoided for _, decision in ride.decisions if decision.avoided is not None]
+    assert avoided[0].bearing == pytest.approx(0.0, abs=0.05)
+    assert avoided[0].distance == pytest.approx(0.9, abs=0.2)
+    assert not any(decision.is_recovering for _, decision in ride.decisions)
+    assert ride.min_gap > 0.05

@@ -1,0 +1,171 @@
+"""Tracks of moving discs before a wall, from scans that are computed here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
+from swarmd.protection.decision import DecisionContext
+from swarmd.protection.tracks import Surroundings, Tracker
+from swarmd.settings.platforms import load_platform
+
+BURGER = load_platform("burger")
+BEARINGS = BURGER.scan.bearings
+WALL = -1.8  # m, y of a wall
+Place = tuple[float, float]
+Way = Callable[[float], Place]
+
+
+def ranges_at(pose: Pose, discs: list[tuple[Place, float]], wall: float = WALL) -> Array:
+    """The nearest hits of all rays on discs of a centre and a radius, and on the wall."""
+    angles = BEARINGS + pose.yaw
+    dx, dy = np.cos(angles), np.sin(angles)
+    ox, oy = BURGER.scan.offset
+    x = pose.x + math.cos(pose.yaw) * ox - math.sin(pose.yaw) * oy
+    y = pose.y + math.sin(pose.yaw) * ox + math.cos(pose.yaw) * oy
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.where(dy < 0.0, (wall - y) / dy, np.inf)
+    for (cx, cy), radius in discs:
+        along = (cx - x) * dx + (cy - y) * dy
+        off = np.abs((cx - x) * dy - (cy - y) * dx)
+        is_hit = (off < radius) & (along > 0.0)
+        depth = np.sqrt(np.maximum(radius * radius - off * off, 0.0))
+        found = np.where(is_hit, np.minimum(found, along - depth), found)
+    return np.where(found > BURGER.scan.range_max, np.inf, found)
+
+
+class Watch:
+    """A tracker that is fed by a robot on its way, with odometry at 20 Hz."""
+
+    def __init__(
+        self,
+        discs: list[tuple[Way, float]],
+        *,
+        own: Twist = ZERO,
+        rate: float = 5.0,
+        noise: float = 0.0,
+        lost: float = 0.0,
+    ) -> None:
+        self.tracker, self.discs, self.own = Tracker(BURGER), discs, own
+        self.rate, self.noise, self.lost = rate, noise, lost
+        self.rng = np.random.default_rng(1)
+        self.now, self.scans, self.ticks, self.wall = 0.0, 0, 0, WALL
+
+    def pose(self) -> Pose:
+        """The pose after driving straight ahead or turning on the spot."""
+        return Pose(self.own.linear * self.now, 0.0, self.own.angular * self.now)
+
+    def context(self) -> DecisionContext:
+        """That of a decision now, with an odometry that has just arrived."""
+        return DecisionContext(self.now, 0.0, self.odometry(), 0.0)
+
+    def odometry(self) -> Odometry:
+        """The true motion."""
+        return Odometry(self.now, self.pose(), self.own)
+
+    def run(self, seconds: float) -> Surroundings:
+        """Go on for some time; what surrounds the robot then."""
+        for _ in range(round(seconds * 20.0)):
+            self.ticks += 1
+            self.now = self.ticks / 20.0
+            self.tracker.on_odometry(self.odometry())
+            if self.now * self.rate >= self.scans + 1:
+                self.scans += 1
+                self.scan()
+        return self.tracker.surroundings(self.context())
+
+    def scan(self) -> None:
+        """Show one scan, all rays of which are of this instant."""
+        ranges = ranges_at(self.pose(), [(way(self.now), r) for way, r in self.discs], self.wall)
+        ranges = ranges + self.noise * self.rng.standard_normal(len(ranges))
+        ranges[self.rng.random(len(ranges)) < self.lost] = np.inf
+        scan = Scan(self.scans, self.now, ranges, BEARINGS, 0.12, 3.5, None, 0.0)
+        self.tracker.observe(scan, self.context())
+
+
+def crossing(t: float) -> Place:
+    """A way from the right ahead to the left."""
+    return 1.0, -0.5 + 0.2 * t
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0])
+@pytest.mark.parametrize(
+    ("noise", "lost", "tolerance"),
+    [(0.0, 0.0, 0.05), (0.01, 0.0, 0.07), (0.02, 0.0, 0.09), (0.01, 0.3, 0.09)],
+)
+def test_a_crossing_object_is_tracked(
+    rate: float, noise: float, lost: float, tolerance: float
+) -> None:
+    watch = Watch([(crossing, 0.1)], rate=rate, noise=noise, lost=lost)
+    watch.run(2.0)
+    errors = []
+    for _ in range(10):
+        (track,) = watch.run(1.0 / 5.0).tracks
+        x, y = crossing(watch.now)
+        errors.append((math.hypot(track.x - x, track.y - y), track.vx, track.vy - 0.2))
+    place, vx, vy = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert place < 0.05
+    assert math.hypot(vx, vy) < tolerance
+
+
+@pytest.mark.parametrize("own", [Twist(0.2), Twist(0.0, 0.8)], ids=["drives", "turns"])
+def test_own_motion_moves_no_object(own: Twist) -> None:
+    found = Watch([(lambda t: (0.9, 0.4), 0.1)], own=own, noise=0.005).run(2.4)
+    (track,) = found.tracks
+    assert math.hypot(track.vx, track.vy) < 0.06
+
+
+def test_a_wall_is_no_track() -> None:
+    found = Watch([], own=Twist(0.2), noise=0.01).run(3.0)
+    assert found.tracks == ()
+    assert found.walls[:, 1].min() == pytest.approx(WALL, abs=0.05)
+
+
+def test_the_part_of_a_wall_between_two_objects_is_no_track() -> None:
+    discs: list[tuple[Way, float]] = [
+        (lambda t: (0.15 + 0.1 * t, -0.7), 0.1),
+        (lambda t: (-0.25 + 0.1 * t, -0.7), 0.1),
+    ]
+    assert len(Watch(discs, noise=0.005).run(3.0).tracks) == 2
+
+
+def test_an_object_that_has_gone_is_forgotten_after_two_scans() -> None:
+    watch = Watch([(lambda t: (1.0, 0.0) if t < 2.0 else (50.0, 0.0), 0.1)])
+    assert len(watch.run(1.9).tracks) == 1
+    assert watch.run(0.6).tracks == ()
+
+
+def test_a_hidden_object_is_remembered_where_it_moves() -> None:
+    def screen(t: float) -> Place:
+        return (0.5, 0.0) if t > 2.0 else (50.0, 0.0)
+
+    watch = Watch([(lambda t: (1.2, 0.05 * (t - 2.5)), 0.1), (screen, 0.12)])
+    watch.run(2.0)
+    found = watch.run(1.0).tracks
+    assert len(found) == 2
+    assert max(track.x for track in found) == pytest.approx(1.2, abs=0.1)
+
+
+def test_odometry_that_jumps_forgets_all() -> None:
+    watch = Watch([(lambda t: (1.0, 0.0), 0.1)])
+    assert len(watch.run(2.0).tracks) == 1
+    watch.tracker.on_odometry(Odometry(watch.now + 0.05, Pose(5.0), Twist()))
+    assert watch.tracker.surroundings(watch.context()).tracks == ()
+
+
+def test_without_odometry_nothing_is_tracked() -> None:
+    tracker, ranges = Tracker(BURGER), ranges_at(Pose(), [((1.0, 0.0), 0.1)])
+    context = DecisionContext(1.0, 0.0)
+    tracker.observe(Scan(1, 1.0, ranges, BEARINGS, 0.12, 3.5, None, 0.0), context)
+    assert tracker.surroundings(context).tracks == ()
+
+
+def test_two_objects_in_an_open_field_are_two_tracks() -> None:
+    discs: list[tuple[Way, float]] = [(lambda t: (0.9, 0.2), 0.1), (lambda t: (0.9, -0.2), 0.1)]
+    watch = Watch(discs)
+    watch.wall = -100.0
+    assert len(watch.run(1.0).tracks) == 2

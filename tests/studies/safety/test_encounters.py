@@ -1,0 +1,46 @@
+"""The tasks of getting past each other: each is a scenario, and its numbers add up."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from studies.safety.encounters import MODES, TASKS, Found, perform, table
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_each_task_is_a_scenario_in_each_mode(task: str) -> None:
+    robots = {len(TASKS[task](mode).robots) for mode in MODES}
+    assert len(robots) == 1
+    assert robots.pop() >= 1
+
+
+def test_a_ghost_passes_a_parked_robot_and_the_parked_one_does_not_count() -> None:
+    found = perform("past a parked robot", "ghost", 0)
+    assert (found.arrived, found.robots, found.faults) == (1, 1, 0)
+    assert found.goals >= 3
+    assert found.last < 16.0
+
+
+def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
+    one = Found(
+        arrived=8, robots=8, last=20.0, goals=10, recovering=0.0, stuck=0, windows=6,
+        touches=0, faults=0, cpu=1.0,
+    )  # fmt: skip
+    late = Found(
+        arrived=3, robots=8, last=math.inf, goals=4, recovering=0.5, stuck=3, windows=6,
+        touches=1, faults=1, cpu=1.0,
+    )  # fmt: skip
+    text = table({("swap of 8", "ghost"): [one], ("swap of 8", "barrier"): [late]})
+    assert "40%" in text
+    assert "3 of 8" in text
+    assert "0 of 1 runs" in text
+
+
+@pytest.mark.parametrize("task", ["two that meet", "past a parked robot"])
+def test_robots_pass_each_other_with_less_recovery_and_without_a_touch(task: str) -> None:
+    found = perform(task, "orca", 3)
+    assert found.arrived == found.robots
+    assert found.touches == 0
+    assert found.recovering < perform(task, "barrier", 3).recovering
