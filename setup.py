@@ -37,7 +37,7 @@ KERNELS = {
     "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",
 }
-VIEWS = "swarmd.core._views"  # Cython's code for views of memory, which the kernels import
+VIEWS = "swarmd.core._views"  # the library of VIEWS in swarmd/core/kernels.py
 GENERATED = Path("build/cython")
 STABLE_ABI = "0x030B0000"
 DIRECTIVES = {
@@ -65,8 +65,8 @@ FLAGS = [
 def write_digests(source: str) -> str:
     """The path of a C file with the digests of a library, written if they changed.
 
-    Both of a kernel's source and of Cython's version: with Cython's code for views of another
-    version a kernel might end the process.
+    The digests are of the kernel's source and of Cython's version. A kernel that uses the views of
+    another Cython might end the process.
     """
     file = (GENERATED / source).with_suffix(".digest.c")
     views = hashlib.sha256(Cython.__version__.encode()).hexdigest()
@@ -89,9 +89,10 @@ def library(name: str) -> str:
 
 
 class BuildKernels(build_ext):
-    """The libraries, in the folder of `build_ext --inplace` also for an editable installation.
+    """Builds the libraries; an editable installation uses the folders of `build_ext --inplace`.
 
-    That compiles nothing again, where setuptools would begin with an empty folder.
+    So the installation compiles nothing a second time. By default, setuptools builds an editable
+    installation in an empty folder.
     """
 
     def finalize_options(self) -> None:

@@ -97,7 +97,7 @@ class SimulatedDriver:
             self._link.send("sent", hw_codec.encode_message(self._robot, channel, payload))
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """Whether scans and odometry arrive and commands have a subscriber; moves nothing."""
+        """Whether scans and odometry arrive and a robot takes commands; moves nothing."""
         seen = _CheckSink(self._platform.scan)
         task = asyncio.create_task(self.run(seen))
         try:
@@ -141,7 +141,7 @@ class SimulatedDriver:
             self._link.send("cmd_vel", command)
 
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
-        """Take messages in their order, and the newest frame of each sense: older are outdated."""
+        """Take all messages in order, and of each sensor the newest frame only."""
         newest: dict[str, bytes] = {}
         for name, payload in frames:
             if name == "received":
@@ -200,7 +200,7 @@ class SimulatedZeroSender:
         """Send zero once."""
         link = self._link
         if link is not None:
-            link.receive()  # it tells of its end
+            link.receive()  # finds the end of the connection
         if link is None or not link.is_open:
             self.close()
             self.open()

@@ -40,7 +40,7 @@ _PARTS = {
 NAMED: Mapping[str, float | str] = MappingProxyType(
     {"report": np.nan, "words": "", "readings": np.nan}
 )
-"""What a trace has by name, each with its blank."""
+"""The kinds of arrays that a trace has by name, and the blank value of each kind."""
 TWIST = ("linear", "angular", "lateral")
 BOUND = ("bound_bearing", "bound_gap", "bound_speed")
 _PER_ROBOT = ("state", "reason", "active", "recovering", "decided", "evaded", "gap", "scan_age")

@@ -1,6 +1,6 @@
 """The links of a live world: those of its robots, and a Zenoh session with its state and requests.
 
-`EmulatorTransport` replaces the robots' links for robots that emulate a ROS driver.
+`EmulatorTransport` replaces the links of robots whose driver for ROS the world emulates.
 
 The only module of the simulation that imports Zenoh. Multicast and gossip are off: viewers connect
 to the world and to no other peer.

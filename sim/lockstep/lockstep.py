@@ -111,7 +111,7 @@ class Lockstep:
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self._alarms = Alarms(n, self.world.dt)
         self._commands = np.zeros((n, 3))
-        self._are_new = True  # the commands since the world has had them
+        self._has_new_commands = True  # that the world has not had
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
@@ -205,7 +205,7 @@ class Lockstep:
         for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
             if index != process.index:
                 self._commands[index :: process.count] = commands
-                self._are_new = True
+                self._has_new_commands = True
             self._radio.carry(some_sent, process.own)
             published += some_published
         for row, latches in sorted(published, key=itemgetter(0)):
@@ -221,7 +221,7 @@ class Lockstep:
         commands = self._commands  # three values are set faster than a row
         commands[row, 0], commands[row, 1] = twist.linear, twist.angular
         commands[row, 2] = twist.lateral
-        self._are_new = True
+        self._has_new_commands = True
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Send a pattern's message by radio, after a round trip through the codec."""
@@ -232,7 +232,7 @@ class Lockstep:
         self._flights += self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
     def publish_latches(self, row: int, latches: Mapping[str, Latch]) -> None:
-        """Keep the latches of a status, on which peers act now and when they join."""
+        """Keep the latches of a robot; present peers act on them now, later ones when they join."""
         if latches or row in self._latched:
             self._published.append((row, dict(latches)))
             (self._latched.add if latches else self._latched.discard)(row)
@@ -269,9 +269,9 @@ class Lockstep:
         self.exchange()
         if self._record_due.due(now):
             self._recorder.record_instant(now, self._commands, self.shells)
-        if self._are_new:
+        if self._has_new_commands:
             world.set_commands(self._commands)
-            self._are_new = False
+            self._has_new_commands = False
         world.step()
         self._steps += 1
         self._recorder.record_contacts(world.time)
@@ -336,7 +336,7 @@ class Lockstep:
             shell.tick(now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
             self._commands[row] = 0.0
-            self._are_new = True
+            self._has_new_commands = True
             del self._silent_at[row]
 
     def _present(self, rows: Sequence[int]) -> Sequence[RobotShell]:

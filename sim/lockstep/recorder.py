@@ -41,7 +41,7 @@ class LockstepRecorder:
             box_shapes=world.box_shapes,
         )
         self._samples = 0
-        self._latest: list[tuple[Any, ...]] = []  # values of robots, instant by instant
+        self._latest: list[tuple[Any, ...]] = []  # of `_values`, instant by instant
         self._blocks: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         self._reports: _Reports = {}
 
@@ -104,7 +104,7 @@ class LockstepRecorder:
             self._reports.setdefault(key, []).append((self._samples, row, item))
 
 
-_BLOCK = 1000  # values of robots that become arrays at once
+_BLOCK = 1000  # tuples of `_values` that become arrays at once
 _COLUMNS: Mapping[str, Any] = MappingProxyType(
     {
         "present": bool,

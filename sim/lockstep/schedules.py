@@ -41,7 +41,7 @@ class Schedules:
         self._times: list[float] = []
         self._rows: list[int] = []
         self._next, self._end = 0, -math.inf
-        self._soonest = -math.inf  # nothing is due, and nothing to be listed, before
+        self._soonest = -math.inf  # before this time nothing is due, nor to be listed
         self._listed = np.zeros(len(self._period), dtype=np.intp)
 
     def due(self, now: float) -> list[int]:

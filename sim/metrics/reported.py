@@ -23,7 +23,8 @@ from swarmd.sim.metrics.metric import TIMES, Metric, over_time
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import WORD, Trace
 
-PREFIXES = _REPORT, _READING = "report:", "reading:"
+_REPORT, _READING = "report:", "reading:"
+PREFIXES = _REPORT, _READING
 ROBOTS: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
         "mean": np.nanmean,
@@ -92,7 +93,7 @@ def check_reported(name: str, trace: Trace) -> None:
 
 
 class _Parts(NamedTuple):
-    """The parts of a name: `robots`, `time`: the statistics over robots and over time."""
+    """The parts of a name; `robots` and `time` are the statistics over robots and over time."""
 
     prefix: str
     key: str

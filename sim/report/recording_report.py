@@ -136,7 +136,7 @@ def _enter_statuses(
     row: int,
     shape: tuple[int, int],
 ) -> None:
-    """Enter reports and readings of a robot's statuses; blank while nothing of it is recorded."""
+    """Enter reports and readings of a robot's statuses; blank while the robot is not recorded."""
     for at in track.topics["status"].times:
         status = track.status(at)
         if status is not None:

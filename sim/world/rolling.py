@@ -67,8 +67,8 @@ class RollingScans:
             self._start(step)
         robots, begun, rows = self._scans
         since = step - begun
-        sectors = since, self._first, self._counts
-        self._lidar.cast_sectors(self._ranges, rows, poses, robots, *sectors)
+        first, counts = self._first, self._counts
+        self._lidar.cast_sectors(self._ranges, rows, poses, robots, since, first, counts)
         if not (len(since) and since[0] == self._steps):  # scans are in the order of their begin
             return []
         done = np.count_nonzero(since == self._steps)

@@ -1,4 +1,4 @@
-"""The question before a verb changes robots: are you sure?"""
+"""Asks for confirmation before a verb changes robots."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def swarmd() -> None:
         from swarmd.core.processes import without_openssl
 
         with without_openssl():
-            import secrets  # noqa: F401  # that of the daemon
+            import secrets  # noqa: F401  # the daemon imports it after this block
 
             from swarmd.cli.daemon import main
 

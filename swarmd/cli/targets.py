@@ -28,7 +28,10 @@ R = TypeVar("R")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 STOP_LOOK = 1.0
-"""How long a stop by label looks for labels at most, in s. It stops robots without an answer."""
+"""How long a stop by label looks for labels at most, in s.
+
+The stop is sent to robots that have not answered by then, too.
+"""
 
 _GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 
@@ -222,7 +225,7 @@ def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:
 
 
 def no_target(*reasons: str) -> Failure:
-    """The error of a request without a target; `reasons`: why each named robot is none."""
+    """The error of a request without a target; `reasons`: why each named robot is no target."""
     text = "; ".join(reasons) or "all robots are excluded"
     return Failure(f"no robot is targeted: {text}", NO_TARGET)
 

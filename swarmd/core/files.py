@@ -78,7 +78,7 @@ def remove_whole(path: Path) -> None:
             os.fchmod(folder, 0o700)
         finally:
             os.close(folder)
-    import shutil  # with three compressors, which take 2 ms
+    import shutil  # imports three compressors, which takes 2 ms
 
     shutil.rmtree(path, ignore_errors=True)
 

@@ -4,7 +4,8 @@ A kernel's file is the only source of its arithmetic. `setup.py` makes of `barri
 `_barrier.abi3.so` beside it. CPython runs the file itself where there is no library, where
 the environment has SWARMD_COMPILED=0, and where a library was compiled from another version of its
 source: the code around it may call what it lacks. All libraries import `_views.abi3.so`, which
-holds Cython's code for views of memory.
+holds Cython's code for views of memory. Where `_views` is absent or was compiled by another version
+of Cython, CPython runs the file, too.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ KERNELS = (
 )
 
 VIEWS = "swarmd.core.views"
+"""Names the library `_views` as KERNELS name theirs; no file `views.py` exists."""
 
 _NOT_COMPILED = "not compiled"
 _STALE = "older than its source (run make kernels)"
@@ -102,7 +104,7 @@ def _opened(name: str) -> ctypes.CDLL | None:
 
 
 def _digest_in(library: ctypes.CDLL, name: str) -> str:
-    """What setup.py put into a library; empty if the library is of before that."""
+    """The digest `name` that setup.py put into a library; empty without one."""
     try:
         return (ctypes.c_char * 64).in_dll(library, name).value.decode()
     except ValueError:

@@ -1,4 +1,4 @@
-"""Processes of this machine: children that end with their parent (Linux), limits and size."""
+"""This process: its end with its parent, its memory, OpenSSL, slices of the processor (Linux)."""
 
 from __future__ import annotations
 
@@ -67,12 +67,12 @@ def limit_growth(growth: int) -> None:
 
 @contextmanager
 def without_openssl() -> Iterator[None]:
-    """Import asyncio, hashlib, hmac and secrets meanwhile: they do without OpenSSL's 4 MB.
+    """Hide OpenSSL (4 MB) from imports within: asyncio, hashlib, hmac and secrets work without.
 
-    Later imports find it, such as `ssl` where a robot has keys. Nothing changes for a Python that
-    has no hash functions of its own.
+    Imports after the block find OpenSSL, such as `import ssl` where a robot has keys. A Python
+    without hash functions of its own hides nothing.
     """
-    has_own = any(map(find_spec, ("_sha2", "_sha256")))  # from Python 3.12 on, and before
+    has_own = any(map(find_spec, ("_sha2", "_sha256")))  # of Python 3.12 and later, of 3.11
     hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]  # None: ImportError
     try:
@@ -84,11 +84,11 @@ def without_openssl() -> Iterator[None]:
 
 _SET_SCHEDULER = {"x86_64": 314, "aarch64": 274}  # sched_setattr(2), which libc does not offer
 SHORT_SLICE = 100_000
-"""Nanoseconds, the shortest that Linux grants."""
+"""The shortest slice that Linux grants, in ns."""
 
 
 def ask_for_slices(slice: int | None) -> None:
-    """Ask for slices of the processor of so many ns, or for the usual; children inherit that.
+    """Ask for slices of the processor of `slice` ns; None: usual ones. Children inherit them.
 
     A process with short slices gets the processor sooner when it wakes, and no larger share of it.
     Without them the scheduler of Linux 6.6 and later lets a daemon that has just sent a step wait

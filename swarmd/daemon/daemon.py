@@ -74,7 +74,7 @@ MOTION_PERIOD = 2  # ticks
 STORAGE_PERIOD = 100  # ticks between two tries to write to a folder that could not be written
 ACTIVE_TIME = 1.0
 """Seconds for which a robot at rest ticks 20 times a second after an event."""
-_MEASURED = (  # inputs that come all the time; each other one is an event
+_MEASURED = (  # regular inputs; any other input is an event
     events.ScanInput,
     events.RangesInput,
     events.OdometryInput,
@@ -180,7 +180,7 @@ class Daemon:
             drops=self._drops,
             is_secured=settings.identity is not None,
         )
-        self._periods = 0  # of the timer, at the tick before
+        self._periods = 0  # `periods` of the timer at the last tick
         self._provisional: tuple[int, ...] = ()  # as the robot knows them
         self._shown_scan = -1  # sequence of the last scan for viewers
         self._robot = make_robot(

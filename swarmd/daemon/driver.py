@@ -89,9 +89,7 @@ class DriverOutput:
         self._driver = driver
         self._name = name
         self._idle = IdleOutputFilter(idle_output)
-        self._sent: tuple[Twist, bool] | None = (
-            None  # the last command, and whether it was a stop's
-        )
+        self._sent: tuple[Twist, bool] | None = None  # the last command, and its `is_stopped`
         self._on_crash = on_crash
 
     async def run(self, sink: Sink) -> None:
@@ -107,7 +105,7 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of these actions, unless an idle robot sends none.
 
-        Without `may_repeat`, the zero of a robot that does not run is not sent a second time.
+        Without `may_repeat`, the zero of an idle or stopped robot is not sent twice in a row.
         """
         is_zero = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped

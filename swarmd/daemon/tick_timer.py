@@ -17,9 +17,9 @@ RESTING_PERIODS = 2
 
 
 class TickTimer:
-    """Calls `tick` every 50 ms, and once more at the time that `wake_in` has set.
+    """Calls `tick` every 50 ms or, at rest, 100 ms, and at the time that `wake_in` has set.
 
-    `periods`: how many periods of 50 ms have ended with a tick; a wake-up ends none.
+    `periods`: the periods of 50 ms that have passed at the last tick; a wake-up counts none.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
@@ -41,7 +41,7 @@ class TickTimer:
         return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
 
     def rest(self, is_resting: bool) -> None:
-        """Tick every RESTING_PERIODS from the next tick on, or every 50 ms from now on."""
+        """True: tick every RESTING_PERIODS after the next tick. False: every 50 ms from now on."""
         self._is_resting = is_resting
         at = self._loop.time() + TICK
         if not is_resting and self._step > 1 and at < self._next:

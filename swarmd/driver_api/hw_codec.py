@@ -1,9 +1,9 @@
 """The wire between a simulated robot and its daemon: scan, odometry, neighbours, readings, command.
 
-The robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py` does. The
-daemon sends frames `cmd_vel` and `sent`, the robot those of INPUTS and `received`. Arrays travel as
-little-endian float32; regular bearings and ages as (first, step). `range_min` and `range_max` come
-from the platform file, not from the message.
+A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
+The daemon sends the frames `cmd_vel` and `sent`, the robot those of INPUTS and `received`. Arrays
+travel as little-endian float32; regular bearings and ages as (first, step). `range_min` and
+`range_max` come from the platform file, not from the message.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ def take_forked_host(
 
 
 def _become_host(fd: int, parent: int) -> None:
-    from swarmd.core.fork_server import SERVER_PATH  # other daemons need neither
+    from swarmd.core.fork_server import SERVER_PATH  # a daemon without a fork needs neither
     from swarmd.pattern_host import worker
 
     die_with_parent(parent)

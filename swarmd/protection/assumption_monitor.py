@@ -70,23 +70,19 @@ _STILL = 0.2  # share of the speed before a stop of which each reading has the n
 
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
 _MIN_DROP_TIME = 0.1  # s of declared braking that it takes at least
-_MIN_DROP_SHARE = cython.declare(
-    cython.double, 0.5
-)  # of the speed: noise of odometry grows with it
-_FOLLOWED = cython.declare(
-    cython.double, 0.15
-)  # share of the command that the speed may be off it before
+# Share of the speed: noise of odometry grows with the speed.
+_MIN_DROP_SHARE = cython.declare(cython.double, 0.5)
+# Share of the command by which the speed may differ from the command before a stop.
+_FOLLOWED = cython.declare(cython.double, 0.15)
 _CRUISE, _MIN_CRUISE = 6, 2  # readings before a stop that tell its speed
 _MIN_STEPS = 3  # readings of a stop
 _ENDS = cython.declare(cython.double, 0.1)  # share of the fall that is left when a stop is over
-_RISE = cython.declare(
-    cython.double, 0.3
-)  # share of the speed by which noise may raise it during a stop
+# Share of the speed by which noise may raise the speed during a stop.
+_RISE = cython.declare(cython.double, 0.3)
 _MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
 _MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
-_RISES = cython.declare(
-    cython.double, 0.2
-)  # share of the command before a stop by which it may rise again
+# Share of the command before a stop by which the command may rise again.
+_RISES = cython.declare(cython.double, 0.2)
 _MAX_COMMANDS = 40
 
 _NEAR = cython.declare(cython.double, 1.0)  # m within which an approach counts
@@ -343,7 +339,7 @@ class AssumptionMonitor:
     _speed: cython.double
     _rate: cython.double
     _moved: cython.double  # m that any corner may have moved so far
-    _ways: object  # stamps of odometry, and that
+    _ways: object  # stamps of odometry, and `_moved` at each
     # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
     _scans: object
     _others: object

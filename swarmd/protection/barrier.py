@@ -1121,7 +1121,7 @@ class Barrier:
     def _gap_of(self, x: cython.double, y: cython.double) -> cython.double:
         """The distance in m from the outline to a point; 0 for a point inside.
 
-        A rectangle along the axes needs fewer operations, which round otherwise by 1e-16.
+        A rectangle along the axes needs fewer operations; its result differs by 1e-16.
         """
         k: cython.Py_ssize_t
         edges: cython.Py_ssize_t = self._edges
@@ -1379,7 +1379,7 @@ class Barrier:
         while point < count:
             i = 0
             while point < count and i < _CHUNK:
-                # What a later ray has seen has come less near since: a tenth of the points is out.
+                # A later ray leaves an obstacle less time to come near: a tenth drops out.
                 if not (self._gap[point] >= self._binding_range(age + self._age[point])):
                     x: cython.double = self._x[point]
                     y: cython.double = self._y[point]
@@ -2191,7 +2191,7 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _rank(self, count: cython.Py_ssize_t, row: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """Insert a row among `count` with the lowest caps, and of these the smallest gaps."""
+        """Insert a row into `count` ranked ones, by rising caps, then gaps; their new number."""
         cap: cython.double = self._row_cap[row]
         gap: cython.double = self._row_gap[row]
         if not gap < _inf:

@@ -63,8 +63,8 @@ class _Axis:
     _unit: object
     _early: object
     _later: object
-    # What a reading asks them: the last early command and its stamp, the first later one's, and
-    # that of the second early one, after which the first one may go; inf where there is none.
+    # Copies from the two queues for `on_reading`: speed and stamp of the last early command, stamps
+    # of the first later and of the second early one; inf if there is none.
     _held: cython.double
     _held_since: cython.double
     _next: cython.double
@@ -102,6 +102,7 @@ class _Axis:
 
     @cython.cfunc
     def _look_up(self):
+        """Copy from the two queues what `on_reading` needs of them."""
         early, later = self._early, self._later
         self._held_since, self._held = early[-1]
         self._next = later[0][0] if later else math.inf
@@ -165,7 +166,7 @@ class FollowingMonitor:
     """Watches whether the base of one robot follows its safe commands while it runs.
 
     Forward, in turns, and sideways where the platform's `limits.lateral` lets the base slide.
-    `text`: how it does not; empty while it does.
+    `text`: how the base differs from its commands; empty while it follows them.
     """
 
     text = cython.declare(object, visibility="readonly")

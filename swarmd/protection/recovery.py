@@ -1,6 +1,5 @@
 """Recovery: steers a blocked robot around an obstacle, before protection judges the command.
 
-A robot that touches something already creeps: `CREEP_SPEED` in barrier.py.
 Recovery replaces the requested command, and its own requests pass the same arbiter; so it cannot
 weaken protection. Without it, two robots that meet head on would block each other for good.
 Recovery looks for a free corridor of the robot's width near the requested heading and prefers the
@@ -9,7 +8,9 @@ right side (after the vector field histogram, Borenstein and Koren 1991).
 In a door or a narrow corridor it keeps the robot on the middle line (pure pursuit, Coulter 1992)
 and asks for little more speed than protection allows; otherwise protection would turn the robot
 aside, because a turn can leave it more speed. Where two meet and neither can pass, each backs off
-for a random time that grows (Metcalfe and Boggs 1976), and who has gained ground waits.
+for a random time that grows (Metcalfe and Boggs 1976); a robot that has gained ground waits.
+
+The creeping of a robot that touches something is in barrier.py (`CREEP_SPEED`).
 """
 
 from __future__ import annotations

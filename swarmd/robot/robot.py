@@ -181,7 +181,7 @@ class Robot:
 
     @property
     def is_at_rest(self) -> bool:
-        """True if no time changes the state: nothing runs, loads or is tried, no answer is due."""
+        """True if only events change the state: no run, load or trial, and no answer due."""
         return not self.is_running and self._lifecycle.due_at() == math.inf
 
     # Inputs from the driver and the network

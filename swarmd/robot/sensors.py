@@ -279,7 +279,7 @@ class Sensors:
         is_late = delay.is_late and delay.added > self.permitted_delay
         if is_late and age <= self._stale_after:
             return Reason.LATE_SCAN
-        # No scan is stale before this time, which mostly is enough to know.
+        # The first comparison is cheap, and mostly enough: `_longest_age` is never less.
         if age > self._stale_after - delay.added and age > self._longest_age():
             return self._problem or Reason.STALE_SCAN
         if self._ring is not None and (reason := self._ring.hold(now)) is not None:

@@ -1,6 +1,6 @@
 """Checks a certificate against its key and its authority with Python's `ssl`, which robots have.
 
-A robot without keys does not import it.
+A robot without keys does not import `ssl`.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ IDLE_ZEROS_PERIOD = 1.0
 """Seconds of zero commands to a robot that becomes idle, with `idle_output: silent`."""
 
 RESTING_TIMEOUT = 0.4
-"""Seconds without a command that a base must bear if its idle robot is to tick 10 times a second.
+"""A base with a shorter command timeout, in s, keeps its robot at 20 ticks a second at rest.
 
-The watchdog bears as many.
+`TICK_TIMEOUT` of the watchdog is as long.
 """
 
 DEFAULT_COMMAND_TIMEOUT = 0.5
@@ -95,6 +95,6 @@ def effective_command_timeout(base: BaseOptions, driver: Driver) -> float | Lite
 
 
 def may_rest(base: BaseOptions, driver: Driver) -> bool:
-    """True if the base bears that a robot which stands is sent zero 10 times a second only."""
+    """True if the base may get zero 10 instead of 20 times a second while its robot stands."""
     timeout = effective_command_timeout(base, driver)
     return isinstance(timeout, str) or timeout >= RESTING_TIMEOUT

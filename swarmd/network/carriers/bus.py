@@ -129,7 +129,7 @@ class ZenohBus:
             )
             for name in ("status", "motion", "scan", "log")
         }
-        # Zenoh's answer whether somebody subscribes takes 50 us: it is asked for after a change.
+        # To ask Zenoh for subscribers takes 50 us: the daemon asks only after a change.
         self._watched = dict.fromkeys(self._publishers, False)
         self._unsure = set(self._publishers)
         for name, publisher in self._publishers.items():
@@ -146,7 +146,7 @@ class ZenohBus:
         if self._is_closed:
             return
         if name in self._unsure:
-            self._unsure.discard(name)  # first: what changes meanwhile is asked for again
+            self._unsure.discard(name)  # before the question: a later change makes it unsure again
             self._watched[name] = has_subscriber(publisher)
         if not self._watched[name]:
             return

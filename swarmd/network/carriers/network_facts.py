@@ -2,7 +2,7 @@
 
 The interface in use is chosen by `network/settings.py` and bound by `udp.py`.
 
-What the kernel shows under /proc and /sys is read. `nft` and `iptables-save` are started only by
+Most facts are read from /proc and /sys. `nft` and `iptables-save` are started only by
 root, who alone may ask them, and only if the kernel has such rules.
 """
 

@@ -32,10 +32,11 @@ HELLO = "hello"
 RETRY_PERIOD = 0.5  # s between two attempts to connect
 MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
 MAX_CONNECTIONS_OF_ROBOT = 4
-MAX_STRANGERS = 16  # connections that have said no hello
+MAX_STRANGERS = 16  # connections without a `Hello` so far
 _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
-_SEND_BUFFER = 1 << 16  # bytes that wait for a frozen receiver, besides its own
+_MOST_CHUNKS = 32  # that one call reads: a sender may be faster than its reader
+_SEND_BUFFER = 1 << 16  # bytes for a frozen receiver, besides those of the receiver's own buffer
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
@@ -44,7 +45,7 @@ _KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_
 
 
 class Hello(Struct, frozen=True, array_like=True):
-    """The first frame of a daemon, and the answer. `listens`: it wants what the robot senses."""
+    """The first frame of a daemon, and its answer. `listens`: the sender wants sensor frames."""
 
     swarm: Name
     robot: Name
@@ -85,7 +86,7 @@ class Connection:
         self._received = bytearray()
         self._unsent = b""
         connected.setblocking(False)
-        with suppress(OSError):  # it has ended already
+        with suppress(OSError):  # the connection has ended already
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
             connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, is_timed)
@@ -96,7 +97,7 @@ class Connection:
     def send(self, name: str, payload: bytes) -> bool:
         """Send a frame; False if it is dropped, since there is no room or no connection."""
         try:
-            while self._unsent:  # of a frame that had room for its beginning
+            while self._unsent:  # the rest of a frame that was sent in part
                 self._unsent = self._unsent[self.socket.send(self._unsent) :]
             word = name.encode()
             frame = b"".join((_HEAD.pack(len(word), len(payload)), word, payload))
@@ -105,20 +106,21 @@ class Connection:
             return False
         except OSError:
             self.is_open = False
-            with suppress(OSError):  # who receives learns of the end
+            with suppress(OSError):  # so that the receiving loop sees the end
                 self.socket.shutdown(socket.SHUT_RDWR)
             return False
         return True
 
     def receive(self) -> list[Frame]:
         """The frames that have arrived; a frame that is too long ends the connection."""
-        data = b" " * _CHUNK
         try:
-            while len(data) == _CHUNK and self.is_open:
+            for _ in range(_MOST_CHUNKS):
                 data, ancillary, _, _ = self.socket.recvmsg(_CHUNK, self._room)
                 self._received += data
                 self.age = _age(ancillary)
                 self.is_open = bool(data)
+                if len(data) < _CHUNK:
+                    break
         except BlockingIOError:
             pass
         except OSError:
@@ -130,8 +132,9 @@ class Connection:
         self.is_open = False
         with suppress(OSError):
             self.socket.shutdown(socket.SHUT_WR)
-            while self.socket.recv(_CHUNK):  # a reset would overtake the last frame
-                pass
+            for _ in range(_MOST_CHUNKS):  # a reset would overtake the last frame
+                if not self.socket.recv(_CHUNK):
+                    break
         self.socket.close()
 
     def _take_frames(self) -> list[Frame]:
@@ -152,9 +155,10 @@ class Connection:
 
 
 class RobotServer:
-    """The robots' side: takes the connections of their daemons. `dropped`: frames, both ways.
+    """The robots' side: takes the connections of their daemons.
 
-    `endpoint` has the port that was chosen for port 0. Methods but `send` are for one thread.
+    `dropped`: the frames of both directions that were dropped. `endpoint` has the port that was
+    chosen for port 0. All methods but `send` must be called by one thread.
     """
 
     def __init__(
@@ -203,16 +207,16 @@ class RobotServer:
                 self.dropped += 1
         return is_sent
 
-    def receive(self, timeout: float = 0.0) -> list[Received]:
-        """The frames since the last call; waits at most `timeout` s for the first."""
+    def receive(self) -> list[Received]:
+        """The frames since the last call; does not wait."""
         found: list[Received] = []
-        for file, _ in self._poll.poll(timeout):
+        for file, _ in self._poll.poll(0.0):
             one = self._connections.get(file)
             if one is None:
                 self._accept()
                 continue
             frames, now = one.receive(), self._clock()
-            # The wall clock, by which the kernel tells the age, may be set meanwhile.
+            # The wall clock, which gives the age, may be set: the last call bounds the age.
             arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
             for name, payload in frames:
                 if one in self._robots:
@@ -237,7 +241,7 @@ class RobotServer:
         except OSError:  # gone already, or no descriptor is left
             return
         strangers = [file for file, one in self._connections.items() if one not in self._robots]
-        if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
+        if len(strangers) >= MAX_STRANGERS:  # close the oldest one
             self._forget(strangers[0], self._connections[strangers[0]])
         one = Connection(accepted, is_timed=True)
         self._connections[accepted.fileno()] = one
@@ -273,7 +277,7 @@ class RobotServer:
 class RobotClient:
     """A daemon's side: connects and connects again while `run` runs, on an asyncio loop.
 
-    `on_frames` takes what came, in its order. `is_known`: the other side has this robot.
+    `on_frames` takes the frames in the order of arrival. `is_known`: the server has this robot.
     """
 
     def __init__(
@@ -285,8 +289,8 @@ class RobotClient:
         self.is_known = False
 
     async def run(self) -> None:
-        """Keep a connection until cancelled; then what was handed to `send` is sent."""
-        import asyncio
+        """Keep a connection until cancelled; then send what `send` was given."""
+        import asyncio  # a zero sender has no loop, and does not import it
 
         loop = asyncio.get_running_loop()
         where = self._endpoint
@@ -341,7 +345,10 @@ def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
     except OSError:
         return None
     one = Connection(made)
-    return one if one.send(HELLO, encode(hello)) else None
+    if one.send(HELLO, encode(hello)):
+        return one
+    one.close()
+    return None
 
 
 def read_endpoint(text: str, prefix: str, example: str = "tcp/127.0.0.1:0") -> Endpoint:

@@ -1,6 +1,6 @@
 """The members of a swarm, and after which silence each has failed. Pure: datagrams and times in.
 
-The silence is the lease of `network/settings.py`. A member, as a robot or an operator hears it, is
+That silence is the lease (`network/settings.py`). To each robot or operator, a member is
 
 - alive while its beacons are heard: a silent one is solicited before its lease ends,
 - left once its latest instance sent a beacon with Flag.LEFT,

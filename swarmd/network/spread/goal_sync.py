@@ -56,7 +56,7 @@ class GoalSync:
     """Which robots to ask for their goals; `seed` of the numbers of questions."""
 
     def __init__(self, seed: int) -> None:
-        from random import Random  # operators use the rest of this file
+        from random import Random  # here: operators import this file and make no GoalSync
 
         self._random = Random(seed)
         self._asks = Asks(ASK_PERIOD, ASKED_AT_ONCE)
