@@ -127,6 +127,14 @@ class Odometry(Struct, frozen=True, array_like=True):
             and -most <= twist.lateral <= most
         )
 
+    def jumps_from(self, last: Odometry) -> bool:
+        """True if no base gets here from the last reading: an estimator has moved the pose."""
+        seconds = self.stamp - last.stamp
+        here, there = self.pose, last.pose
+        way = math.hypot(here.x - there.x, here.y - there.y)
+        turn = abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
+        return max(way, turn) > MAX_STEP + MAX_SPEED * seconds
+
 
 class SharedPose(Struct, frozen=True, array_like=True):
     """A robot's own pose, that of the base's axle, in a frame that robots share.
