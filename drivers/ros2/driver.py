@@ -188,6 +188,7 @@ class RosDriver:
         self._zeros = ZeroAnswers(self._gate, partial(self._put, ZERO, frame=""))
         self._was_linked = False
         self._foreign = ForeignCommands(self._options, ROS2_ACTIONS)
+        self._ended_servers: set[str] = set()  # of actions, by the topic of their status
         allowed = self._options.command_types
         self._command_type = self._opened_type = allowed[0] if len(allowed) == 1 else None
         self._reported: tuple[bool, str, Reason | None, bool] | None = None
@@ -306,7 +307,10 @@ class RosDriver:
         elif not is_there:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
-            if end.topic in self._foreign.actions:  # its server has gone, and tells no end
+        if end.is_publisher and end.topic in self._foreign.actions:
+            self._ended_servers.discard(end.topic)
+            if not self._is_published(end.topic):  # its server has gone, and tells no end
+                self._ended_servers.add(end.topic)
                 self._foreign.end_goals(end.topic, now)
         if not end.is_publisher and end.topic == self._cmd_vel:
             if not is_there:
@@ -419,7 +423,10 @@ class RosDriver:
         except CodecError:
             sink.dropped(topic)
             return
-        if self._foreign.take_status(topic, status, now) and self._gate.is_open:
+        is_active = self._foreign.take_status(topic, status, now)
+        if topic in self._ended_servers:  # the withdrawal has overtaken the last status
+            self._foreign.end_goals(topic, now)
+        if is_active and self._gate.is_open:
             self._close_gate(sink, diagnosis.driven(self._foreign, self._foreign_graph(), now))
 
     def _open_gate(self, sink: Sink, is_check: bool, now: float) -> None:

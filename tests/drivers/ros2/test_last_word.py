@@ -8,6 +8,7 @@ import pytest
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Twist
+from swarmd.drivers.ros.foreign_commands import YIELD_TIME
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2 import robots
@@ -87,3 +88,50 @@ async def test_a_type_that_changes_or_is_not_clear_ends_commands_with_zero(
     robot.tokens.pop().undeclare()
     await harness.until(lambda: harness.sink.is_up, publishing=True)
     await drive(harness)
+
+
+def is_named(harness: DriverHarness) -> bool:
+    """Whether the driver has left the base to an action."""
+    return not harness.sink.is_up and "someone else drives: action" in harness.sink.states[-1][1]
+
+
+@story(BridgedRobot, ZenohRobot, other_actions=["dock"])
+async def test_a_last_status_that_comes_after_its_server_has_gone_does_not_last(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    """The announcement and the status have roads of their own."""
+    other = robot.other_node()
+    harness.driver.send(ZERO, 1, 1)
+
+    def has_goal() -> bool:
+        other.report_goal(is_active=True)
+        return is_named(harness)
+
+    await harness.until(has_goal, publishing=True)
+    other.close()
+    await harness.until(lambda: harness.sink.is_up, publishing=True)
+    await harness.until(has_goal, publishing=True)
+    await harness.until(lambda: harness.sink.is_up, publishing=True)
+
+
+@story(ZenohRobot, other_actions=["dock"])
+async def test_a_client_that_leaves_ends_no_goal(harness: DriverHarness, robot: Robot) -> None:
+    other = robot.other_node()
+    client = robot.announce("MS", *robot.server[1:])
+    harness.driver.send(ZERO, 1, 1)
+
+    def has_goal() -> bool:
+        other.report_goal(is_active=True)
+        return is_named(harness)
+
+    await harness.until(has_goal, publishing=True)
+    client.undeclare()
+    leaver = robot.announce("MP", *robot.server[1:], zid="0123456789abcdef" * 2)
+    leaver.undeclare()  # of two servers one has gone
+    ends = asyncio.get_running_loop().time() + YIELD_TIME + 1.0
+    while asyncio.get_running_loop().time() < ends:
+        robot.publish()
+        await asyncio.sleep(0.05)
+        assert not harness.sink.is_up
+    other.close()
+    await harness.until(lambda: harness.sink.is_up, publishing=True)
