@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -117,6 +118,32 @@ def test_a_frame_that_is_too_long_ends_the_connection(
     one.socket.sendall(b"\x01" + (MAX_PAYLOAD + 1).to_bytes(4, "little") + b"n")
     assert heard(other, 1) == [Frame("n", b"whole")]
     wait_until(lambda: not other.receive() and not other.is_open, "the end")
+
+
+class Flooded(socket.socket):
+    """A socket whose sender is always faster than its reader."""
+
+    reads = 0
+
+    def recvmsg(self, size: int, room: int = 0, flags: int = 0, /) -> tuple[bytes, Any, int, Any]:
+        return self.recv(size), [], 0, None
+
+    def recv(self, size: int, flags: int = 0, /) -> bytes:
+        self.reads += 1
+        assert self.reads < 100, "the reader does not return"
+        return b"\xff" * size
+
+    def shutdown(self, how: int, /) -> None:
+        """It is not connected."""
+
+
+def test_a_flood_does_not_keep_its_reader() -> None:
+    flooded = Flooded()
+    one = Connection(flooded)
+    assert not one.receive()
+    assert not one.is_open
+    one.close()
+    assert flooded.reads > 1
 
 
 @settings(max_examples=examples(60), deadline=None)

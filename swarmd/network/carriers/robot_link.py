@@ -35,6 +35,7 @@ MAX_CONNECTIONS_OF_ROBOT = 4
 MAX_STRANGERS = 16  # connections that have said no hello
 _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
+_READS = 16  # of _CHUNK at most at once: a flood does not keep its reader
 _SEND_BUFFER = 1 << 16  # bytes that wait for a frozen receiver, besides its own
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
@@ -111,14 +112,18 @@ class Connection:
         return True
 
     def receive(self) -> list[Frame]:
-        """The frames that have arrived; a frame that is too long ends the connection."""
-        data = b" " * _CHUNK
+        """The frames that have arrived; a frame that is too long ends the connection.
+
+        After _READS full chunks the rest is left to the next call.
+        """
         try:
-            while len(data) == _CHUNK and self.is_open:
+            for _ in range(_READS):
                 data, ancillary, _, _ = self.socket.recvmsg(_CHUNK, self._room)
                 self._received += data
                 self.age = _age(ancillary)
                 self.is_open = bool(data)
+                if len(data) < _CHUNK:
+                    break
         except BlockingIOError:
             pass
         except OSError:
@@ -130,8 +135,9 @@ class Connection:
         self.is_open = False
         with suppress(OSError):
             self.socket.shutdown(socket.SHUT_WR)
-            while self.socket.recv(_CHUNK):  # a reset would overtake the last frame
-                pass
+            for _ in range(_READS):  # a reset would overtake the last frame
+                if not self.socket.recv(_CHUNK):
+                    break
         self.socket.close()
 
     def _take_frames(self) -> list[Frame]:
