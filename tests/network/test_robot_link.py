@@ -212,6 +212,19 @@ def test_connections_that_say_nothing_keep_no_daemon_out(server: RobotServer) ->
         each.close()
 
 
+def test_a_daemon_is_taken_from_among_many_strangers(server: RobotServer) -> None:
+    where = read_endpoint(server.endpoint, "")
+    silent = [socket.create_connection((where.host, where.port)) for _ in range(2 * MAX_STRANGERS)]
+    one = dial(where, Hello("s", "a"), CAP)
+    assert one is not None
+    silent += [socket.create_connection((where.host, where.port)) for _ in range(2 * MAX_STRANGERS)]
+    for _ in range(4):
+        server.receive()
+    assert [name for name, _ in heard(one, 1)] == [HELLO]
+    for each in (*silent, one):
+        each.close()
+
+
 def test_a_connection_that_does_not_listen_is_sent_nothing(server: RobotServer) -> None:
     one = dial(read_endpoint(server.endpoint, ""), Hello("s", "a", listens=False), CAP)
     assert one is not None

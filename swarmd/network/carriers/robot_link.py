@@ -33,6 +33,7 @@ RETRY_PERIOD = 0.5  # s between two attempts to connect
 MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
 MAX_CONNECTIONS_OF_ROBOT = 4
 MAX_STRANGERS = 16  # connections that have said no hello
+_BACKLOG = 128  # connections that wait to be accepted
 _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
 _READS = 16  # of _CHUNK at most at once: a flood does not keep its reader
@@ -185,7 +186,7 @@ class RobotServer:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((where.host, where.port))
-            self._socket.listen(128)
+            self._socket.listen(_BACKLOG)
         except OSError as error:
             self._socket.close()
             is_taken = error.errno == errno.EADDRINUSE
@@ -215,18 +216,9 @@ class RobotServer:
         for file, _ in self._poll.poll(timeout):
             one = self._connections.get(file)
             if one is None:
-                self._accept()
-                continue
-            frames, now = one.receive(), self._clock()
-            # The wall clock, by which the kernel tells the age, may be set meanwhile.
-            arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
-            for name, payload in frames:
-                if one in self._robots:
-                    found.append(Received(self._robots[one], name, payload, arrival))
-                else:
-                    self._welcome(one, name, payload)
-            if not one.is_open:
-                self._forget(file, one)
+                self._accept(found)
+            else:
+                self._take(file, one, found)
         self._emptied_at = self._clock()
         return found
 
@@ -237,17 +229,32 @@ class RobotServer:
         self._poll.close()
         self._socket.close()
 
-    def _accept(self) -> None:
-        try:
-            accepted, _ = self._socket.accept()
-        except OSError:  # gone already, or no descriptor is left
-            return
-        strangers = [file for file, one in self._connections.items() if one not in self._robots]
-        if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
-            self._forget(strangers[0], self._connections[strangers[0]])
-        one = Connection(accepted, is_timed=True)
-        self._connections[accepted.fileno()] = one
-        self._poll.register(accepted, select.EPOLLIN)
+    def _take(self, file: int, one: Connection, found: list[Received]) -> None:
+        frames, now = one.receive(), self._clock()
+        # The wall clock, by which the kernel tells the age, may be set meanwhile.
+        arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
+        for name, payload in frames:
+            if one in self._robots:
+                found.append(Received(self._robots[one], name, payload, arrival))
+            else:
+                self._welcome(one, name, payload)
+        if not one.is_open:
+            self._forget(file, one)
+
+    def _accept(self, found: list[Received]) -> None:
+        """Take all who wait, each with its hello: a storm of strangers delays no daemon."""
+        for _ in range(_BACKLOG):
+            try:
+                accepted, _ = self._socket.accept()
+            except OSError:  # none is left, or no descriptor
+                return
+            strangers = [file for file, one in self._connections.items() if one not in self._robots]
+            if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
+                self._forget(strangers[0], self._connections[strangers[0]])
+            one = Connection(accepted, is_timed=True)
+            self._connections[accepted.fileno()] = one
+            self._poll.register(accepted, select.EPOLLIN)
+            self._take(accepted.fileno(), one, found)
 
     def _welcome(self, one: Connection, name: str, payload: bytes) -> None:
         """Take the first frame of a connection, which ends if it is no hello to a robot here."""
