@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 HELLO = "hello"
 RETRY_PERIOD = 0.5  # s between two attempts to connect
+CONNECT_TIMEOUT = 3.0  # s; the kernel's own attempts grow apart to a minute
 MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
 MAX_CONNECTIONS_OF_ROBOT = 4
 MAX_STRANGERS = 16  # connections that have said no hello
@@ -41,8 +42,12 @@ _SEND_BUFFER = 1 << 16  # bytes that wait for a frozen receiver, besides its own
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
-# s: a host that vanished is given up after half a minute.
-_KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 4))
+_KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 4))  # s
+GIVE_UP = 30.0
+"""Seconds after which a host that vanished is given up, or a process that reads nothing.
+
+Keepalive asks on a connection without bytes on their way only.
+"""
 
 
 class Hello(Struct, frozen=True, array_like=True):
@@ -94,6 +99,8 @@ class Connection:
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for option, value in _KEEPALIVE:
                 connected.setsockopt(socket.IPPROTO_TCP, option, value)
+            give_up = round(1e3 * GIVE_UP)
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, give_up)
 
     def send(self, name: str, payload: bytes) -> bool:
         """Send a frame; False if it is dropped, since there is no room or no connection."""
@@ -307,9 +314,12 @@ class RobotClient:
         while True:
             made = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
             try:
-                await loop.sock_connect(made, (where.host, where.port))
-                await self._use(Connection(made), loop)
-            except OSError:  # nothing listens there now
+                connecting = loop.sock_connect(made, (where.host, where.port))
+                await asyncio.wait_for(connecting, CONNECT_TIMEOUT)
+                # Where nothing listens, a socket that was given that port connects to itself.
+                if made.getsockname() != made.getpeername():
+                    await self._use(Connection(made), loop)
+            except OSError:  # nothing listens or answers there now
                 pass
             finally:
                 made.close()
