@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.network.carriers import robot_link
 from swarmd.network.carriers.robot_link import (
     HELLO,
     MAX_CONNECTIONS_OF_ROBOT,
@@ -24,7 +26,7 @@ from swarmd.network.carriers.robot_link import (
     read_endpoint,
 )
 from tests.support.examples import examples
-from tests.support.processes import wait_until
+from tests.support.processes import free_endpoint, wait_until
 
 CAP = 20.0
 
@@ -119,6 +121,47 @@ def test_a_frame_that_is_too_long_ends_the_connection(
     wait_until(lambda: not other.receive() and not other.is_open, "the end")
 
 
+def test_a_peer_that_reads_nothing_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot_link, "GIVE_UP", 0.3)
+    end, other = tcp_pair()
+    one = Connection(end)
+
+    def is_given_up() -> bool:
+        one.send("scan", b"x" * 9_000)
+        return not one.is_open
+
+    wait_until(is_given_up, "the end")
+    one.close()
+    other.close()
+    assert not one.is_open
+
+
+class Flooded(socket.socket):
+    """A socket whose sender is always faster than its reader."""
+
+    reads = 0
+
+    def recvmsg(self, size: int, room: int = 0, flags: int = 0, /) -> tuple[bytes, Any, int, Any]:
+        return self.recv(size), [], 0, None
+
+    def recv(self, size: int, flags: int = 0, /) -> bytes:
+        self.reads += 1
+        assert self.reads < 100, "the reader does not return"
+        return b"\xff" * size
+
+    def shutdown(self, how: int, /) -> None:
+        """It is not connected."""
+
+
+def test_a_flood_does_not_keep_its_reader() -> None:
+    flooded = Flooded()
+    one = Connection(flooded)
+    assert not one.receive()
+    assert not one.is_open
+    one.close()
+    assert flooded.reads > 1
+
+
 @settings(max_examples=examples(60), deadline=None)
 @given(st.lists(st.binary(max_size=60), max_size=8))
 def test_no_bytes_raise(parts: list[bytes]) -> None:
@@ -185,6 +228,20 @@ def test_connections_that_say_nothing_keep_no_daemon_out(server: RobotServer) ->
         each.close()
 
 
+def test_a_daemon_is_taken_from_among_many_strangers(server: RobotServer) -> None:
+    where = read_endpoint(server.endpoint, "")
+    silent = [socket.create_connection((where.host, where.port)) for _ in range(2 * MAX_STRANGERS)]
+    one = dial(where, Hello("s", "a"), CAP)
+    assert one is not None
+    silent += [socket.create_connection((where.host, where.port)) for _ in range(2 * MAX_STRANGERS)]
+    for _ in range(4):
+        server.receive()
+    assert [name for name, _ in heard(one, 1)] == [HELLO]
+    one.close()
+    for each in silent:
+        each.close()
+
+
 def test_a_connection_that_does_not_listen_is_sent_nothing(server: RobotServer) -> None:
     one = dial(read_endpoint(server.endpoint, ""), Hello("s", "a", listens=False), CAP)
     assert one is not None
@@ -230,3 +287,48 @@ def test_a_client_connects_again_to_a_server_that_returns() -> None:
 
     asyncio.run(asyncio.wait_for(story(), CAP))
     assert [payload for _, payload in came] == [b"\0", b"\1"]
+
+
+def connects_to_itself(made: socket.socket, where: tuple[str, int]) -> Awaitable[None]:
+    """What happens if the kernel gives a socket the port that it dials."""
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    made.bind(where)
+    return asyncio.get_running_loop().sock_connect(made, where)
+
+
+def finds_nothing(made: socket.socket, where: tuple[str, int]) -> Awaitable[None]:
+    """What happens if a host does not answer."""
+    return asyncio.get_running_loop().create_future()
+
+
+@pytest.mark.parametrize("connect", [connects_to_itself, finds_nothing])
+def test_a_client_tries_again_where_nothing_answers(
+    connect: Callable[[socket.socket, tuple[str, int]], Awaitable[None]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(robot_link, "CONNECT_TIMEOUT", 0.01)
+    attempts = 0
+
+    async def story() -> None:
+        loop = asyncio.get_running_loop()
+        client = RobotClient(read_endpoint(free_endpoint(), ""), Hello("s", "a"), print)
+        original = loop.sock_connect
+
+        async def counted(made: socket.socket, where: tuple[str, int]) -> None:
+            nonlocal attempts
+            attempts += 1
+            with monkeypatch.context() as patch:
+                patch.setattr(loop, "sock_connect", original)
+                trying = connect(made, where)
+            await trying
+
+        monkeypatch.setattr(loop, "sock_connect", counted)
+        running = asyncio.create_task(client.run())
+        while attempts < 2:
+            await asyncio.sleep(0.01)
+            assert not client.is_known
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    asyncio.run(asyncio.wait_for(story(), CAP))
+    assert attempts == 2

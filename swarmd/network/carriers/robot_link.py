@@ -30,18 +30,24 @@ if TYPE_CHECKING:
 
 HELLO = "hello"
 RETRY_PERIOD = 0.5  # s between two attempts to connect
+CONNECT_TIMEOUT = 3.0  # s; the kernel's own attempts grow apart to a minute
 MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
 MAX_CONNECTIONS_OF_ROBOT = 4
 MAX_STRANGERS = 16  # connections without a `Hello` so far
+_BACKLOG = 128  # connections that wait to be accepted
 _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
-_MOST_CHUNKS = 32  # that one call reads: a sender may be faster than its reader
-_SEND_BUFFER = 1 << 16  # bytes for a frozen receiver, besides those of the receiver's own buffer
+_READS = 16  # of _CHUNK at most at once: a flood does not keep its reader
+_SEND_BUFFER = 1 << 16  # bytes for a frozen receiver, besides those of its own buffer
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
-# s: a host that vanished is given up after half a minute.
-_KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 4))
+_KEEPALIVE = ((socket.TCP_KEEPIDLE, 10), (socket.TCP_KEEPINTVL, 5), (socket.TCP_KEEPCNT, 4))  # s
+GIVE_UP = 30.0
+"""Seconds after which a host that vanished is given up, or a process that reads nothing.
+
+Keepalive asks on a connection without bytes on their way only.
+"""
 
 
 class Hello(Struct, frozen=True, array_like=True):
@@ -93,6 +99,8 @@ class Connection:
             connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
             for option, value in _KEEPALIVE:
                 connected.setsockopt(socket.IPPROTO_TCP, option, value)
+            give_up = round(1e3 * GIVE_UP)
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, give_up)
 
     def send(self, name: str, payload: bytes) -> bool:
         """Send a frame; False if it is dropped, since there is no room or no connection."""
@@ -112,9 +120,12 @@ class Connection:
         return True
 
     def receive(self) -> list[Frame]:
-        """The frames that have arrived; a frame that is too long ends the connection."""
+        """The frames that have arrived; a frame that is too long ends the connection.
+
+        After _READS full chunks the rest is left to the next call.
+        """
         try:
-            for _ in range(_MOST_CHUNKS):
+            for _ in range(_READS):
                 data, ancillary, _, _ = self.socket.recvmsg(_CHUNK, self._room)
                 self._received += data
                 self.age = _age(ancillary)
@@ -132,7 +143,7 @@ class Connection:
         self.is_open = False
         with suppress(OSError):
             self.socket.shutdown(socket.SHUT_WR)
-            for _ in range(_MOST_CHUNKS):  # a reset would overtake the last frame
+            for _ in range(_READS):  # a reset would overtake the last frame
                 if not self.socket.recv(_CHUNK):
                     break
         self.socket.close()
@@ -183,7 +194,7 @@ class RobotServer:
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind((where.host, where.port))
-            self._socket.listen(128)
+            self._socket.listen(_BACKLOG)
         except OSError as error:
             self._socket.close()
             is_taken = error.errno == errno.EADDRINUSE
@@ -213,18 +224,9 @@ class RobotServer:
         for file, _ in self._poll.poll(0.0):
             one = self._connections.get(file)
             if one is None:
-                self._accept()
-                continue
-            frames, now = one.receive(), self._clock()
-            # The wall clock, which gives the age, may be set: the last call bounds the age.
-            arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
-            for name, payload in frames:
-                if one in self._robots:
-                    found.append(Received(self._robots[one], name, payload, arrival))
-                else:
-                    self._welcome(one, name, payload)
-            if not one.is_open:
-                self._forget(file, one)
+                self._accept(found)
+            else:
+                self._take(file, one, found)
         self._emptied_at = self._clock()
         return found
 
@@ -235,17 +237,32 @@ class RobotServer:
         self._poll.close()
         self._socket.close()
 
-    def _accept(self) -> None:
-        try:
-            accepted, _ = self._socket.accept()
-        except OSError:  # gone already, or no descriptor is left
-            return
-        strangers = [file for file, one in self._connections.items() if one not in self._robots]
-        if len(strangers) >= MAX_STRANGERS:  # close the oldest one
-            self._forget(strangers[0], self._connections[strangers[0]])
-        one = Connection(accepted, is_timed=True)
-        self._connections[accepted.fileno()] = one
-        self._poll.register(accepted, select.EPOLLIN)
+    def _take(self, file: int, one: Connection, found: list[Received]) -> None:
+        frames, now = one.receive(), self._clock()
+        # The wall clock, which gives the age, may be set: the last call bounds the age.
+        arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
+        for name, payload in frames:
+            if one in self._robots:
+                found.append(Received(self._robots[one], name, payload, arrival))
+            else:
+                self._welcome(one, name, payload)
+        if not one.is_open:
+            self._forget(file, one)
+
+    def _accept(self, found: list[Received]) -> None:
+        """Take all who wait, each with its hello: a storm of strangers delays no daemon."""
+        for _ in range(_BACKLOG):
+            try:
+                accepted, _ = self._socket.accept()
+            except OSError:  # none is left, or no descriptor
+                return
+            strangers = [file for file, one in self._connections.items() if one not in self._robots]
+            if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
+                self._forget(strangers[0], self._connections[strangers[0]])
+            one = Connection(accepted, is_timed=True)
+            self._connections[accepted.fileno()] = one
+            self._poll.register(accepted, select.EPOLLIN)
+            self._take(accepted.fileno(), one, found)
 
     def _welcome(self, one: Connection, name: str, payload: bytes) -> None:
         """Take the first frame of a connection, which ends if it is no hello to a robot here."""
@@ -298,9 +315,12 @@ class RobotClient:
         while True:
             made = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
             try:
-                await loop.sock_connect(made, (where.host, where.port))
-                await self._use(Connection(made), loop)
-            except OSError:  # nothing listens there now
+                connecting = loop.sock_connect(made, (where.host, where.port))
+                await asyncio.wait_for(connecting, CONNECT_TIMEOUT)
+                # Where nothing listens, a socket that was given that port connects to itself.
+                if made.getsockname() != made.getpeername():
+                    await self._use(Connection(made), loop)
+            except OSError:  # nothing listens or answers there now
                 pass
             finally:
                 made.close()
