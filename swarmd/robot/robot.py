@@ -181,8 +181,12 @@ class Robot:
 
     @property
     def is_at_rest(self) -> bool:
-        """True if no time changes the state: nothing runs, loads or is tried, no answer is due."""
-        return not self.is_running and self._lifecycle.due_at() == math.inf
+        """True if no time changes the state: nothing runs, loads or is tried, no answer is due.
+
+        Not without the base, which another node may drive: a stopped robot is sent zero against it.
+        """
+        is_due = self.is_running or self._lifecycle.due_at() < math.inf
+        return self._sensors.is_driver_up and not is_due
 
     # Inputs from the driver and the network
 
