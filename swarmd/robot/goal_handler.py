@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError
-from swarmd.core.goal import Goal, GoalState
+from swarmd.core.goal import Goal, GoalState, HeldGoal
 from swarmd.core.messages import Epoch, Reason, Refusal, State
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.actions import Effects
@@ -126,7 +126,8 @@ class GoalHandler:
             goals.on_loading()
             return
         wanted = None if loading is None else loading.goal
-        keeps_load = wanted is not None and wanted.order > goal.order
+        order = HeldGoal.of(goal, None).order
+        keeps_load = wanted is not None and HeldGoal.of(wanted, None).order > order
         is_active = lifecycle.is_running or (loading is not None and not keeps_load)
         is_free = is_active or lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)

@@ -181,8 +181,12 @@ class Robot:
 
     @property
     def is_at_rest(self) -> bool:
-        """True if only events change the state: no run, load or trial, and no answer due."""
-        return not self.is_running and self._lifecycle.due_at() == math.inf
+        """True if only events change the state: no run, load or trial, and no answer due.
+
+        False without the base: another node may drive the base, against which a stopped robot sends zero.
+        """
+        is_due = self.is_running or self._lifecycle.due_at() < math.inf
+        return self._sensors.is_driver_up and not is_due
 
     # Inputs from the driver and the network
 

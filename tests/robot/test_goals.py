@@ -190,7 +190,11 @@ def test_a_greater_goal_ends_the_run_of_a_lesser_one_and_says_which() -> None:
 
 
 @pytest.mark.parametrize("is_running", [False, True])
-@pytest.mark.parametrize("lesser", [goal(5, pattern=None), goal(6, "anna")], ids=["5", "6, anna"])
+@pytest.mark.parametrize(
+    "lesser",
+    [goal(5, pattern=None), goal(6, "anna"), goal(6, pattern="arc")],
+    ids=["5", "6, anna", "6, of the same operator"],
+)
 def test_a_goal_that_is_less_than_that_of_a_load_does_not_end_the_load(
     is_running: bool, lesser: Goal
 ) -> None:

@@ -380,6 +380,16 @@ def test_time_changes_nothing_of_a_robot_at_rest(chance: Random) -> None:
         assert known_of(robot) == before
 
 
+def test_a_robot_whose_base_another_node_drives_is_not_at_rest() -> None:
+    pair = Pair()
+    pair.live(0.25)
+    pair.do(DriverInput(False, "someone else drives", gets_zero=True))
+    pair.ask(StopRequest)
+    assert not pair.robots[0].is_at_rest
+    pair.do(DriverInput(True, "connected"))
+    assert pair.robots[0].is_at_rest
+
+
 @pytest.mark.parametrize("late", [0.99, 1.01])
 def test_a_stall_of_a_robot_at_rest_is_found_as_ever(late: float) -> None:
     pair = Pair()
