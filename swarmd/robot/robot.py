@@ -183,7 +183,8 @@ class Robot:
     def is_at_rest(self) -> bool:
         """True if only events change the state: no run, load or trial, and no answer due.
 
-        False without the base: another node may drive the base, against which a stopped robot sends zero.
+        False without the base: another node may drive the base, and a stopped robot sends zero
+        against it.
         """
         is_due = self.is_running or self._lifecycle.due_at() < math.inf
         return self._sensors.is_driver_up and not is_due
