@@ -63,10 +63,11 @@ A running daemon reports another publisher as
 ```
 
 What follows depends on the state of the robot. A stopped, estopped or faulted robot is sent zero
-at least 10 times per second, at once after each command of the other node, and every 5 ms until
-0.2 s after its last. To an idle or running robot the driver sends nothing for 2 s; its first
-command afterwards is zero. A running robot is held, and stopped after 2 s. Zeros of other nodes do
-not count. [The last word](last_word.md) shows how to share a base.
+10 times per second, and 20 times while the base is lost or another node drives the base, at once
+after each command of the other node, and every 5 ms until 0.2 s after its last. To an idle
+or running robot the driver sends nothing for 2 s; its first command afterwards is zero. A running
+robot is held, and stopped after 2 s. Zeros of other nodes do not count.
+[The last word](last_word.md) shows how to share a base.
 """
 
 Row = tuple[str, str, str]

@@ -252,7 +252,10 @@ class Ros1Driver:
         self._update_state()
 
     def on_message(self, topic: int, data: bytes) -> None:
-        """A serialised message."""
+        """Read a serialised message of topic number `topic` and hand it to the sink.
+
+        Numbers past the own topics are commands or action states of other nodes.
+        """
         now, topics = asyncio.get_running_loop().time(), [*self._subscriptions.topics.values()]
         if topic >= len(topics):
             self._on_foreign(topic - len(topics), data, now)

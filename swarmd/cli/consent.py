@@ -1,4 +1,4 @@
-"""Asks for confirmation before a verb changes robots."""
+"""Asks for confirmation; `stop_and_reset.py`, `apply.py` and `calibrate.py` decide whether to."""
 
 from __future__ import annotations
 

@@ -106,7 +106,10 @@ class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
 
 
 class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
-    """Replace the labels of a robot; it keeps them on disk. None: those of its swarm file again."""
+    """Replace the labels of a robot, which keeps them on disk.
+
+    None: back to those of its swarm file.
+    """
 
     labels: Annotated[tuple[Id, ...], Meta(max_length=MAX_LABELS)] | None
 

@@ -1,6 +1,7 @@
 """Which commands a driver publishes while its base is lost, back, or left for good. Pure.
 
 A driver whose base others may command hands `is_stopped` to `filter`; any other leaves it out.
+Limits are applied earlier, in `protection/arbiter.py`.
 """
 
 from __future__ import annotations

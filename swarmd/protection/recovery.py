@@ -2,8 +2,8 @@
 
 Recovery replaces the requested command, and its own requests pass the same arbiter; so it cannot
 weaken protection. Without it, two robots that meet head on would block each other for good.
-Recovery looks for a free corridor of the robot's width near the requested heading and prefers the
-right side (after the vector field histogram, Borenstein and Koren 1991).
+Recovery looks for a free corridor of the robot's width near the robot's present heading and prefers
+the right side (after the vector field histogram, Borenstein and Koren 1991).
 
 In a door or a narrow corridor it keeps the robot on the middle line (pure pursuit, Coulter 1992)
 and asks for little more speed than protection allows; otherwise protection would turn the robot

@@ -1,4 +1,7 @@
-"""The limits of the files of a recording. Imports no numpy: the settings hold them, too."""
+"""The limits of the files of a recording; `writer.py` keeps to them.
+
+Imports no numpy: the settings hold them, too.
+"""
 
 from __future__ import annotations
 

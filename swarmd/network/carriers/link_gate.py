@@ -65,7 +65,10 @@ class LinkFlood:
         return is_new
 
     def known(self, now: float) -> tuple[str, ...]:
-        """The hosts that were heard last."""
+        """The hosts that may connect while the port is closed.
+
+        They were heard within KNOWN_TIME, the latest MAX_HOSTS of them.
+        """
         recent = [host for host, at in self._heard.items() if now - at <= KNOWN_TIME]
         return tuple(recent[-MAX_HOSTS:])
 

@@ -126,9 +126,9 @@ class StopRelay:
         return [(replace(relayed.acks[name], via=self._own), source) for name in names]
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
-        """True if this sender of the stop is to have the own ack now.
+        """True if this robot should ack the stop to `source` now, at most once per ACK_PERIOD.
 
-        A copy that a robot handed on is not acked while the operator itself is heard.
+        A copy from another robot is not acked while the operator is heard directly.
         """
         relayed = self._stops.get((stop.id, stop.verb, stop.targets))
         if relayed is None or source not in relayed.sources:
