@@ -12,9 +12,9 @@ LISTED = $(BIN)/python -c 'import functools, sys, tomllib; file = tomllib.load(o
 INSTALL = $(PIP) install --no-compile --constraint constraints.txt --requirement /dev/stdin && \
   { $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; }
 ARGS ?=
-# Test files at a time; five for two cores, since half of the time a test waits and computes
-# nothing. 0: one after the other, in this process.
-JOBS ?= 5
+# Test files at a time; six for two cores, since tests wait and compute nothing more than half of the
+# time. 0: one after the other, in this process.
+JOBS ?= 6
 
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
