@@ -177,7 +177,8 @@ def excess(line: Line, x: float, y: float) -> float:
 def nearest(lines: list[Line], fixed: int, x: float, y: float, most: float) -> tuple[float, float]:
     """The velocity nearest to `x`, `y` within all lines and a circle of radius `most`.
 
-    Where there is none, that which violates the lines after the first `fixed` least.
+    If no velocity keeps all lines: the velocity with the least worst violation of the lines after
+    the first `fixed`.
     """
     failed, found = _program(lines, x, y, most, is_direction=False)
     if failed < len(lines):

@@ -1,4 +1,4 @@
-"""Robots that know each other by seeds alone, without multicast, and a cut that nobody is told of.
+"""Robots that know each other by seeds alone, and a cut of which no robot learns.
 
 What was asked before a cut must not move a robot after it.
 """

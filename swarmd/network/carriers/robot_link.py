@@ -250,14 +250,14 @@ class RobotServer:
             self._forget(file, one)
 
     def _accept(self, found: list[Received]) -> None:
-        """Take all who wait, each with its hello: a storm of strangers delays no daemon."""
+        """Take all waiting connections with their hellos: a storm of strangers delays no daemon."""
         for _ in range(_BACKLOG):
             try:
                 accepted, _ = self._socket.accept()
             except OSError:  # none is left, or no descriptor
                 return
             strangers = [file for file, one in self._connections.items() if one not in self._robots]
-            if len(strangers) >= MAX_STRANGERS:  # the one that has been silent longest
+            if len(strangers) >= MAX_STRANGERS:  # the longest silent stranger ends
                 self._forget(strangers[0], self._connections[strangers[0]])
             one = Connection(accepted, is_timed=True)
             self._connections[accepted.fileno()] = one
@@ -359,7 +359,7 @@ class RobotClient:
 
 
 def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
-    """A connection without a loop, within `timeout` s; None if there is none."""
+    """A connection without a loop, within `timeout` s; None if it fails."""
     try:
         made = socket.create_connection((endpoint.host, endpoint.port), timeout)
     except OSError:

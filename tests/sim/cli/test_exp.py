@@ -72,7 +72,7 @@ SWEEP = ("--seeds", "3,1,7", "--sweep", "groups.all.parameters.speed=0.2,0.1")
 
 @pytest.fixture(scope="module")
 def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The folder of a sweep of six runs, which no test changes, and what was said of it."""
+    """The folder of a sweep of six runs, which no test changes, and its output."""
     folder = tmp_path_factory.mktemp("swept")
     done = swarmctl_in(folder)("exp", "run", write_duo(folder), *SWEEP, "-j", 1)
     assert done.returncode == 0, done.stderr
