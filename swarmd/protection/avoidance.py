@@ -149,7 +149,7 @@ def _line_of(
     """
     (px, py), (vx, vy) = place, relative
     square = max(px * px + py * py, _EPSILON)
-    # Who is nearer may go aside, and need not go away.
+    # Within that distance the robot may go aside, and need not go away.
     radius = min(radius, max(math.sqrt(square) - 1e-3, 1e-3))
     wx, wy = vx - px / horizon, vy - py / horizon
     length = math.hypot(wx, wy)

@@ -171,7 +171,7 @@ class Tracker:
         self._history.clear()
 
     def on_odometry(self, odometry: Odometry) -> None:
-        """Take in a reading; one that jumps moves the frame, so that all objects are forgotten."""
+        """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
         history = self._history
         if history and (odometry.stamp <= history[-1].stamp or odometry.jumps_from(history[-1])):
             if odometry.stamp == history[-1].stamp:
