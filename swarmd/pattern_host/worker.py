@@ -55,6 +55,8 @@ def run(fd: int, parent: int, folders: bytes) -> None:
         try:
             daemon.send(encode_sandbox(sandbox))
             _serve(daemon)
+        except ConnectionError:  # the daemon ended, perhaps with answers that it had not read
+            return
         except MemoryError:
             os._exit(OUT_OF_MEMORY)
 
@@ -79,10 +81,7 @@ def _serve(daemon: socket.socket) -> None:
             answer = encode_event(event)
         except CodecError as error:
             answer = encode_event(PatternFailed(event.generation, str(error)))
-        try:
-            daemon.send(answer)
-        except (BrokenPipeError, ConnectionResetError):
-            return
+        daemon.send(answer)
 
 
 def _lower_priority() -> None:
