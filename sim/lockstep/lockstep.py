@@ -98,7 +98,9 @@ class Lockstep:
         self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
         self._radio = radio_of(scenario, seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
-        self._scans_due = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)
+        scan_rates = np.array([p.scan.rate for p in self.world.platforms])
+        self._scans_due = Schedules(scan_rates, phases)
+        self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(ids, bodies, strict=True))
         self._heard: dict[str, Body | None] = {}  # those that have ever had a daemon
@@ -124,7 +126,6 @@ class Lockstep:
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
-        self._own = np.arange(n)[self._process.rows]
         self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
         self._timeline = Timeline(scenario.events, self)
         self._recorder = LockstepRecorder(self.world)
@@ -204,7 +205,7 @@ class Lockstep:
         published: list[tuple[int, dict[str, Latch]]] = []
         for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
             if index != process.index:
-                self._commands[index :: process.count] = commands
+                self._commands[process.rows_of[index]] = commands
                 self._has_new_commands = True
             self._radio.carry(some_sent, process.own)
             published += some_published
@@ -324,7 +325,7 @@ class Lockstep:
     def _tick(self, now: float) -> None:
         world = self.world
         if self._odometry_due.due(now):
-            own = self._own
+            own = self._process.rows
             # All odometers are read at once: one takes as long as a hundred.
             for row, odometry in zip(own.tolist(), world.odometry(own), strict=True):
                 shell = self.shells[row]

@@ -1,4 +1,4 @@
-"""One run over several processes: each works out every k-th robot.
+"""One run over several processes: each works out an equal share of the robots.
 
 Bodies meet in MuJoCo alone, which gives the same bits in each process. So each process advances the
 whole world, with all clocks and the radio, and works out sensors, robots and patterns of its own
@@ -15,12 +15,15 @@ import signal
 import struct
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from multiprocessing import get_context
 from multiprocessing.synchronize import Semaphore
 from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.processes import die_with_parent, how_it_ended
@@ -39,23 +42,35 @@ _MAX_ERROR = 1 << 16  # bytes, which a pipe holds without a reader
 
 
 class RunProcess:
-    """Process `index` of the `count` of a run: its robots have this remainder of row by `count`."""
+    """Process `index` of the `count` of a run, with the robots that `share` gives it."""
 
     def __init__(self, index: int = 0, count: int = 1) -> None:
         self.index, self.count = index, count
+        self.rows_of: Sequence[NDArray[np.intp]] = ()
+        """The rows of the robots of each process, in order."""
+        self._own = frozenset[int]()
+
+    def share(self, order: NDArray[np.intp]) -> None:
+        """Give the robots to the processes in turn; all processes call it with the same `order`.
+
+        A step waits for the process with the most work. Robots whose work falls into the same step
+        should follow each other in `order`: the steps of half of the robots are then equally long.
+        """
+        self.rows_of = [np.sort(order[index :: self.count]) for index in range(self.count)]
+        self._own = frozenset(self.rows.tolist())
 
     def owns(self, row: int) -> bool:
         """True if this process works out robot `row`."""
-        return row % self.count == self.index
+        return row in self._own
 
     @property
-    def rows(self) -> slice:
-        """The rows of its robots."""
-        return slice(self.index, None, self.count)
+    def rows(self) -> NDArray[np.intp]:
+        """The rows of its robots, in order."""
+        return self.rows_of[self.index]
 
     def own(self, rows: list[int]) -> list[int]:
         """Those of `rows` that are its own, in order."""
-        return rows if self.count == 1 else [row for row in rows if self.owns(row)]
+        return rows if self.count == 1 else [row for row in rows if row in self._own]
 
     def exchange(self, part: T) -> list[T]:
         """The parts of all processes, in their order; each calls it equally often."""

@@ -24,7 +24,7 @@ from swarmd.sim.trace import (
 from swarmd.sim.world.world import World
 
 _Reports = dict[tuple[str, str], list[tuple[int, int, float | str]]]
-Kept = tuple[slice, dict[str, NDArray[Any]], _Reports]
+Kept = tuple[NDArray[np.intp], dict[str, NDArray[Any]], _Reports]
 """What the robots of some rows reported: the rows, their columns, and their own reports."""
 
 
@@ -72,7 +72,7 @@ class LockstepRecorder:
             self._blocks[name].append(column.reshape(-1, len(self._world.ids), *column.shape[1:]))
         self._latest = []
 
-    def kept(self, rows: slice) -> Kept:
+    def kept(self, rows: NDArray[np.intp]) -> Kept:
         """What the robots of these rows reported, for `trace`."""
         self._end_block()
         columns = {name: np.concatenate(one)[:, rows] for name, one in self._blocks.items()}

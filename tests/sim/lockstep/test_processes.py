@@ -116,6 +116,17 @@ def test_a_pattern_fault_and_a_refusal_are_told_from_each_process(
         simulate_run(scenario_of({**data, "events": refused}), 0, cores=2)
 
 
+def test_robots_of_one_step_are_shared_out_evenly() -> None:
+    order = np.random.default_rng(0).permutation(37)
+    processes = [RunProcess(index, 3) for index in range(3)]
+    for process in processes:
+        process.share(order)
+    assert sorted(np.concatenate([process.rows for process in processes])) == list(range(37))
+    for first in range(30):  # robots in a row of `order` work in one step
+        step = order[first : first + 7].tolist()
+        assert {len(process.own(step)) for process in processes} <= {2, 3}
+
+
 def test_parts_longer_than_a_round_arrive_whole() -> None:
     def work(process: RunProcess) -> list[bool]:
         part = (process.index, bytes([process.index]) * (3_000_000 * process.index + 5))
