@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import resource
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -27,7 +28,7 @@ PATTERNS = ("attraction", "random_walk", "drive")
 SECONDS = {7: 20, 100: 10, 1000: 5}
 BUDGETS = {7: ">= 100 x", 100: ">= 8 x", 1000: ">= 1 x"}
 
-GROWTH = (100, 300, 1000, 3000)
+GROWTH = (100, 300, 1000, 3000, 10_000)  # rising, since memory is the most of the process so far
 GROWTH_SECONDS = 2
 # Like the proximity sensors of a foot-bot, which ARGoS gives 24 rays at 10 Hz.
 SHORT_RAYS = {
@@ -99,6 +100,8 @@ def growth_rows() -> Iterator[Row]:
     for n in GROWTH:
         taken = seconds_of("thousand", one_per_square_metre(n, "attraction"), GROWTH_SECONDS)
         yield Row(f"CPU a robot-second, {n} robots, attraction", [one / n for one in taken])
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+        yield Row(f"memory a robot, {n} robots", [memory / n], unit="MB")
 
 
 def core_rows(sizes: Sequence[int] = (1000,), parts: int = CORE_PARTS) -> Iterator[Row]:

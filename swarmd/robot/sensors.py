@@ -81,7 +81,7 @@ class Sensors:
         self._context: DecisionContext | None = None  # the last one; a scan or odometry ends it
         self._given: tuple[Neighbor, ...] = ()
         self._neighbors: tuple[Neighbor, ...] = ()
-        self._neighbor_ids: frozenset[str] = frozenset()
+        self._neighbor_ids: frozenset[str] | None = None  # made when a message arrives
         self._aged: tuple[Neighbor, ...] = ()
         self._renewals = 0.0
         self._neighbors_at = 0.0
@@ -153,7 +153,7 @@ class Sensors:
             if not all(neighbor.in_reach for neighbor in neighbors):
                 neighbors = tuple(neighbor for neighbor in neighbors if neighbor.in_reach)
             self._neighbors = neighbors
-            self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
+            self._neighbor_ids = None
         self._neighbors_at = now
         if self.peers.on_neighbors(self._given, now):
             self._context = None
@@ -181,6 +181,8 @@ class Sensors:
 
         Raises CodecError if the encoded value is too large.
         """
+        if self._neighbor_ids is None:
+            self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
         if sender not in self._neighbor_ids or not self._knows_neighbors(now):
             self.rejected += 1
             return False
