@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.codec import encode
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.sensing.deskew import Deskewer
+from swarmd.sensing.deskew import Deskewer, OdometryHistory
 from swarmd.sensing.measured_sweep import AT_ONCE, MeasuredSweep, Order
 from swarmd.sensing.scan_delay import ScanDelay
 from tests.support.turning_lidar import Lidar, Room, TurningLidar, swinging, wandering
@@ -214,4 +214,4 @@ def test_platform_that_tells_its_sweep_measures_none() -> None:
     spec = REVERSED.spec(measures_sweep=False)
     assert ScanDelay(spec).sweep is None
     raw = flat(spec, None, 360)
-    assert Deskewer(spec).deskew(raw, 1.0, None) is raw
+    assert Deskewer(spec, OdometryHistory()).deskew(raw, 1.0, None) is raw
