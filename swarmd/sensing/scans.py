@@ -289,6 +289,8 @@ class _Layout:
     widths: cython.double[::1]
     counts: cython.longlong[::1]
     is_free: cython.uchar[::1]
+    scan: object  # the last one of these bearings, if nothing can change it, and its known ranges
+    known: cython.const[cython.double][::1]
 
     def __init__(self, n):
         """For up to n bearings."""
@@ -327,6 +329,7 @@ class _Layout:
         return 0
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def set_grazing(self, grazing: cython.double):
         """Set the order of rising bearings, the steps to the next, and what a surface makes.
 
@@ -356,6 +359,7 @@ class _Layout:
             self.grazing = grazing
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def has_sorted(self) -> cython.bint:
         """False if bearings neither rise nor fall almost everywhere, and `order` is not set.
 
@@ -406,6 +410,7 @@ class _Layout:
 
 
 @cython.cfunc
+@cython.boundscheck(False)
 def _smallest(
     values: cython.double[::1], n: cython.Py_ssize_t, k: cython.Py_ssize_t
 ) -> cython.double:
@@ -435,14 +440,30 @@ _layouts: list = []  # a cache of the latest ones: most sensors keep their beari
 
 
 @cython.cfunc
-def _layout_of(bearings) -> _Layout:
-    """The layout of at least one bearing."""
-    view: cython.const[cython.double][::1] = bearings
+def _layout_of(scan) -> _Layout:
+    """The layout of the known rays of a scan, with their ranges; None without any."""
     layout: _Layout
     for layout in _layouts:
-        if layout.is_of(view):
+        if layout.scan is scan:
             return layout
-    layout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else _Layout(view.shape[0])
+    ranges, bearings = _known(scan)
+    if not len(bearings):
+        return None
+    view: cython.const[cython.double][::1] = bearings
+    for layout in _layouts:
+        if layout.is_of(view):
+            break
+    else:
+        layout = _new_layout(view)
+    is_fixed = not (scan.ranges.flags.writeable or scan.bearings.flags.writeable)
+    layout.scan, layout.known = scan if is_fixed else None, ranges
+    return layout
+
+
+@cython.cfunc
+def _new_layout(view: cython.const[cython.double][::1]) -> _Layout:
+    """The layout of other bearings, in place of the oldest one."""
+    layout: _Layout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else _Layout(view.shape[0])
     if layout.capacity < view.shape[0]:
         layout = _Layout(view.shape[0])
     layout.set_bearings(view)
@@ -473,12 +494,11 @@ def _known(scan):
 
 def nearest(scan, bearing: cython.double, half_width: cython.double):
     """Range and bearing of the ray that `rays.nearest` finds; None without one."""
-    known, bearings = _known(scan)
-    ranges: cython.const[cython.double][::1] = known
-    n: cython.Py_ssize_t = ranges.shape[0]
-    if n == 0:
+    layout: _Layout = _layout_of(scan)
+    if layout is None:
         return None
-    layout: _Layout = _layout_of(bearings)
+    ranges: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
     least: cython.double = scan.range_min
     lowest: cython.double = INFINITY
     index: cython.Py_ssize_t = -1
@@ -513,12 +533,11 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """See `rays.closest_points`."""
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")
-    known, bearings = _known(scan)
-    ranges: cython.const[cython.double][::1] = known
-    n: cython.Py_ssize_t = ranges.shape[0]
-    if n == 0:
+    layout: _Layout = _layout_of(scan)
+    if layout is None:
         return np.empty((0, 2))
-    layout: _Layout = _layout_of(bearings)
+    ranges: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
     layout.set_sectors(count)
     least: cython.double = scan.range_min
     i: cython.Py_ssize_t
@@ -560,14 +579,14 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     return layout.points[:found].copy()
 
 
+@cython.boundscheck(False)
 def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
     """The arrays of `rays.RayClusters`; None without a return."""
-    known, bearings = _known(scan)
-    given: cython.const[cython.double][::1] = known
-    n: cython.Py_ssize_t = given.shape[0]
-    if n == 0:
+    layout: _Layout = _layout_of(scan)
+    if layout is None:
         return None
-    layout: _Layout = _layout_of(bearings)
+    given: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
     layout.set_grazing(grazing)
     ranges: cython.double[::1] = layout.work
     least: cython.double = scan.range_min
