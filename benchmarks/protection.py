@@ -20,11 +20,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import cycle
 
 import numpy as np
+from msgspec.structs import replace
 
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table

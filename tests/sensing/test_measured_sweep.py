@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.codec import encode
 from swarmd.core.values import Array, Scan, ScanSpec
@@ -137,7 +138,7 @@ def test_order_stays_known_when_clocks_are_set() -> None:
     run = turning(REVERSED)
     known = known_after(run)
     assert known is not None
-    run.delays.on_scan(replace(run.raw, stamp=run.raw.stamp - 1000.0), run.time)
+    run.delays.on_scan(structs.replace(run.raw, stamp=run.raw.stamp - 1000.0), run.time)
     assert run.delays.restarts == 1
     assert run.order is known
 
@@ -146,7 +147,7 @@ def test_another_lidar_is_measured_anew() -> None:
     run = turning(REVERSED)
     assert known_after(run) is not None
     bearings = -run.raw.bearings
-    run.delays.on_scan(replace(run.raw, bearings=bearings), run.time)
+    run.delays.on_scan(structs.replace(run.raw, bearings=bearings), run.time)
     assert run.order is None
 
 
@@ -154,7 +155,7 @@ def test_sensor_that_varies_its_number_of_rays_stays_known() -> None:
     run = turning(REVERSED)
     known = known_after(run)
     step = math.tau / 355
-    scan = replace(
+    scan = structs.replace(
         run.raw,
         ranges=np.full(355, 1.0),
         bearings=run.raw.bearings[0] + step * np.arange(355),
