@@ -40,7 +40,7 @@ from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotSettings
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of, trembling
 from tests.support.platforms import with_mode

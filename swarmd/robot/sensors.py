@@ -32,10 +32,8 @@ from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import Peers
-from swarmd.sensing.conditioning import ScanConditioner
-from swarmd.sensing.deskew import Deskewer, OdometryHistory
 from swarmd.sensing.rays import unit_vectors
-from swarmd.sensing.scan_delay import ScanDelay
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
 ODOMETRY_TIMEOUT = 0.5
 NEIGHBOR_TIMEOUT = 3.0  # s without an update after which there are no neighbours

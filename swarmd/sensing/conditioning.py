@@ -1,33 +1,24 @@
 """Conditioning: gives the scans of every driver one meaning, or rejects them.
 
 A conditioned range is a distance within [range_min, range_max], +inf (no return) or -inf (too close
-to measure). No ray is unknown. The kernel of scans has the code.
+to measure). No ray is unknown. `ScanConditioner` is a class of the kernel of scans.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
 
-from swarmd.core.kernels import load_kernel
+import numpy as np
 
-if TYPE_CHECKING:
-    from swarmd.sensing.scans import (
-        COMPARED_SCANS,
-        MAX_REPEATS,
-        MIN_DISTINCT_RETURNS,
-        BlindSectors,
-        ScanConditioner,
-    )
-else:
-    _kernel = load_kernel("swarmd.sensing.scans")
-    BlindSectors, ScanConditioner = _kernel.BlindSectors, _kernel.ScanConditioner
-    COMPARED_SCANS, MAX_REPEATS = _kernel.COMPARED_SCANS, _kernel.MAX_REPEATS
-    MIN_DISTINCT_RETURNS = _kernel.MIN_DISTINCT_RETURNS
+from swarmd.core.values import Array
 
-__all__ = [
-    "COMPARED_SCANS",
-    "MAX_REPEATS",
-    "MIN_DISTINCT_RETURNS",
-    "BlindSectors",
-    "ScanConditioner",
-]
+MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
+COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
+MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
+
+
+def widest_between_rays(bearings: Array) -> float:
+    """The widest angle in rad between neighbouring rays; a full turn for a single ray."""
+    turn = 2.0 * math.pi
+    rising = np.sort(bearings % turn)
+    return float(np.diff(rising, append=rising[0] + turn).max())

@@ -11,20 +11,57 @@ The delay of a scan is the mean age of its rays when it arrives. Two methods mea
   is no figure. After the temporal calibration of sensors by correlated rotations (Rehder, Siegwart
   and Furgale, IEEE T-RO 2016), with one axis and a grid.
 
-The kernel of scans has the code.
+`ScanDelay` is a class of the kernel of scans.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Collection, Iterable
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import DelayFigure
+from swarmd.core.values import Scan, ScanSpec
 
-if TYPE_CHECKING:
-    from swarmd.sensing.scans import TOLERANCE, ScanDelay, delay_by_stamps
-else:
-    _kernel = load_kernel("swarmd.sensing.scans")
-    TOLERANCE, ScanDelay = _kernel.TOLERANCE, _kernel.ScanDelay
-    delay_by_stamps = _kernel.delay_by_stamps
+TOLERANCE = 0.01
+"""Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
+LONGEST_SHARED = 5.0
+"""Seconds: a scan that seems older has another clock,"""
+MAX_LEAD = -0.05
+"""as one that seems to come from the future."""
 
-__all__ = ["TOLERANCE", "ScanDelay", "delay_by_stamps"]
+
+def delay_by_stamps(
+    scans: Iterable[tuple[float, float]],
+    odometries: Iterable[tuple[float, float]],
+    scan: Scan | None,
+    spec: ScanSpec,
+) -> DelayFigure:
+    """The delay of a few scans, from arrivals and stamps; `scan` is one of them."""
+    offset = min((at - stamp for at, stamp in odometries), default=math.inf)
+    ages = [at - offset - stamp for at, stamp in scans]
+    if not ages or scan is None or offset == math.inf:
+        return DelayFigure(method="stamps", text="no scan, or no odometry")
+    ages = [age - lead(scan, spec) for age in ages]
+    if not MAX_LEAD <= min(ages) <= max(ages) <= LONGEST_SHARED:
+        return DelayFigure(method="stamps", text=other_clock(ages[-1]))
+    return figure_of(ages, 0.0)
+
+
+def lead(scan: Scan, spec: ScanSpec) -> float:
+    """How much later than the stamp the mean ray was measured, in s."""
+    if scan.ages is None or not len(scan.ages):
+        return 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
+    return float(scan.ages.max() - scan.ages.mean())
+
+
+def other_clock(age: float) -> str:
+    """Why stamps tell no delay of a scan that seems so old."""
+    return f"scan and odometry have different clocks, {age:.3g} s apart"
+
+
+def figure_of(ages: Collection[float], since: float) -> DelayFigure:
+    """The mean delay by stamps, with its deviation; the last of `ages` is `since` s old."""
+    mean = sum(ages) / len(ages)
+    spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
+    mean = max(mean, 0.0)
+    return DelayFigure(method="stamps", delay=mean, spread=spread, samples=len(ages), age=since)

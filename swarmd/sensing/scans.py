@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,8 +24,24 @@ from swarmd.core.values import (
     Scan,
     ScanSpec,
 )
+from swarmd.sensing.blind_sector import SECTORS, blind_text
+from swarmd.sensing.conditioning import (
+    COMPARED_SCANS,
+    MAX_REPEATS,
+    MIN_DISTINCT_RETURNS,
+    widest_between_rays,
+)
+from swarmd.sensing.deskew import Rays
 from swarmd.sensing.measured_sweep import Headings, MeasuredSweep
 from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
+from swarmd.sensing.scan_delay import (
+    LONGEST_SHARED,
+    MAX_LEAD,
+    TOLERANCE,
+    figure_of,
+    lead,
+    other_clock,
+)
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -75,11 +90,6 @@ else:
     )
 
 PACKET_RAYS = 6  # rays that an LDS loses together
-MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
-COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
-MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
-TOLERANCE = 0.01
-"""Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
 
 _PI = cython.declare(cython.double, math.pi)
 _TURN = cython.declare(cython.double, 2.0 * math.pi)
@@ -114,7 +124,7 @@ _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 _AT_REST = cython.declare(cython.double, 5e-4)
 
 # Blind sectors.
-_SECTORS = cython.declare(cython.Py_ssize_t, 90)
+_SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
 _LOOK_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
 # directions, each a sector wide, in which a blind sector has missed something
 _MISSED = cython.declare(cython.Py_ssize_t, 8)
@@ -176,10 +186,10 @@ _RESTART_TIME = cython.declare(cython.double, 2.5)
 _MAX_DRIFT = cython.declare(cython.double, 0.005)
 # s by which odometry gets later at once, or earlier: its clock was set then
 _SHIFT = cython.declare(cython.double, 0.1)
-_MAX_AGE = cython.declare(cython.double, 5.0)  # s: a scan that seems older has another clock
+_MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
 # s: what a clock that was set shows at most, so that a status can tell it
 _LONGEST_AGE = cython.declare(cython.double, 1000.0)
-_MAX_LEAD = cython.declare(cython.double, -0.05)  # s: as one that seems to come from the future
+_MAX_LEAD = cython.declare(cython.double, MAX_LEAD)
 # Spreads by which turns must exceed declaration and stamps.
 _CERTAIN = cython.declare(cython.double, 2.5)
 _EXPIRES = cython.declare(
@@ -1226,17 +1236,9 @@ class RayMemory:
 
 @cython.cclass
 class BlindSectors:
-    """Finds the blind sectors of one sensor. Times in s, poses in the odometry frame.
+    """Finds the blind sectors of one sensor, see `blind_sector.py`. Times in s.
 
-    A covered or broken part of a range sensor looks like open space. While the robot turns, its
-    rays pass over the same things: where a static thing returns other rays before and after, a ray
-    without a return has missed it. A sector is blind once its rays have missed things in many
-    directions and have returned nothing meanwhile. An open field, a door and a surface that no ray
-    sees give no return to any ray; a thing that moves is not the same before and after; and one
-    return clears its sector.
-
-    `text` names the blind sectors; empty without one. Sectors of 4 degrees, of the sensor and of
-    the directions around it.
+    Poses are in the odometry frame. `text` names the blind sectors; empty without one.
     """
 
     text = cython.declare(object, visibility="readonly")
@@ -1253,7 +1255,8 @@ class BlindSectors:
     _direction: cython.longlong[::1]
     _is_return: cython.uchar[::1]
     _blind: cython.uchar[::1]
-    _returned_at: cython.double[90]
+    _returned: object  # when
+    _returned_at: cython.double[::1]
     _returns: cython.longlong[90]  # scans in a row with a return
     # By direction: the thing last seen there, for how many looks in a row, and the sectors that
     # have missed it since. By sector: the directions in which it has missed something.
@@ -1278,8 +1281,10 @@ class BlindSectors:
         self._is_zero_near = spec.zero == "too_close"
         self._is_blind = np.zeros(_SECTORS, np.bool_)
         self._blind = memoryview(self._is_blind.view(np.uint8))
+        self._returned = np.full(_SECTORS, NAN)
+        self._returned_at = memoryview(self._returned)
         for k in range(_SECTORS):
-            self._seen_at[k], self._returned_at[k] = -INFINITY, NAN
+            self._seen_at[k] = -INFINITY
 
     def take(
         self, ranges: Array, bearings: Array, odometry: Odometry | None, now: cython.double
@@ -1328,7 +1333,7 @@ class BlindSectors:
             if self._blind[self._sector[i]] and not is_return[i]:
                 given[i] = NAN
         if has_changed:
-            self.text = self._text(now)
+            self.text = blind_text(self._is_blind, self._returned, now)
 
     @cython.cfunc
     def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
@@ -1338,30 +1343,6 @@ class BlindSectors:
             return False
         self._looked_at, self._looked_yaw = now, yaw
         return True
-
-    @cython.cfunc
-    def _text(self, now: cython.double):
-        """The blind sectors in degrees, and since when."""
-        is_blind = self._is_blind
-        if not is_blind.any():
-            return ""
-        start = int(is_blind.argmin())  # one that is not blind, so that none wraps around
-        blind = np.roll(is_blind, -start)
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], blind, [False])).astype(np.int8)))
-        width = 360 // _SECTORS
-        names = [
-            f"{(first + start) * width % 360}..{(end + start) * width % 360}"
-            for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-        ]
-        latest: cython.double = -INFINITY
-        k: cython.Py_ssize_t
-        for k in range(_SECTORS):
-            if self._blind[k]:
-                latest = max(latest, self._returned_at[k])
-        return (
-            f"rays {', '.join(names)} deg have not returned anything for {now - latest:.0f} s"
-            " while others did: they count as unknown; clean or uncover the sensor"
-        )
 
     @cython.cfunc
     def _look(
@@ -1477,7 +1458,7 @@ class ScanConditioner:
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
-        self._max_sector = max(spec.max_gap, _widest_between_rays(spec.bearings)) + 1e-9
+        self._max_sector = max(spec.max_gap, widest_between_rays(spec.bearings)) + 1e-9
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._latency, self._is_noisy = spec.latency, spec.is_noisy
         self._bearings, self._recent = np.empty(0), []
@@ -1533,7 +1514,7 @@ class ScanConditioner:
         object for the same bearings.
         """
         if not np.array_equal(bearings, self._bearings):
-            if not np.isfinite(bearings).all() or _widest_between_rays(bearings) > self._max_sector:
+            if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:
                 return False
             if bearings.flags.writeable or not bearings.flags.owndata:
                 bearings = np.array(bearings, np.float64)
@@ -1598,13 +1579,6 @@ class ScanConditioner:
         return True
 
 
-@cython.cfunc
-def _widest_between_rays(bearings) -> cython.double:
-    """The widest angle in rad between neighbouring rays; a full turn for a single ray."""
-    rising = np.sort(bearings % _TURN)
-    return np.diff(rising, append=rising[0] + _TURN).max()
-
-
 @cython.cclass
 class _Turns:
     """Delay by turns, see `scan_delay.py`: `delay` and `spread` in s, from `pairs` of scans.
@@ -1657,6 +1631,19 @@ class _Turns:
         self._times, self._yaws = map(memoryview, self._headings)
         self._stamp = self._changed_at = -INFINITY
         self._relief = self._old_relief = memoryview(np.empty(0))
+
+    @cython.cfunc
+    def figure(self, now: cython.double):
+        """The delay, or why it is not known."""
+        if isnan(self.delay):
+            return DelayFigure(method="turns", text=self.why)
+        return DelayFigure(
+            method="turns",
+            delay=self.delay,
+            spread=self.spread,
+            samples=self.pairs,
+            age=max(now - self.at, 0.0),
+        )
 
     @cython.cfunc
     def forget(self):
@@ -1997,7 +1984,7 @@ class _Stamps:
             return 0.0
         ages = scan.ages
         if ages is not self._ages_of_rays:  # mostly they are those of the last scan
-            self._ages_of_rays, self._lead = ages, _lead(scan, self._spec)
+            self._ages_of_rays, self._lead = ages, lead(scan, self._spec)
         stamp: cython.double = scan.stamp
         age: cython.double = now - self.offset - stamp - self._lead
         self._scans += 1
@@ -2006,7 +1993,7 @@ class _Stamps:
         if self._drifts:
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
-            self._forget(_other_clock(age))
+            self._forget(other_clock(age))
         else:
             age = min(max(age, 0.0), _LONGEST_AGE)
             if self._count < _STAMPS:
@@ -2048,7 +2035,7 @@ class _Stamps:
             why = "too few scans yet" if self._count else self._why
             return DelayFigure(method="stamps", text=why)
         ages = [self._ages[(self._oldest + k) % _STAMPS] for k in range(self._count)]
-        return _figure(ages, max(now - self._at, 0.0))
+        return figure_of(ages, max(now - self._at, 0.0))
 
     @cython.cfunc
     def _forget(self, why):
@@ -2150,58 +2137,13 @@ class ScanDelay:
 
     def summary(self, now: cython.double) -> ScanDelaySummary:
         """The figures of both methods, for the status."""
-        turns: _Turns = self._turns
-        by_turns = DelayFigure(method="turns", text=turns.why)
-        if not isnan(turns.delay):
-            by_turns = DelayFigure(
-                method="turns",
-                delay=turns.delay,
-                spread=turns.spread,
-                samples=turns.pairs,
-                age=max(now - turns.at, 0.0),
-            )
         return ScanDelaySummary(
             declared=self._latency,
             added=self.added,
             bound=self._bound,
-            figures=(self._stamps.figure(now), by_turns),
+            figures=(self._stamps.figure(now), self._turns.figure(now)),
             sweep=None if self.sweep is None else self.sweep.figure(),
         )
-
-
-def delay_by_stamps(
-    scans: Iterable[tuple[float, float]],
-    odometries: Iterable[tuple[float, float]],
-    scan: Scan | None,
-    spec: ScanSpec,
-) -> DelayFigure:
-    """The delay of a few scans, from arrivals and stamps; `scan` is one of them."""
-    offset = min((at - stamp for at, stamp in odometries), default=math.inf)
-    ages = [at - offset - stamp for at, stamp in scans]
-    if not ages or scan is None or offset == math.inf:
-        return DelayFigure(method="stamps", text="no scan, or no odometry")
-    ages = [age - _lead(scan, spec) for age in ages]
-    if not _MAX_LEAD <= min(ages) <= max(ages) <= _MAX_AGE:
-        return DelayFigure(method="stamps", text=_other_clock(ages[len(ages) - 1]))
-    return _figure(ages, 0.0)
-
-
-def _lead(scan, spec):
-    """How much later than the stamp the mean ray was measured, in s."""
-    if scan.ages is None or not len(scan.ages):
-        return 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
-    return float(scan.ages.max() - scan.ages.mean())
-
-
-def _other_clock(age):
-    return f"scan and odometry have different clocks, {age:.3g} s apart"
-
-
-def _figure(ages, since):
-    mean = sum(ages) / len(ages)
-    spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
-    mean = max(mean, 0.0)
-    return DelayFigure(method="stamps", delay=mean, spread=spread, samples=len(ages), age=since)
 
 
 @cython.cclass
@@ -2395,9 +2337,7 @@ class Deskewer:
     _history: OdometryHistory
     _limits: cython.double[::1]
     _sector: cython.double[::1]
-    # The rays, for bearings and ages of a scan that are the same objects as before: the age of the
-    # oldest one, whose bearing is `_oldest`; the direction in which the sensor turns, 1.0
-    # counter-clockwise, -1.0 clockwise, 0.0 neither; the rad between neighbours.
+    # See Rays, for bearings and ages of a scan that are the same objects as before.
     _given: object
     _given_ages: object
     _ray_ages: object
@@ -2459,30 +2399,14 @@ class Deskewer:
         return result
 
     @cython.cfunc
-    def _set_rays(self, bearings, given):
+    def _set_rays(self, bearings, ages):
         """Take other bearings and ages; None: by the platform's sweep."""
-        ages = given
-        if ages is None:
-            # The first ray must not count as the last one: 1e-9 rad for rounding.
-            turned = self._sweep.direction * (bearings - self._sweep.start) + 1e-9
-            ages = self._sweep.duration * (1.0 - turned % _TURN / _TURN)
-        self._given, self._given_ages = bearings, given
-        self._ray_ages = ages = ages - ages.min()
-        ages.setflags(write=False)
-        self._bearings, self._ages = _view(bearings), _view(ages)
+        rays = Rays(bearings, ages, self._sweep)
+        self._given, self._given_ages, self._ray_ages = bearings, ages, rays.ages
+        self._bearings, self._ages = _view(bearings), _view(rays.ages)
         self._cos, self._sin = _view(np.cos(bearings)), _view(np.sin(bearings))
-        self._span, self._newest_age = ages.max(), max(self._latency - float(ages.mean()), 0.0)
-        rising = np.sort(bearings % _TURN)
-        self._spacing = np.median(np.diff(rising)) if len(rising) > 1 else _TURN
-        # Rays of one age, if the driver tells the ages of whole sectors, count as one.
-        steps, first = np.unique(-ages, return_index=True)
-        steps = (np.diff(bearings[first]) + _PI) % _TURN - _PI
-        self._direction = self._oldest = 0.0
-        if len(steps) > 1 and (np.all(steps > 0.0) or np.all(steps < 0.0)):
-            self._direction = math.copysign(1.0, steps[0])
-            oldest = bearings[ages == ages.max()]
-            begin = (self._direction * ((oldest - oldest[0] + _PI) % _TURN - _PI)).argmin()
-            self._oldest = oldest[begin]
+        self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
+        self._direction, self._oldest, self._spacing = rays.direction, rays.oldest, rays.spacing
 
     @cython.cfunc
     def _moved(self, measured, stamp: cython.double, seconds: cython.double):

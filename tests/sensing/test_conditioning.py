@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.sensing.scans import PACKET_RAYS
 
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))

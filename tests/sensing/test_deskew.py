@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
-from swarmd.sensing.deskew import Deskewer, OdometryHistory
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory
 
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N

@@ -11,9 +11,8 @@ from msgspec import structs
 
 from swarmd.core.codec import encode
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.sensing.deskew import Deskewer, OdometryHistory
 from swarmd.sensing.measured_sweep import AT_ONCE, MeasuredSweep, Order
-from swarmd.sensing.scan_delay import ScanDelay
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanDelay
 from tests.support.turning_lidar import Lidar, Room, TurningLidar, swinging, wandering
 
 REVERSED = Lidar(Order(-1.0, 0.2), claim=0.2)  # a driver that reverses the rays of rplidar

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
-from swarmd.sensing.deskew import Deskewer, OdometryHistory
 from swarmd.sensing.measured_sweep import Order
-from swarmd.sensing.scan_delay import ScanDelay
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanDelay
 
 STEP = 0.01  # s
 ODOMETRY_PERIOD = 0.05
