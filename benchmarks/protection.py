@@ -20,11 +20,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import cycle
 
 import numpy as np
+from msgspec.structs import replace
 
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table
@@ -40,7 +40,7 @@ from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotSettings
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of, trembling
 from tests.support.platforms import with_mode

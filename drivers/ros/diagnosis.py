@@ -25,7 +25,7 @@ from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.scan_content import ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.scan_pipeline import ScanConditioner
 
 LAST_WORD = "docs/robots/last_word.md"
 ENOUGH_MESSAGES = 5

@@ -43,19 +43,17 @@ class NoisyLidar:
         self._errors: dict[int, tuple[Any, Array, NDArray[np.float32]]] = {}
 
     def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
-        """The measurements of robots `rows` (m,) for exact `ranges`, (rays,) each.
+        """The measurements of robots `rows` (m,) for exact `ranges`, (rays,) each."""
+        return [self.measured(row, r) for row, r in zip(rows.tolist(), ranges, strict=True)]
+
+    def measured(self, row: int, ranges: Array) -> Array:
+        """The measurements (rays,) of robot `row` for exact `ranges`, in another array.
 
         Rays without a return stay so. Measurements beyond range_max become +inf, nearer than
         range_min -inf, and a lost ray NaN if the sensor's zeros mean too close, else 0. The result
         is encoded as by the sensor's driver: an LDS reports no return as 0, and a sensor with
         `near: lost` reports a return nearer than range_min as no return.
         """
-        return [self._measured(row, r) for row, r in zip(rows.tolist(), ranges, strict=True)]
-
-    def _measured(self, row: int, ranges: Array) -> Array:
-        """`ranges` (rays,) measured and encoded; a copy where they differ."""
-        if self._is_exact and self._near[row] == -np.inf and self._nothing[row] == np.inf:
-            return ranges
         measured, rays = ranges.copy(), len(ranges)
         if rays not in self._errors:
             self._errors[rays] = self._errors_of(rays)

@@ -24,6 +24,7 @@ if cython.compiled:
         atan2,
         ceil,
         cos,
+        fabs,
         floor,
         fmod,
         hypot,
@@ -39,6 +40,7 @@ else:
         atan2,
         ceil,
         cos,
+        fabs,
         floor,
         fmod,
         hypot,
@@ -206,6 +208,7 @@ class Caster:
                 ranges[rows[one], self._number[place]] = distance
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _set_bodies(self, poses: cython.double[:, ::1]) -> cython.int:
         """Place all bodies in the world frame and in the grid."""
         body: cython.Py_ssize_t
@@ -249,6 +252,7 @@ class Caster:
         return self._fill_grid(west, east, south, north)
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _fill_grid(
         self, west: cython.double, east: cython.double, south: cython.double, north: cython.double
     ) -> cython.int:
@@ -317,13 +321,17 @@ class Caster:
         return side * left * self._cos_half - along * self._sin_half
 
     @cython.cfunc
+    @cython.inline
     def _is_outside(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.bint:
         """True if a disc at x, y from the sensor does not meet the cone."""
         if self._is_wide:
             return False
-        return max(self._outside(x, y, 1.0), self._outside(x, y, -1.0)) > radius + _ROUNDING
+        along: cython.double = self._cos_middle * x + self._sin_middle * y
+        left: cython.double = self._cos_middle * y - self._sin_middle * x
+        return fabs(left * self._cos_half) - along * self._sin_half > radius + _ROUNDING
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _meet_walls(self) -> cython.int:
         i: cython.Py_ssize_t
         x: cython.double
@@ -345,6 +353,7 @@ class Caster:
         return 0
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _meet_bodies(self, carrier: cython.Py_ssize_t) -> cython.int:
         """Meet the bodies of the cells around the sensor."""
         line: cython.Py_ssize_t
@@ -386,6 +395,7 @@ class Caster:
         return 0
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _meet_polygon(self, body: cython.Py_ssize_t) -> cython.int:
         i: cython.Py_ssize_t
         x: cython.double
@@ -404,6 +414,7 @@ class Caster:
         return 0
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _meet_surface(
         self,
         x: cython.double,
@@ -435,6 +446,7 @@ class Caster:
         return 0
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def _meet_circle(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.int:
         beyond: cython.double
         middle: cython.double

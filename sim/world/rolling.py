@@ -14,7 +14,10 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompleteScan:
-    """A scan of robot `row`: exact ranges (rays,) in m, ages (rays,) in s, and its first step."""
+    """A scan of robot `row`: exact ranges (rays,) in m, ages (rays,) in s, and its first step.
+
+    The ranges are valid until the next `advance`.
+    """
 
     row: int
     ranges: Array
@@ -74,7 +77,7 @@ class RollingScans:
         done = np.count_nonzero(since == self._steps)
         self._scans = self._scans[:, done:]
         return [
-            CompleteScan(robot, self._ranges[row].copy(), self._ages, step - self._steps)
+            CompleteScan(robot, self._ranges[row], self._ages, step - self._steps)
             for robot, row in zip(robots[:done].tolist(), rows[:done].tolist(), strict=True)
         ]
 

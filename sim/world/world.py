@@ -145,7 +145,7 @@ class World:
         poses = self._all_poses()
         for rolling in self._rolling:
             for scan in rolling.advance(poses, self._steps):
-                (ranges,) = self._noise.apply(np.array([scan.row]), [scan.ranges])
+                ranges = self._noise.measured(scan.row, scan.ranges)
                 sent = self._scan(scan.row, ranges, scan.begun * self.dt, scan.ages)
                 self._transport.send(scan.row, sent, self.time)
 

@@ -18,10 +18,10 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 from msgspec import structs
+from msgspec.structs import replace
 
 from studies.ros.robots import ARENA, BODIES, LAYOUT, PLATFORM, bound
 from swarmd.core.processes import die_with_parent

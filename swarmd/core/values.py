@@ -74,8 +74,7 @@ class Pose(Struct, frozen=True, array_like=True):
         return self.x * 0.0 + self.y * 0.0 + self.yaw * 0.0 == 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Scan:
+class Scan(Struct, frozen=True, eq=False):
     """Rays of one revolution, in directions of the base frame, measured from the sensor.
 
     `ranges` and `bearings` are (n,) float64 arrays of the same length; n may vary from scan to

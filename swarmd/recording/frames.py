@@ -6,12 +6,12 @@ it. Numpy arrays travel as bytes.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.codec import decode
 from swarmd.core.events import Input, encode_input

@@ -32,10 +32,8 @@ from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import Peers
-from swarmd.sensing.conditioning import ScanConditioner
-from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.rays import unit_vectors
-from swarmd.sensing.scan_delay import ScanDelay
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
 ODOMETRY_TIMEOUT = 0.5
 NEIGHBOR_TIMEOUT = 3.0  # s without an update after which there are no neighbours
@@ -70,7 +68,8 @@ class Sensors:
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
         self.permitted_delay = 0.0  # s of late scans with which the running pattern goes on
-        self._deskewer = Deskewer(platform.scan, self.scan_delay.sweep)
+        self._history = OdometryHistory(self.scan_delay)
+        self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
         ring = platform.ranges
         self._ring = None if ring is None else RangeRing(platform, ring)
         self._scan_at: float | None = None
@@ -137,14 +136,12 @@ class Sensors:
 
         A reading with an old stamp does not renew the age; one that is not valid is ignored.
         """
-        if not odometry.is_valid:
+        is_new = self._history.take(odometry, now)
+        if is_new is None:
             return
-        self._context = None
-        if self.odometry is None or odometry.stamp != self.odometry.stamp:
+        self._context, self.odometry = None, odometry
+        if is_new:
             self._odometry_at = now
-            self.scan_delay.on_odometry(odometry, now)
-        self.odometry = odometry
-        self._deskewer.on_odometry(odometry)
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """Take in the robots that are sensed or heard; those in reach are the neighbours."""
@@ -324,7 +321,7 @@ class Sensors:
 
         A permitted delay beyond the platform's bound takes nothing more of it.
         """
-        added = self.scan_delay.added
+        added: float = self.scan_delay.added
         if added <= self.permitted_delay:
             added = min(added, self._max_delay)
         return self._stale_after - added

@@ -1,7 +1,7 @@
-"""The arithmetic on the rays of a scan: conditioning, motion and features.
+"""The way of a scan and of odometry through the sensors, and the features of a scan.
 
-A kernel (see `core/kernels.py`): `conditioning.py`, `blind_sector.py`,
-`scan_delay.py`, `deskew.py` and `rays.py` use it.
+A kernel (see `core/kernels.py`). `conditioning.py`, `scan_delay.py` and `deskew.py` say what its
+classes do, and `rays.py` what its functions find.
 """
 
 from __future__ import annotations
@@ -11,10 +11,37 @@ from array import array
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
-from swarmd.core.values import MAX_SPEED, MAX_STEP
-from swarmd.sensing.blind_sector import SECTORS
+from swarmd.core.messages import DelayFigure, Reason, ScanDelaySummary
+from swarmd.core.values import (
+    MAX_COORDINATE,
+    MAX_SPEED,
+    MAX_STEP,
+    ZERO,
+    Array,
+    Odometry,
+    Scan,
+    ScanSpec,
+)
+from swarmd.sensing.blind_sector import SECTORS, blind_text
+from swarmd.sensing.conditioning import (
+    COMPARED_SCANS,
+    MAX_REPEATS,
+    MIN_DISTINCT_RETURNS,
+    widest_between_rays,
+)
+from swarmd.sensing.deskew import Rays
+from swarmd.sensing.measured_sweep import Headings, MeasuredSweep
 from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
+from swarmd.sensing.scan_delay import (
+    LONGEST_SHARED,
+    MAX_LEAD,
+    TOLERANCE,
+    figure_of,
+    lead,
+    other_clock,
+)
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -80,18 +107,25 @@ _NEAR_MEMORY = cython.declare(cython.double, 1.0)
 # rad beside a near ray in which zeros may mean near.
 _NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
 _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
+# Scans in order after which a lower sequence or stamp counts as a restart.
+_RESTART_SCANS = cython.declare(cython.int, 3)
+_MAX_RAY_AGE = cython.declare(cython.double, 10.0)  # s: more is garbage
+_MOVES_LINEAR = cython.declare(cython.double, 0.02)  # m/s above which the robot counts as moving
+_MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
 
 # De-skew.
 _READINGS = cython.declare(cython.Py_ssize_t, HISTORY)
 _MAX_EXTRAPOLATION = cython.declare(cython.double, MAX_EXTRAPOLATION)
 _MAX_STEP = cython.declare(cython.double, MAX_STEP)
 _MAX_SPEED = cython.declare(cython.double, MAX_SPEED)
+_MAX_COORDINATE = cython.declare(cython.double, MAX_COORDINATE)
 _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
 _AT_REST = cython.declare(cython.double, 5e-4)
 
 # Blind sectors.
 _SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
+_LOOK_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
 # directions, each a sector wide, in which a blind sector has missed something
 _MISSED = cython.declare(cython.Py_ssize_t, 8)
 _MAX_TIME = cython.declare(cython.double, 15.0)  # s for which what is seen counts as static
@@ -139,6 +173,30 @@ _HIGHEST_SCALE = cython.declare(cython.double, 1.15)
 # after which only each fourth scan is compared with the one before it
 _ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
 
+# Delay by stamps.
+_CLEARS = cython.declare(
+    cython.double, 0.8
+)  # share of the bound below which a late scan is in time
+_STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans of which the third-latest is the delay
+_MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
+_PERIOD = cython.declare(cython.double, 0.5)  # s of odometry whose lowest lag is kept
+# s after which stamps tell again whether scan and odometry share a clock
+_RESTART_TIME = cython.declare(cython.double, 2.5)
+# s between periods: beyond it, three times one way, the clock is no real time
+_MAX_DRIFT = cython.declare(cython.double, 0.005)
+# s by which odometry gets later at once, or earlier: its clock was set then
+_SHIFT = cython.declare(cython.double, 0.1)
+_MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
+# s: what a clock that was set shows at most, so that a status can tell it
+_LONGEST_AGE = cython.declare(cython.double, 1000.0)
+_MAX_LEAD = cython.declare(cython.double, MAX_LEAD)
+# Spreads by which turns must exceed declaration and stamps.
+_CERTAIN = cython.declare(cython.double, 2.5)
+_EXPIRES = cython.declare(
+    cython.double, 60.0
+)  # s after which turns no longer say that scans are late
+_TOLERANCE = cython.declare(cython.double, TOLERANCE)
+
 
 @cython.cfunc
 @cython.inline
@@ -169,6 +227,22 @@ def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
 def _view(values):
     """What a view of an array is made of; CPython indexes memory faster than arrays."""
     return values if cython.compiled else memoryview(values)
+
+
+@cython.cfunc
+def _doubles(n: cython.Py_ssize_t) -> cython.double[::1]:
+    """A buffer. Views that are made in one place spare the compiler a fifth of its work."""
+    return memoryview(np.empty(n))
+
+
+@cython.cfunc
+def _places(n: cython.Py_ssize_t) -> cython.longlong[::1]:
+    return memoryview(np.empty(n, np.int64))
+
+
+@cython.cfunc
+def _marks(n: cython.Py_ssize_t) -> cython.uchar[::1]:
+    return memoryview(np.empty(n, np.uint8))
 
 
 @cython.cfunc
@@ -241,16 +315,17 @@ class _Layout:
     widths: cython.double[::1]
     counts: cython.longlong[::1]
     is_free: cython.uchar[::1]
+    scan: object  # the last one of these bearings, if nothing can change it, and its known ranges
+    known: cython.const[cython.double][::1]
 
     def __init__(self, n):
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.steps = np.empty(n), memoryview(np.empty(n))
-        self.given, self.wrapped = memoryview(np.empty(n)), memoryview(self.angles)
-        self.rising, self.slopes = memoryview(np.empty(n)), memoryview(np.empty(n))
-        self.work = memoryview(np.empty(n))
-        self.order, self.sector = (memoryview(np.empty(n, np.int64)) for _ in range(2))
-        self.is_apart, self.is_last = (memoryview(np.empty(n, np.uint8)) for _ in range(2))
+        self.angles, self.steps, self.given = np.empty(n), _doubles(n), _doubles(n)
+        self.wrapped, self.work = memoryview(self.angles), _doubles(n)
+        self.rising, self.slopes = _doubles(n), _doubles(n)
+        self.order, self.sector = _places(n), _places(n)
+        self.is_apart, self.is_last = _marks(n), _marks(n)
         self.found, self.found_counts = np.empty((3, n)), np.empty(n, np.int64)
         self.found_free = np.empty(n, np.bool_)
         self.ranges, self.bearings, self.widths = map(memoryview, self.found)
@@ -279,6 +354,7 @@ class _Layout:
         return 0
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def set_grazing(self, grazing: cython.double):
         """Set the order of rising bearings, the steps to the next, and what a surface makes.
 
@@ -308,6 +384,7 @@ class _Layout:
             self.grazing = grazing
 
     @cython.cfunc
+    @cython.boundscheck(False)
     def has_sorted(self) -> cython.bint:
         """False if bearings neither rise nor fall almost everywhere, and `order` is not set.
 
@@ -346,7 +423,7 @@ class _Layout:
         if self.points is None or len(self.points) != count:
             self.points = np.empty((count, 2))
             self.point = memoryview(self.points)
-            self.lowest = memoryview(np.empty(count))
+            self.lowest = _doubles(count)
             self.nearest_ray = memoryview(np.empty(count, np.intp))
         share: cython.double = count / _TURN
         i: cython.Py_ssize_t
@@ -358,6 +435,7 @@ class _Layout:
 
 
 @cython.cfunc
+@cython.boundscheck(False)
 def _smallest(
     values: cython.double[::1], n: cython.Py_ssize_t, k: cython.Py_ssize_t
 ) -> cython.double:
@@ -387,14 +465,30 @@ _layouts: list = []  # a cache of the latest ones: most sensors keep their beari
 
 
 @cython.cfunc
-def _layout_of(bearings) -> _Layout:
-    """The layout of at least one bearing."""
-    view: cython.const[cython.double][::1] = bearings
+def _layout_of(scan) -> _Layout:
+    """The layout of the known rays of a scan, with their ranges; None without any."""
     layout: _Layout
     for layout in _layouts:
-        if layout.is_of(view):
+        if layout.scan is scan:
             return layout
-    layout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else _Layout(view.shape[0])
+    ranges, bearings = _known(scan)
+    if not len(bearings):
+        return None
+    view: cython.const[cython.double][::1] = bearings
+    for layout in _layouts:
+        if layout.is_of(view):
+            break
+    else:
+        layout = _new_layout(view)
+    is_fixed = not (scan.ranges.flags.writeable or scan.bearings.flags.writeable)
+    layout.scan, layout.known = scan if is_fixed else None, ranges
+    return layout
+
+
+@cython.cfunc
+def _new_layout(view: cython.const[cython.double][::1]) -> _Layout:
+    """The layout of other bearings, in place of the oldest one."""
+    layout: _Layout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else _Layout(view.shape[0])
     if layout.capacity < view.shape[0]:
         layout = _Layout(view.shape[0])
     layout.set_bearings(view)
@@ -425,12 +519,11 @@ def _known(scan):
 
 def nearest(scan, bearing: cython.double, half_width: cython.double):
     """Range and bearing of the ray that `rays.nearest` finds; None without one."""
-    known, bearings = _known(scan)
-    ranges: cython.const[cython.double][::1] = known
-    n: cython.Py_ssize_t = ranges.shape[0]
-    if n == 0:
+    layout: _Layout = _layout_of(scan)
+    if layout is None:
         return None
-    layout: _Layout = _layout_of(bearings)
+    ranges: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
     least: cython.double = scan.range_min
     lowest: cython.double = INFINITY
     index: cython.Py_ssize_t = -1
@@ -465,12 +558,11 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """See `rays.closest_points`."""
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")
-    known, bearings = _known(scan)
-    ranges: cython.const[cython.double][::1] = known
-    n: cython.Py_ssize_t = ranges.shape[0]
-    if n == 0:
+    layout: _Layout = _layout_of(scan)
+    if layout is None:
         return np.empty((0, 2))
-    layout: _Layout = _layout_of(bearings)
+    ranges: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
     layout.set_sectors(count)
     least: cython.double = scan.range_min
     i: cython.Py_ssize_t
@@ -512,14 +604,14 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     return layout.points[:found].copy()
 
 
+@cython.boundscheck(False)
 def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
     """The arrays of `rays.RayClusters`; None without a return."""
-    known, bearings = _known(scan)
-    given: cython.const[cython.double][::1] = known
-    n: cython.Py_ssize_t = given.shape[0]
-    if n == 0:
+    layout: _Layout = _layout_of(scan)
+    if layout is None:
         return None
-    layout: _Layout = _layout_of(bearings)
+    given: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
     layout.set_grazing(grazing)
     ranges: cython.double[::1] = layout.work
     least: cython.double = scan.range_min
@@ -599,35 +691,30 @@ def _measure(
 
 
 @cython.cfunc
-def _move(
-    distances: cython.double[::1],
-    turned: cython.double[::1],
-    i: cython.Py_ssize_t,
-    distance: cython.double,
-    bearing: cython.double,
-    cosine: cython.double,
-    sine: cython.double,
-    x: cython.double,
-    y: cython.double,
-    turn: cython.double,
-    limits: cython.double[::1],
-) -> cython.int:
-    """Set element i to a finite range and its bearing; the sensor was moved by x, y and turn.
+@cython.inline
+@cython.exceptval(check=False)
+def _moved_range(
+    along: cython.double, across: cython.double, least: cython.double, most: cython.double
+) -> cython.double:
+    """The distance of a return that lies so far along its ray and across it."""
+    distance: cython.double = min(sqrt(along * along + across * across), most)
+    return -INFINITY if distance < least else distance
 
-    `cosine` and `sine` of the direction of the ray after the turn.
-    """
-    along: cython.double = distance + (cosine * x + sine * y)
-    across: cython.double = cosine * y - sine * x
-    distance = min(sqrt(along * along + across * across), limits[3])
-    distances[i] = -INFINITY if distance < limits[2] else distance
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _moved_bearing(
+    bearing: cython.double, turn: cython.double, along: cython.double, across: cython.double
+) -> cython.double:
+    """The bearing of that return from a sensor that was turned."""
     if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
         tangent = across / along
         square = tangent * tangent
         turn += tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
     else:
         turn += atan2(across, along)
-    turned[i] = _mod(bearing + turn + _PI) - _PI
-    return 0
+    return _mod(bearing + turn + _PI) - _PI
 
 
 @cython.ccall
@@ -664,29 +751,43 @@ def move_rays(
     x_way: cython.double = 0.0
     y_way: cython.double = 0.0
     turn_way: cython.double = 0.0
+    # Where rays of one age were measured: many sensors tell the ages of whole sectors.
+    age: cython.double = NAN
+    has_place: cython.bint = False
+    share: cython.double = 0.0
+    turn: cython.double = 0.0
+    x: cython.double = 0.0
+    y: cython.double = 0.0
+    c: cython.double = 1.0
+    s: cython.double = 0.0
     for i in range(n):
-        age, distance = ages[i], ranges[i]
-        if not begin <= age <= end:
-            while k < last and age > path[k, 0]:
-                k += 1
-            while k > 1 and age < path[k - 1, 0]:
-                k -= 1
-            begin, end = path[k - 1, 0], path[k, 0]
-            x_begin, y_begin, turn_begin = path[k - 1, 1], path[k - 1, 2], path[k - 1, 3]
-            x_way, y_way = path[k, 1] - x_begin, path[k, 2] - y_begin
-            turn_way = path[k, 3] - turn_begin
-        share = min(max((age - begin) / (end - begin), 0.0), 1.0)
-        turn = turn_begin + share * turn_way
+        distance = ranges[i]
+        if age != ages[i]:
+            age, has_place = ages[i], False
+            if not begin <= age <= end:
+                while k < last and age > path[k, 0]:
+                    k += 1
+                while k > 1 and age < path[k - 1, 0]:
+                    k -= 1
+                begin, end = path[k - 1, 0], path[k, 0]
+                x_begin, y_begin, turn_begin = path[k - 1, 1], path[k - 1, 2], path[k - 1, 3]
+                x_way, y_way = path[k, 1] - x_begin, path[k, 2] - y_begin
+                turn_way = path[k, 3] - turn_begin
+            share = min(max((age - begin) / (end - begin), 0.0), 1.0)
+            turn = turn_begin + share * turn_way
         if not isfinite(distance):
             distances[i], angles[i] = distance, _mod(bearings[i] + turn + _PI) - _PI
             continue
-        x, y = x_begin + share * x_way, y_begin + share * y_way
-        c, s = cos(turn), sin(turn)
-        x += (c - 1.0) * limits[0] - s * limits[1]
-        y += s * limits[0] + (c - 1.0) * limits[1]
+        if not has_place:
+            has_place, c, s = True, cos(turn), sin(turn)
+            x, y = x_begin + share * x_way, y_begin + share * y_way
+            x += (c - 1.0) * limits[0] - s * limits[1]
+            y += s * limits[0] + (c - 1.0) * limits[1]
         ahead = c * cosines[i] - s * sines[i]
         left = s * cosines[i] + c * sines[i]
-        _move(distances, angles, i, distance, bearings[i], ahead, left, x, y, turn, limits)
+        along, across = distance + (ahead * x + left * y), ahead * y - left * x
+        distances[i] = _moved_range(along, across, limits[2], limits[3])
+        angles[i] = _moved_bearing(bearings[i], turn, along, across)
     return 0
 
 
@@ -734,253 +835,15 @@ def rays_in_sector(
             continue
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
-            _move(distances, angles, count, ranges[i], bearings[i], ahead, left, x, y, turn, limits)
+            along, across = ranges[i] + (ahead * x + left * y), ahead * y - left * x
+            distances[count] = _moved_range(along, across, limits[2], limits[3])
+            angles[count] = _moved_bearing(bearings[i], turn, along, across)
         else:
             distances[count], angles[count] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
         if _mod(before) < width or _mod(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
             count += 1
     return count
-
-
-@cython.cclass
-class RayMotion:
-    """Moves the rays of a scan to where a robot was at the time of the newest one, by odometry.
-
-    See `deskew.py`. `latest`: the stamp in s of the last reading; NaN without one.
-    """
-
-    latest = cython.declare(cython.double, visibility="readonly")
-    _stale_after: cython.double
-    _limits: cython.double[::1]
-    _odometry: object
-    # The last readings: stamp, x, y, yaw, linear, angular, lateral.
-    _readings: cython.double[::1]
-    _last: cython.Py_ssize_t
-    _known: cython.Py_ssize_t
-    _x: cython.double  # the pose that `_find` found
-    _y: cython.double
-    _yaw: cython.double
-    _path: cython.double[:, ::1]
-    _sector: cython.double[::1]
-    _way: cython.double[::1]
-    _rays: object  # and what they hold
-    _bearings: cython.const[cython.double][::1]
-    _cos: cython.const[cython.double][::1]
-    _sin: cython.const[cython.double][::1]
-    _ages: cython.const[cython.double][::1]
-
-    def __init__(self, spec):
-        self._stale_after = spec.stale_after
-        self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
-        self.latest, self._readings = NAN, array("d", (7 * _READINGS) * [0.0])
-        self._path = memoryview(np.empty((_READINGS + 2, 4)))
-        self._sector, self._way = array("d", 3 * [0.0]), array("d", 3 * [0.0])
-
-    def update(self, odometry):
-        """Record a reading if it is new.
-
-        A new reading whose stamp does not rise, or whose pose jumps, ends the history before it.
-        """
-        if odometry == self._odometry:
-            return
-        self._odometry, pose, twist = odometry, odometry.pose, odometry.twist
-        stamp: cython.double = odometry.stamp
-        x: cython.double = pose.x
-        y: cython.double = pose.y
-        yaw: cython.double = pose.yaw
-        r: cython.double[::1] = self._readings
-        at: cython.Py_ssize_t = 7 * self._last
-        if self._known:
-            apart: cython.double = hypot(x - r[at + 1], y - r[at + 2])
-            apart = max(apart, fabs(remainder(yaw - r[at + 3], _TURN)))
-            if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
-                self._known = 0
-        self._last = (self._last + 1) % _READINGS
-        self._known = min(self._known + 1, _READINGS)
-        at = 7 * self._last
-        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
-        r[at + 4], r[at + 5], r[at + 6] = twist.linear, twist.angular, twist.lateral
-        self.latest = stamp
-
-    def set_rays(self, rays):
-        """Take the rays of the next scans, a `deskew.Rays`."""
-        self._rays = rays
-        self._bearings, self._ages = _view(rays.bearings), _view(rays.ages)
-        self._cos, self._sin = _view(rays.cos), _view(rays.sin)
-
-    def move(
-        self,
-        scan,
-        stamp: cython.double,
-        before,
-        seconds: cython.double,
-        filled: cython.Py_ssize_t,
-    ):
-        """Ranges, bearings and ages (k,) of a scan, as seen at the `stamp` of its newest ray.
-
-        None at rest, without odometry that reaches back over the scan, if all rays are of one
-        instant, and if nothing fills a sector that was not measured. `before`: the scan whose
-        newest ray is `seconds` older; its first `filled` rays are of earlier scans.
-        """
-        rays = self._rays
-        rows: cython.Py_ssize_t = self._set_path(stamp, rays.span)
-        if rows == 0:
-            return None
-        n: cython.Py_ssize_t = self._ages.shape[0]
-        k: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        direction: cython.double = rays.direction
-        spacing: cython.double = rays.spacing
-        unmeasured: cython.double = direction * self._path[rows - 1, 3]
-        is_filled: cython.bint = unmeasured > 0.5 * spacing
-        room: cython.Py_ssize_t = n
-        ages = rays.ages
-        if is_filled:
-            if before is None or before.ages is None or not 0.0 < seconds <= self._stale_after:
-                return None
-            if not self._covers(stamp - seconds):
-                return None
-            room += len(before.ranges)
-        ranges, bearings = np.empty(room), np.empty(room)
-        distances: cython.double[::1] = _view(ranges)
-        angles: cython.double[::1] = _view(bearings)
-        if is_filled:
-            self._set_way(stamp - seconds, stamp)
-            self._sector[0] = rays.oldest - 0.5 * direction * spacing
-            self._sector[1], self._sector[2] = direction, unmeasured
-            ages = np.empty(room)
-            kept: cython.double[::1] = _view(ages)
-            k = rays_in_sector(
-                _view(before.ranges),
-                _view(before.bearings),
-                _view(before.ages),
-                filled,  # or a ray could be passed on for ever
-                self._way,
-                self._sector,
-                self._limits,
-                distances,
-                angles,
-                kept,
-            )
-            for i in range(k):
-                kept[i] += seconds
-            for i in range(n):
-                kept[k + i] = self._ages[i]
-            ranges, bearings, ages = ranges[: k + n], bearings[: k + n], ages[: k + n]
-        move_rays(
-            _view(scan.ranges),
-            self._bearings,
-            self._cos,
-            self._sin,
-            self._ages,
-            self._path,
-            rows,
-            self._limits,
-            distances[k:],
-            angles[k:],
-        )
-        for values in (ranges, bearings, ages):
-            values.setflags(write=False)
-        return ranges, bearings, ages
-
-    @cython.cfunc
-    def _covers(self, at: cython.double) -> cython.bint:
-        """True if the readings reach back to a time."""
-        first: cython.Py_ssize_t = (self._last + 1 - self._known + _READINGS) % _READINGS
-        return self._known > 0 and at >= self._readings[7 * first] - _MAX_EXTRAPOLATION
-
-    @cython.cfunc
-    def _find(self, at: cython.double) -> cython.int:
-        """Find the pose at a time, of one reading at least: between two, or extrapolated."""
-        r: cython.double[::1] = self._readings
-        k: cython.Py_ssize_t
-        early: cython.Py_ssize_t
-        late: cython.Py_ssize_t = 7 * self._last
-        for k in range(self._known):
-            early = 7 * ((self._last - k + _READINGS) % _READINGS)
-            if r[early] <= at:
-                if k == 0:
-                    break
-                share = (at - r[early]) / (r[late] - r[early])
-                self._x = r[early + 1] + share * (r[late + 1] - r[early + 1])
-                self._y = r[early + 2] + share * (r[late + 2] - r[early + 2])
-                self._yaw = r[early + 3] + share * remainder(r[late + 3] - r[early + 3], _TURN)
-                return 0
-            late = early
-        # At a constant twist, along the chord of its arc.
-        share = min(at - r[late], _MAX_EXTRAPOLATION)
-        turn: cython.double = r[late + 5] * share
-        c: cython.double = cos(r[late + 3] + 0.5 * turn)
-        s: cython.double = sin(r[late + 3] + 0.5 * turn)
-        ahead: cython.double = r[late + 4] * share
-        left: cython.double = r[late + 6] * share
-        self._x = r[late + 1] + c * ahead - s * left
-        self._y = r[late + 2] + s * ahead + c * left
-        self._yaw = r[late + 3] + turn
-        return 0
-
-    @cython.cfunc
-    def _set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
-        """Set the path from the pose at a time back to that `seconds` earlier; its rows.
-
-        0 at rest, without readings that reach back that far, and for no time.
-        """
-        if seconds == 0.0 or not self._covers(at - seconds):
-            return 0
-        r: cython.double[::1] = self._readings
-        p: cython.double[:, ::1] = self._path
-        rows: cython.Py_ssize_t = 1
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        self._find(at)
-        p[0, 1], p[0, 2], p[0, 3] = self._x, self._y, self._yaw
-        for i in range(self._known):
-            k = 7 * ((self._last - i + _READINGS) % _READINGS)
-            if at - r[k] >= seconds - _MIN_STEP:
-                break
-            if at - r[k] > _MIN_STEP:
-                p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = (
-                    at - r[k],
-                    r[k + 1],
-                    r[k + 2],
-                    r[k + 3],
-                )
-                rows += 1
-        self._find(at - seconds)
-        p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = seconds, self._x, self._y, self._yaw
-        rows += 1
-        x: cython.double = p[0, 1]
-        y: cython.double = p[0, 2]
-        yaw: cython.double = p[0, 3]
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
-        turned: cython.double = 0.0
-        moves: cython.bint = False
-        p[0, 0] = 0.0
-        for i in range(rows):
-            dx, dy = p[i, 1] - x, p[i, 2] - y
-            turned += remainder(p[i, 3] - yaw - turned, _TURN)
-            p[i, 1], p[i, 2], p[i, 3] = c * dx + s * dy, c * dy - s * dx, turned
-            if max(fabs(p[i, 1]), fabs(p[i, 2]), fabs(turned)) > _AT_REST:
-                moves = True
-        return rows if moves else 0
-
-    @cython.cfunc
-    def _set_way(self, at: cython.double, end: cython.double) -> cython.int:
-        """Set the way to the pose at a time from that at its `end`."""
-        self._find(end)
-        x: cython.double = self._x
-        y: cython.double = self._y
-        yaw: cython.double = self._yaw
-        self._find(at)
-        dx: cython.double = self._x - x
-        dy: cython.double = self._y - y
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
-        self._way[0], self._way[1] = c * dx + s * dy, c * dy - s * dx
-        self._way[2] = self._yaw - yaw
-        return 0
 
 
 _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}
@@ -990,10 +853,10 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 class RayMemory:
     """The memory of each ray, and what it makes of a scan's ranges.
 
-    `known_at`: see `conditioning.ScanConditioner`.
+    `known_at`: see `ScanConditioner`.
     """
 
-    known_at = cython.declare(cython.double, visibility="public")
+    known_at = cython.declare(cython.double, visibility="readonly")
     _range_min: cython.double
     _range_max: cython.double
     _max_gap: cython.double
@@ -1040,10 +903,16 @@ class RayMemory:
         robot in rad, NaN if unknown; `now` in s.
         """
         ranges = np.array(raw, dtype=np.float64, order="C")
-        out: cython.double[::1] = memoryview(ranges)
+        return ranges if self.interpret(_view(ranges), bearings, yaw, now) else None
+
+    @cython.cfunc
+    def interpret(
+        self, out: cython.double[::1], bearings, yaw: cython.double, now: cython.double
+    ) -> cython.bint:
+        """Replace raw ranges by conditioned ones; false if the scan is invalid."""
         n: cython.Py_ssize_t = out.shape[0]
         if self._goes_blind(out):
-            return None
+            return False
         turned: cython.double = self._turned(yaw)
         if bearings is not self._given and self._n and np.array_equal(bearings, self._bearings):
             self._given = bearings
@@ -1058,7 +927,7 @@ class RayMemory:
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
         if 2 * unknown > n:
-            return None
+            return False
         self.known_at = now
         if unknown:
             self.known_at = self._lost_since(now)
@@ -1071,8 +940,8 @@ class RayMemory:
                     if isnan(out[i]):
                         unknown += 1
             if unknown and not self._bridge(out):
-                return None
-        return ranges
+                return False
+        return True
 
     @cython.cfunc
     def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
@@ -1138,6 +1007,7 @@ class RayMemory:
         """Take over the memory of other bearings."""
         n: cython.Py_ssize_t = len(bearings)
         had: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
         old_order: cython.longlong[::1] = self._order
         old_rising: cython.double[::1] = self._rising
         self._old_ranges, self._old_seen_at = self._ranges, self._seen_at
@@ -1152,15 +1022,15 @@ class RayMemory:
             self._direction = math.copysign(
                 1.0, math.remainder(values[n - 1] - values[n - 2], _TURN)
             )
-        self._ranges, self._seen_at = memoryview(np.full(n, NAN)), memoryview(np.full(n, -INFINITY))
-        self._near_at = memoryview(np.full(n, -INFINITY))
+        self._ranges, self._seen_at, self._near_at = _doubles(n), _doubles(n), _doubles(n)
+        for i in range(n):
+            self._ranges[i], self._seen_at[i], self._near_at[i] = NAN, -INFINITY, -INFINITY
         if had:
             self._recall(old_order, old_rising, turned, False)
-        self._old_ranges, self._old_seen_at = (memoryview(np.empty(n)) for _ in range(2))
-        self._old_near_at = memoryview(np.empty(n))
-        self._is_zero, self._is_lost = (memoryview(np.empty(n, np.uint8)) for _ in range(2))
+        self._old_ranges, self._old_seen_at = _doubles(n), _doubles(n)
+        self._old_near_at = _doubles(n)
+        self._is_zero, self._is_lost = _marks(n), _marks(n)
         self._place = memoryview(np.argsort(order))
-        i: cython.Py_ssize_t
         self._is_even = fabs(n * self._step - _TURN) < 0.5 * self._step
         for i in range(n):
             if fabs(self._rising[i] - self._rising[0] - i * self._step) > 0.2 * self._step:
@@ -1381,15 +1251,17 @@ class RayMemory:
 
 
 @cython.cclass
-class SectorMemory:
-    """What the sectors of a sensor return and miss, see `blind_sector.py`; times in s.
+class BlindSectors:
+    """Finds the blind sectors of one sensor, see `blind_sector.py`. Times in s.
 
-    `is_blind` and `returned_at` (90,) by sector. `has_changed`: what is blind, with the last scan.
+    Poses are in the odometry frame. `text` names the blind sectors; empty without one.
     """
 
-    is_blind = cython.declare(object, visibility="readonly")
-    returned_at = cython.declare(object, visibility="readonly")
-    has_changed = cython.declare(cython.bint, visibility="readonly")
+    text = cython.declare(object, visibility="readonly")
+    _is_used: cython.bint
+    _looked_at: cython.double
+    _looked_yaw: cython.double
+    _is_blind: object
     _range_min: cython.double
     _range_max: cython.double
     _is_zero_near: cython.bint
@@ -1399,6 +1271,7 @@ class SectorMemory:
     _direction: cython.longlong[::1]
     _is_return: cython.uchar[::1]
     _blind: cython.uchar[::1]
+    _returned: object  # when
     _returned_at: cython.double[::1]
     _returns: cython.longlong[90]  # scans in a row with a return
     # By direction: the thing last seen there, for how many looks in a row, and the sectors that
@@ -1416,32 +1289,44 @@ class SectorMemory:
     _sums: cython.double[90]
     _is_known: cython.uchar[90]
 
-    def __init__(self, spec):
+    def __init__(self, spec: ScanSpec) -> None:
         k: cython.Py_ssize_t
+        self._is_used, self.text = len(spec.bearings) >= _SECTORS, ""
+        self._looked_at, self._looked_yaw = -INFINITY, NAN
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._is_zero_near = spec.zero == "too_close"
-        self.is_blind, self.returned_at = np.zeros(SECTORS, np.bool_), np.full(SECTORS, NAN)
-        self._blind = memoryview(self.is_blind.view(np.uint8))
-        self._returned_at = memoryview(self.returned_at)
+        self._is_blind = np.zeros(_SECTORS, np.bool_)
+        self._blind = memoryview(self._is_blind.view(np.uint8))
+        self._returned = np.full(_SECTORS, NAN)
+        self._returned_at = memoryview(self._returned)
         for k in range(_SECTORS):
             self._seen_at[k] = -INFINITY
 
-    def take(self, ranges, bearings, pose, now: cython.double):
-        """The raw ranges (n,), with NaN for rays of blind sectors without a return.
+    def take(
+        self, ranges: Array, bearings: Array, odometry: Odometry | None, now: cython.double
+    ) -> Array:
+        """The raw ranges (n,) of a scan, with NaN for rays of blind sectors without a return."""
+        known = np.array(ranges, np.float64)
+        self.mark(_view(known), bearings, odometry, now)
+        return known
 
-        It looks for blind sectors from a `pose`, unless that is None.
-        """
+    @cython.cfunc
+    def mark(self, given: cython.double[::1], bearings, odometry, now: cython.double):
+        """Set NaN for rays of blind sectors without a return."""
+        is_due: cython.bint = self._is_used and odometry is not None
+        if is_due:
+            pose = odometry.pose
+            is_due = self._is_due(pose.yaw, now)
+        if not (is_due or self.text):
+            return
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = len(bearings)
+        n: cython.Py_ssize_t = given.shape[0]
         if bearings is not self._given:
             self._given, self._bearings = bearings, _view(bearings)
-            self._sector, self._direction = (memoryview(np.empty(n, np.int64)) for _ in range(2))
-            self._is_return = memoryview(np.empty(n, np.uint8))
+            self._sector, self._direction, self._is_return = _places(n), _places(n), _marks(n)
             for i in range(n):
                 self._sector[i] = _sector_of(self._bearings[i])
-        out = np.array(ranges, np.float64)
-        given: cython.double[::1] = _view(out)
         is_return: cython.uchar[::1] = self._is_return
         for k in range(_SECTORS):
             self._hits[k] = 0
@@ -1450,20 +1335,29 @@ class SectorMemory:
             if self._is_zero_near and given[i] == 0.0:
                 is_return[i] = True
             self._hits[self._sector[i]] += is_return[i]
-        self.has_changed = False
+        has_changed: cython.bint = False
         for k in range(_SECTORS):
             self._returns[k] = self._returns[k] + 1 if self._hits[k] else 0
             if self._hits[k] or isnan(self._returned_at[k]):
                 self._returned_at[k] = now
             if self._blind[k] and self._returns[k] >= _CLEARING:
-                self._blind[k], self.has_changed = False, True
-        if pose is not None:
-            self._look(given, pose.x, pose.y, pose.yaw, now)
-        is_clear: cython.bint = True
+                self._blind[k], has_changed = False, True
+        if is_due and self._look(given, pose.x, pose.y, pose.yaw, now):
+            has_changed = True
         for i in range(n):
             if self._blind[self._sector[i]] and not is_return[i]:
-                given[i], is_clear = NAN, False
-        return ranges if is_clear else out
+                given[i] = NAN
+        if has_changed:
+            self.text = blind_text(self._is_blind, self._returned, now)
+
+    @cython.cfunc
+    def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
+        """True once the robot has turned by a sector since the last look."""
+        turned: cython.double = fabs(remainder(yaw - self._looked_yaw, _TURN))
+        if now - self._looked_at < _LOOK_PERIOD or turned < _TURN / _SECTORS:
+            return False
+        self._looked_at, self._looked_yaw = now, yaw
+        return True
 
     @cython.cfunc
     def _look(
@@ -1473,8 +1367,12 @@ class SectorMemory:
         y: cython.double,
         yaw: cython.double,
         now: cython.double,
-    ) -> cython.int:
-        """Compare what each ray returns with what others returned in its direction."""
+    ) -> cython.bint:
+        """Compare what each ray returns with what others returned in its direction.
+
+        True if another sector is blind now.
+        """
+        has_changed: cython.bint = False
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         d: cython.Py_ssize_t
@@ -1526,8 +1424,8 @@ class SectorMemory:
             for d in range(_SECTORS):
                 count += self._missed[_SECTORS * k + d]
             if count >= _MISSED and not self._blind[k]:
-                self._blind[k] = self.has_changed = True
-        return 0
+                self._blind[k] = has_changed = True
+        return has_changed
 
 
 @cython.cfunc
@@ -1541,19 +1439,175 @@ def _sector_of(angle: cython.double) -> cython.longlong:
 
 
 @cython.cclass
-class Turns:
+class ScanConditioner:
+    """Conditions the scans of one sensor; fills unknown rays from a short memory of each ray.
+
+    The memory turns against the sensor, as far as odometry is available.
+
+    `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
+    rays, a stamp that is not finite, an impossible age of a ray, fewer than half of the rays known,
+    an unknown sector wider than `max_gap`, such a sector without rays (unless the sensor never has
+    rays there), or no return at all after a scan with many far returns. FROZEN_SCAN: stamp or
+    sequence does not rise, or a noisy sensor sends bit-identical scans.
+
+    `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
+    sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
+    """
+
+    _max_sector: cython.double
+    _range_min: object
+    _range_max: object
+    _latency: object
+    _is_noisy: cython.bint
+    _bearings: object  # the last valid ones
+    _ages: object
+    _blind: BlindSectors
+    _rays: RayMemory
+    _last_seq: object
+    _last_stamp: cython.double
+    _newest_seq: object
+    _newest_stamp: cython.double
+    _in_order: cython.int
+    _recent: object
+    _identical: cython.int
+
+    def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
+        """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
+        self._max_sector = max(spec.max_gap, widest_between_rays(spec.bearings)) + 1e-9
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._latency, self._is_noisy = spec.latency, spec.is_noisy
+        self._bearings, self._recent = np.empty(0), []
+        self._blind, self._rays = BlindSectors(spec), RayMemory(spec, guesses_near=guesses_near)
+        self._last_seq = self._newest_seq = self._last_stamp = self._newest_stamp = -INFINITY
+
+    @property
+    def known_at(self) -> float:
+        """The time in s to which the last returned scan is valid."""
+        return self._rays.known_at
+
+    @property
+    def blind_text(self) -> str:
+        """The blind sectors of the sensor, whose rays count as unknown; empty without one."""
+        return self._blind.text
+
+    def take(self, scan: Scan, odometry: Odometry | None, now: cython.double) -> Scan | Reason:
+        """Condition one scan that arrived at `now` (s on this machine's clock)."""
+        given, bearings = scan.ranges, scan.bearings
+        stamp: cython.double = scan.stamp
+        if given.ndim != 1 or not isfinite(stamp):
+            return Reason.INVALID_SCAN
+        n: cython.Py_ssize_t = len(given)
+        if n == 0 or (bearings is not self._bearings and given.shape != bearings.shape):
+            return Reason.INVALID_SCAN
+        if bearings is not self._bearings and not self._has_no_gap(bearings):
+            return Reason.INVALID_SCAN
+        if n != len(self._bearings) or not self._has_ages(scan.ages, n):
+            return Reason.INVALID_SCAN
+        if not self._is_newer(scan.seq, stamp):
+            return Reason.FROZEN_SCAN
+        ranges = np.array(given, np.float64)
+        out: cython.double[::1] = _view(ranges)
+        if self._is_noisy and self._repeats(ranges, out, odometry):
+            now = self._rays.known_at  # a repeat holds nothing new
+            if self._identical >= MAX_REPEATS:
+                return Reason.FROZEN_SCAN
+        yaw: cython.double = NAN
+        if odometry is not None:
+            yaw = odometry.pose.yaw
+        self._blind.mark(out, self._bearings, odometry, now)
+        if not self._rays.interpret(out, self._bearings, yaw, now):
+            return Reason.INVALID_SCAN
+        ranges.setflags(write=False)  # the memory and an inline pattern share it
+        limits = self._range_min, self._range_max
+        return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
+
+    @cython.cfunc
+    def _has_no_gap(self, bearings) -> cython.bint:
+        """True if no sector lacks rays; keeps the bearings.
+
+        A copy, if a driver may write others to the same array: all that follows takes the same
+        object for the same bearings.
+        """
+        if not np.array_equal(bearings, self._bearings):
+            if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:
+                return False
+            if bearings.flags.writeable or not bearings.flags.owndata:
+                bearings = np.array(bearings, np.float64)
+                bearings.setflags(write=False)
+            self._bearings = bearings
+        return True
+
+    @cython.cfunc
+    def _has_ages(self, ages, n: cython.Py_ssize_t) -> cython.bint:
+        """True if each ray has a possible age, or none has one; keeps a copy of the ages."""
+        if ages is not None and ages is not self._ages:
+            if ages.shape != (n,) or not ((ages >= 0.0) & (ages <= _MAX_RAY_AGE)).all():
+                return False
+            if self._ages is not None and np.array_equal(ages, self._ages):
+                return True
+            if ages.flags.writeable or not ages.flags.owndata:
+                ages = np.array(ages, np.float64)
+                ages.setflags(write=False)
+        self._ages = ages
+        return ages is None or len(ages) == n
+
+    @cython.cfunc
+    def _is_newer(self, seq, stamp: cython.double) -> cython.bint:
+        """True if the scan is newer than every scan before, or the sensor has restarted.
+
+        A restart shows in consecutive scans whose numbers and stamps rise again.
+        """
+        is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
+        self._last_seq, self._last_stamp = seq, stamp
+        if not (stamp > self._newest_stamp and seq > self._newest_seq):
+            self._in_order = self._in_order + 1 if is_next else 0
+            if self._in_order < _RESTART_SCANS:
+                return False
+        self._in_order, self._newest_seq, self._newest_stamp = 0, seq, stamp
+        return True
+
+    @cython.cfunc
+    def _repeats(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
+        """True if a noisy sensor sends the same ranges again.
+
+        With hardly any return a repeat is possible, unless the robot moves.
+        """
+        raw = ranges.tobytes()
+        if raw not in self._recent:
+            self._recent.append(raw)
+            if len(self._recent) > COMPARED_SCANS:
+                self._recent.pop(0)
+            self._identical = 0
+            return False
+        i: cython.Py_ssize_t
+        returns: cython.int = 0
+        for i in range(values.shape[0]):
+            returns += isfinite(values[i]) and values[i] != 0.0
+        twist = ZERO if odometry is None else odometry.twist
+        is_moving: cython.bint = (
+            max(abs(twist.linear), abs(twist.lateral)) > _MOVES_LINEAR
+            or abs(twist.angular) > _MOVES_ANGULAR
+        )
+        if returns < (1 if is_moving else MIN_DISTINCT_RETURNS):
+            return False
+        self._identical += 1
+        return True
+
+
+@cython.cclass
+class _Turns:
     """Delay by turns, see `scan_delay.py`: `delay` and `spread` in s, from `pairs` of scans.
 
     `at`: the time of the last one. `delay`: NaN while it is not known, and `why` it is not.
     `pose`: the last one by odometry.
     """
 
-    delay = cython.declare(cython.double, visibility="readonly")
-    spread = cython.declare(cython.double, visibility="readonly")
-    at = cython.declare(cython.double, visibility="readonly")
-    pairs = cython.declare(cython.Py_ssize_t, visibility="readonly")
-    why = cython.declare(object, visibility="readonly")
-    pose = cython.declare(object, visibility="readonly")
+    delay: cython.double
+    spread: cython.double
+    at: cython.double
+    pairs: cython.Py_ssize_t
+    why: object
+    pose: object
     _headings: object
     _times: cython.double[::1]
     _yaws: cython.double[::1]
@@ -1591,8 +1645,22 @@ class Turns:
         self._headings = np.empty((2, 4 * _HISTORY))
         self._times, self._yaws = map(memoryview, self._headings)
         self._stamp = self._changed_at = -INFINITY
-        self._relief = self._old_relief = memoryview(np.empty(0))
+        self._relief = self._old_relief = _doubles(0)
 
+    @cython.cfunc
+    def figure(self, now: cython.double):
+        """The delay, or why it is not known."""
+        if isnan(self.delay):
+            return DelayFigure(method="turns", text=self.why)
+        return DelayFigure(
+            method="turns",
+            delay=self.delay,
+            spread=self.spread,
+            samples=self.pairs,
+            age=max(now - self.at, 0.0),
+        )
+
+    @cython.cfunc
     def forget(self):
         """Measure anew."""
         k: cython.Py_ssize_t
@@ -1601,26 +1669,26 @@ class Turns:
             self._mp[k] = self._pp[k] = 0.0
         self.why = "its last figure was older than a minute"
 
+    @cython.cfunc
     def forget_headings(self):
         """The clock of odometry was set."""
         self._first = self._end = 0
         self._stamp, self._has_last = -INFINITY, False
 
+    @cython.cfunc
     def headings(self):
-        """A copy (2, k) of the headings kept: times and yaws, see `measured_sweep.Headings`."""
-        return self._headings[:, self._first : self._end].copy()
+        """A copy of the headings kept."""
+        return Headings(*self._headings[:, self._first : self._end].copy())
 
-    def on_odometry(self, odometry):
+    @cython.cfunc
+    def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
         """Keep a heading."""
-        rate: cython.double = odometry.twist.angular
-        stamp: cython.double = odometry.stamp
         self._slow_rate += 0.1 * (rate - self._slow_rate)
         if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
             self._changed_at = stamp
-        self.pose = odometry.pose
+        self.pose = pose
         if stamp - self._stamp < _SPACING:
             return
-        yaw: cython.double = self.pose.yaw
         if self._end == 4 * _HISTORY:
             self._times[:_HISTORY] = self._times[3 * _HISTORY :]
             self._yaws[:_HISTORY] = self._yaws[3 * _HISTORY :]
@@ -1631,7 +1699,8 @@ class Turns:
         self._yaw, self._stamp, self._end = yaw, stamp, self._end + 1
         self._first = max(self._first, self._end - _HISTORY)
 
-    def on_scan(self, scan, at: cython.double, now: cython.double):
+    @cython.cfunc
+    def compare(self, scan, at: cython.double, now: cython.double):
         """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
         had_last: cython.bint = self._has_last
         self._has_last = False
@@ -1691,7 +1760,7 @@ class Turns:
                 self._ray = step
         if self._ray == 0.0:
             self.why = "its rays do not cover a full turn evenly"
-        self._relief, self._old_relief = (memoryview(np.empty(2 * self._n)) for _ in range(2))
+        self._relief, self._old_relief = _doubles(2 * self._n), _doubles(2 * self._n)
 
     @cython.cfunc
     def _keep(self, scan):
@@ -1816,3 +1885,615 @@ class Turns:
         if bend > 0.0:
             self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
             self.spread = max(_ALIKE * _STEP * sqrt(2.0 * variance / bend), 0.005)
+
+
+@cython.cclass
+class _Stamps:
+    """Delays by stamps. `offset`: the least arrival minus stamp of recent odometry; inf: none.
+
+    `is_restarting`: stamps jumped a moment ago, and whether scan and odometry share a clock is to
+    be found out. Until then a scan that seems late counts as late.
+    """
+
+    offset: cython.double
+    is_restarting: cython.bint
+    _spec: object
+    _restart_ends: cython.double
+    _scans: cython.Py_ssize_t  # that came since the restart
+    _stamp: cython.double
+    _scan_stamp: cython.double
+    _lowest: cython.double  # lag of this period, and of the two before it
+    _before: cython.double
+    _until: cython.double
+    _drifts: cython.bint
+    _minima: cython.double[4]  # of the last periods
+    _periods: cython.Py_ssize_t
+    _ages: cython.double[20]  # of the last scans, the oldest at `_oldest`
+    _count: cython.Py_ssize_t
+    _oldest: cython.Py_ssize_t
+    _at: cython.double
+    _is_shared: cython.bint
+    _why: object
+    _ages_of_rays: object
+    _lead: cython.double
+
+    def __init__(self, spec) -> None:
+        self._spec, self._why = spec, "no odometry yet"
+        self.offset = self._lowest = self._before = INFINITY
+        self._restart_ends = self._stamp = self._scan_stamp = self._until = -INFINITY
+        self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
+
+    @cython.cfunc
+    def read(self, stamp: cython.double, now: cython.double) -> cython.bint:
+        """Take in the stamp of a reading; true if its clock was set."""
+        if stamp == self._stamp:
+            return False
+        lag: cython.double = now - stamp
+        is_set: cython.bint = stamp < self._stamp or lag < self.offset - _SHIFT < INFINITY
+        self._stamp = stamp
+        if is_set:
+            self._periods = 0
+            self._lowest = self._before = INFINITY
+            self._until = now + _PERIOD
+            self._drifts = False
+            self._restart(now)
+        elif now >= self._until:
+            self._end_period(now)
+        self._lowest = min(lag, self._lowest)
+        self.offset = min(self._lowest, self._before)
+        return is_set
+
+    @cython.cfunc
+    def forget_scans(self) -> cython.int:
+        """Tell the delay by the scans that come."""
+        self._count = 0
+        return 0
+
+    @cython.cfunc
+    def goes_back(self, stamp: cython.double, now: cython.double) -> cython.bint:
+        """Take in the stamp of a scan; true if its clock was set back."""
+        is_back: cython.bint = stamp < self._scan_stamp
+        self._scan_stamp = stamp
+        if is_back:
+            self._restart(now)
+        return is_back
+
+    @cython.cfunc
+    def _restart(self, now: cython.double) -> cython.int:
+        self._count = self._scans = 0
+        self.is_restarting, self._restart_ends = True, now + _RESTART_TIME
+        return 0
+
+    @cython.cfunc
+    def _end_period(self, now: cython.double) -> cython.int:
+        k: cython.Py_ssize_t
+        change: cython.double
+        if self._lowest < INFINITY:
+            if self._periods == 4:
+                self._periods = 3
+                for k in range(3):
+                    self._minima[k] = self._minima[k + 1]
+            self._minima[self._periods] = self._lowest
+            self._periods += 1
+        self._lowest, self._until = INFINITY, now + _PERIOD
+        before: cython.double = self._before
+        self._before = INFINITY
+        for k in range(max(self._periods - 2, 0), self._periods):
+            self._before = min(self._before, self._minima[k])
+        if before + _SHIFT < self._before < INFINITY:
+            self._count = 0  # scan and odometry were late together, or their clock was set back
+        # A clock that is not real time, as that of a slow simulator.
+        rises: cython.int = 0
+        falls: cython.int = 0
+        for k in range(1, self._periods):
+            change = self._minima[k] - self._minima[k - 1]
+            rises += change > _MAX_DRIFT
+            falls += change < -_MAX_DRIFT
+        self._drifts = rises == 3 or falls == 3
+        return 0
+
+    @cython.cfunc
+    def take(self, scan, now: cython.double) -> cython.double:
+        """Take in a scan; the delay that counts, or 0 if stamps do not tell it."""
+        if self.offset == INFINITY:
+            return 0.0
+        ages = scan.ages
+        if ages is not self._ages_of_rays:  # mostly they are those of the last scan
+            self._ages_of_rays, self._lead = ages, lead(scan, self._spec)
+        stamp: cython.double = scan.stamp
+        age: cython.double = now - self.offset - stamp - self._lead
+        self._scans += 1
+        if self.is_restarting and now > self._restart_ends and self._scans > _MIN_STAMPS:
+            self.is_restarting = self._is_shared = False
+        if self._drifts:
+            self._forget("the stamps of odometry do not run at real time")
+        elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
+            self._forget(other_clock(age))
+        else:
+            age = min(max(age, 0.0), _LONGEST_AGE)
+            if self._count < _STAMPS:
+                self._ages[(self._oldest + self._count) % _STAMPS] = age
+                self._count += 1
+            else:
+                self._ages[self._oldest] = age
+                self._oldest = (self._oldest + 1) % _STAMPS
+            self._at = now
+        if not self._is_shared and (self._count < _MIN_STAMPS or self._periods < 4):
+            return 0.0
+        self._is_shared = self._count > 0
+        return self._delay()
+
+    @cython.cfunc
+    def _delay(self) -> cython.double:
+        """The third-latest of the last scans, and at least that of the last one."""
+        first: cython.double = -INFINITY
+        second: cython.double = -INFINITY
+        third: cython.double = -INFINITY
+        age: cython.double = 0.0
+        k: cython.Py_ssize_t
+        for k in range(self._count):
+            age = self._ages[(self._oldest + k) % _STAMPS]
+            if age > first:
+                third, second, first = second, first, age
+            elif age > second:
+                third, second = second, age
+            elif age > third:
+                third = age
+        if self._count < 3:
+            third = second if self._count == 2 else first
+        return max(third, age)
+
+    @cython.cfunc
+    def figure(self, now: cython.double):
+        """The mean delay of the last scans, with its deviation."""
+        if not self._is_shared or not self._count:
+            why = "too few scans yet" if self._count else self._why
+            return DelayFigure(method="stamps", text=why)
+        ages = [self._ages[(self._oldest + k) % _STAMPS] for k in range(self._count)]
+        return figure_of(ages, max(now - self._at, 0.0))
+
+    @cython.cfunc
+    def _forget(self, why):
+        self._count, self._is_shared, self._why = 0, False, why
+
+
+@cython.cclass
+class ScanDelay:
+    """Measures the delay of one sensor's scans, see `scan_delay.py`. Times in s of the robot.
+
+    `added` is what protection counts beyond the declared latency: an upper estimate, at least the
+    age of the last scan by its stamp; 0 within TOLERANCE of the declared one. `is_late`: it exceeds
+    the platform's `max_scan_delay`, until it falls below 0.8 of that. `restarts` counts how often
+    stamps jumped, so that the clock of odometry or scan was set: stamps then count anew, and what
+    was added before is not taken back until they tell the delay again. `sweep`: None if the
+    platform tells how the sensor measures its rays.
+    """
+
+    added = cython.declare(cython.double, visibility="readonly")
+    is_late = cython.declare(cython.bint, visibility="readonly")
+    restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    sweep = cython.declare(object, visibility="readonly")
+    _latency: cython.double
+    _bound: cython.double
+    _added_before: cython.double
+    _stamps: _Stamps
+    _turns: _Turns
+
+    def __init__(self, spec: ScanSpec) -> None:
+        self._latency, self._bound = spec.latency, spec.max_scan_delay
+        self._stamps, self._turns = _Stamps(spec), _Turns()
+        self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
+
+    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
+        """Take in a reading that arrived at `now`; `OdometryHistory` does it for a robot."""
+        pose = odometry.pose
+        self.read(odometry.stamp, pose.yaw, odometry.twist.angular, pose, now)
+
+    @cython.cfunc
+    def read(
+        self,
+        stamp: cython.double,
+        yaw: cython.double,
+        rate: cython.double,
+        pose,
+        now: cython.double,
+    ):
+        """Take in what a reading says."""
+        if self._stamps.read(stamp, now):
+            self._restart()
+        self._turns.read(stamp, yaw, rate, pose)
+
+    def on_scan(self, scan: Scan, now: cython.double) -> None:
+        """Take in a raw scan that arrived at `now` and is valid."""
+        offset: cython.double = self._stamps.offset
+        if self._stamps.goes_back(scan.stamp, now):
+            self._restart()
+        if self.sweep is not None:
+            scan = self._swept(scan, now, offset)
+        stamps: cython.double = self._stamps.take(scan, now)
+        turns: _Turns = self._turns
+        if offset < INFINITY:
+            turns.compare(scan, now - offset, now)
+        added: cython.double = stamps - self._latency
+        if self._stamps.is_restarting:
+            added = max(added, self._added_before)
+        known: cython.double = max(self._latency, stamps) + _TOLERANCE
+        if turns.delay - _CERTAIN * turns.spread > known:  # false of NaN: there is no figure
+            upper: cython.double = turns.delay + turns.spread - self._latency
+            if upper > self._bound and now - turns.at > _EXPIRES:
+                turns.forget()  # a robot that is held cannot turn to measure anew
+            else:
+                added = max(added, upper)
+        self.added = added if added > _TOLERANCE else 0.0
+        self.is_late = self.added > (_CLEARS * self._bound if self.is_late else self._bound)
+
+    @cython.cfunc
+    def _swept(self, scan, now: cython.double, offset: cython.double):
+        """The scan with the ages that turns tell, if they do."""
+        sweep = self.sweep
+        headings = self._turns.headings()
+        if offset < INFINITY and len(headings.times):
+            has_turns = not isnan(self._turns.delay)
+            measured = self._turns.delay if has_turns else self._stamps.figure(now).delay
+            delay = self._latency if measured is None else measured
+            before = sweep.order
+            sweep.on_scan(scan, now - offset, delay, headings, self._turns.pose)
+            if sweep.order != before:
+                self._stamps.forget_scans()  # the time from a stamp to the mean ray is another one
+        return scan if sweep.order is None else replace(scan, ages=sweep.ages(scan))
+
+    @cython.cfunc
+    def _restart(self):
+        self.restarts += 1
+        self._added_before = self.added
+        self._turns.forget_headings()
+        if self.sweep is not None:
+            self.sweep.forget_scans()
+
+    def summary(self, now: cython.double) -> ScanDelaySummary:
+        """The figures of both methods, for the status."""
+        return ScanDelaySummary(
+            declared=self._latency,
+            added=self.added,
+            bound=self._bound,
+            figures=(self._stamps.figure(now), self._turns.figure(now)),
+            sweep=None if self.sweep is None else self.sweep.figure(),
+        )
+
+
+@cython.cclass
+class OdometryHistory:
+    """The last readings of odometry, for all that needs the motion of the sensor.
+
+    `latest`: the stamp in s of the last reading; NaN without one.
+    """
+
+    latest = cython.declare(cython.double, visibility="readonly")
+    _delay: ScanDelay
+    # The last readings: stamp, x, y, yaw, linear, angular, lateral.
+    _readings: cython.double[::1]
+    _last: cython.Py_ssize_t
+    _known: cython.Py_ssize_t
+    _x: cython.double  # the pose that `_find` found
+    _y: cython.double
+    _yaw: cython.double
+    path: cython.double[:, ::1]
+    way: cython.double[::1]
+
+    def __init__(self, delay: ScanDelay | None = None) -> None:
+        """`delay` gets each reading whose stamp is new."""
+        self._delay = delay
+        self.latest, self._readings = NAN, array("d", (7 * _READINGS) * [0.0])
+        self.path, self.way = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
+
+    def take(self, odometry: Odometry, now: cython.double) -> bool | None:
+        """Take in a reading at `now`; true if its stamp is new, None if it is not valid.
+
+        A new reading whose stamp does not rise, or whose pose jumps, ends the history before it.
+        """
+        pose, twist = odometry.pose, odometry.twist
+        stamp: cython.double = odometry.stamp
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        linear: cython.double = twist.linear
+        angular: cython.double = twist.angular
+        lateral: cython.double = twist.lateral
+        if not (  # see Odometry.is_valid, which takes longer
+            isfinite(stamp)
+            and fabs(x) <= _MAX_COORDINATE
+            and fabs(y) <= _MAX_COORDINATE
+            and fabs(yaw) <= _MAX_COORDINATE
+            and fabs(linear) <= _MAX_COORDINATE
+            and fabs(angular) <= _MAX_COORDINATE
+            and fabs(lateral) <= _MAX_COORDINATE
+        ):
+            return None
+        is_new: cython.bint = stamp != self.latest
+        if is_new and self._delay is not None:
+            self._delay.read(stamp, yaw, angular, pose, now)
+        r: cython.double[::1] = self._readings
+        at: cython.Py_ssize_t = 7 * self._last
+        if self._known:
+            if (
+                not is_new
+                and (x == r[at + 1] and y == r[at + 2] and yaw == r[at + 3])
+                and (linear == r[at + 4] and angular == r[at + 5] and lateral == r[at + 6])
+            ):
+                return False
+            apart: cython.double = hypot(x - r[at + 1], y - r[at + 2])
+            apart = max(apart, fabs(remainder(yaw - r[at + 3], _TURN)))
+            if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
+                self._known = 0
+        self._last = (self._last + 1) % _READINGS
+        self._known = min(self._known + 1, _READINGS)
+        at = 7 * self._last
+        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
+        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
+        self.latest = stamp
+        return is_new
+
+    @cython.cfunc
+    def covers(self, at: cython.double) -> cython.bint:
+        """True if the readings reach back to a time."""
+        first: cython.Py_ssize_t = (self._last + 1 - self._known + _READINGS) % _READINGS
+        return self._known > 0 and at >= self._readings[7 * first] - _MAX_EXTRAPOLATION
+
+    @cython.cfunc
+    def _find(self, at: cython.double) -> cython.int:
+        """Find the pose at a time, of one reading at least: between two, or extrapolated."""
+        r: cython.double[::1] = self._readings
+        k: cython.Py_ssize_t
+        early: cython.Py_ssize_t
+        late: cython.Py_ssize_t = 7 * self._last
+        for k in range(self._known):
+            early = 7 * ((self._last - k + _READINGS) % _READINGS)
+            if r[early] <= at:
+                if k == 0:
+                    break
+                share = (at - r[early]) / (r[late] - r[early])
+                self._x = r[early + 1] + share * (r[late + 1] - r[early + 1])
+                self._y = r[early + 2] + share * (r[late + 2] - r[early + 2])
+                self._yaw = r[early + 3] + share * remainder(r[late + 3] - r[early + 3], _TURN)
+                return 0
+            late = early
+        # At a constant twist, along the chord of its arc.
+        share = min(at - r[late], _MAX_EXTRAPOLATION)
+        turn: cython.double = r[late + 5] * share
+        c: cython.double = cos(r[late + 3] + 0.5 * turn)
+        s: cython.double = sin(r[late + 3] + 0.5 * turn)
+        ahead: cython.double = r[late + 4] * share
+        left: cython.double = r[late + 6] * share
+        self._x = r[late + 1] + c * ahead - s * left
+        self._y = r[late + 2] + s * ahead + c * left
+        self._yaw = r[late + 3] + turn
+        return 0
+
+    @cython.cfunc
+    def set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
+        """Set the path from the pose at a time back to that `seconds` earlier; its rows.
+
+        0 at rest, without readings that reach back that far, and for no time.
+        """
+        if seconds == 0.0 or not self.covers(at - seconds):
+            return 0
+        r: cython.double[::1] = self._readings
+        p: cython.double[:, ::1] = self.path
+        rows: cython.Py_ssize_t = 1
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        self._find(at)
+        p[0, 1], p[0, 2], p[0, 3] = self._x, self._y, self._yaw
+        for i in range(self._known):
+            k = 7 * ((self._last - i + _READINGS) % _READINGS)
+            if at - r[k] >= seconds - _MIN_STEP:
+                break
+            if at - r[k] > _MIN_STEP:
+                p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = (
+                    at - r[k],
+                    r[k + 1],
+                    r[k + 2],
+                    r[k + 3],
+                )
+                rows += 1
+        self._find(at - seconds)
+        p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = seconds, self._x, self._y, self._yaw
+        rows += 1
+        x: cython.double = p[0, 1]
+        y: cython.double = p[0, 2]
+        yaw: cython.double = p[0, 3]
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        turned: cython.double = 0.0
+        moves: cython.bint = False
+        p[0, 0] = 0.0
+        for i in range(rows):
+            dx, dy = p[i, 1] - x, p[i, 2] - y
+            turned += remainder(p[i, 3] - yaw - turned, _TURN)
+            p[i, 1], p[i, 2], p[i, 3] = c * dx + s * dy, c * dy - s * dx, turned
+            if max(fabs(p[i, 1]), fabs(p[i, 2]), fabs(turned)) > _AT_REST:
+                moves = True
+        return rows if moves else 0
+
+    @cython.cfunc
+    def set_way(self, at: cython.double, end: cython.double) -> cython.int:
+        """Set the way to the pose at a time from that at its `end`."""
+        self._find(end)
+        x: cython.double = self._x
+        y: cython.double = self._y
+        yaw: cython.double = self._yaw
+        self._find(at)
+        dx: cython.double = self._x - x
+        dy: cython.double = self._y - y
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        self.way[0], self.way[1] = c * dx + s * dy, c * dy - s * dx
+        self.way[2] = self._yaw - yaw
+        return 0
+
+
+@cython.cclass
+class Deskewer:
+    """De-skews the conditioned scans of one sensor, see `deskew.py`. Times in s.
+
+    The returned scan has `ages` and `newest_age`. The ages are those of the driver, else those of
+    the platform's `sweep`; without either the scan is returned as it is. With `measured` the ages
+    are those of the measured sweep; while the sweep is not known, the rays stay where they were
+    measured, the scan has the time of its mean ray, and each ray counts as old as the oldest one
+    may be. Without odometry that reaches back over the whole scan the rays stay where they were
+    measured, and the ages alone say how old each one is. At rest the scan keeps its bearings, the
+    same object.
+    """
+
+    _sweep: object
+    _latency: cython.double
+    _stale_after: cython.double
+    _measured: object
+    _history: OdometryHistory
+    _limits: cython.double[::1]
+    _sector: cython.double[::1]
+    # See Rays, for bearings and ages of a scan that are the same objects as before.
+    _given: object
+    _given_ages: object
+    _ray_ages: object
+    _bearings: cython.const[cython.double][::1]
+    _cos: cython.const[cython.double][::1]
+    _sin: cython.const[cython.double][::1]
+    _ages: cython.const[cython.double][::1]
+    _span: cython.double
+    _newest_age: cython.double
+    _direction: cython.double
+    _oldest: cython.double
+    _spacing: cython.double
+    _last: object
+    _last_at: cython.double  # the time of its newest ray
+    _filled: cython.Py_ssize_t  # its first rays, which are those of the scan before it
+
+    def __init__(
+        self, spec: ScanSpec, history: OdometryHistory, measured: MeasuredSweep | None = None
+    ) -> None:
+        self._sweep, self._latency, self._stale_after = spec.sweep, spec.latency, spec.stale_after
+        self._measured, self._history, self._last_at = measured, history, -INFINITY
+        self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
+        self._sector = array("d", 3 * [0.0])
+
+    def deskew(
+        self, scan: Scan, now: cython.double, odometry_age, delay: cython.double = 0.0
+    ) -> Scan:
+        """The scan that arrived at `now`, as seen at the time of its newest ray.
+
+        `odometry_age`: s since the last reading arrived; None without a fresh one. `delay`: s by
+        which the scan is older than the platform's `latency` says.
+        """
+        ages = scan.ages
+        if self._measured is not None:
+            ages = self._measured.ages(scan)
+            if self._measured.order is None:
+                scan = _scan_with(scan, scan.ranges, scan.bearings, ages, self._latency)
+                self._last, self._last_at = scan, now - self._latency - delay
+                self._filled = 0
+                return scan
+        if ages is None and self._sweep is None:
+            return scan
+        ranges, bearings = scan.ranges, scan.bearings
+        if bearings is not self._given or ages is not self._given_ages:
+            self._set_rays(bearings, ages)
+        ago: cython.double = self._newest_age + delay
+        moved = None
+        if odometry_age is not None:
+            stamp: cython.double = odometry_age
+            stamp = self._history.latest + stamp - ago
+            moved = self._moved(ranges, stamp, now - ago - self._last_at)
+        if moved is None:
+            result = _scan_with(scan, ranges, bearings, self._ray_ages, self._newest_age)
+            self._filled = 0
+        else:
+            result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
+            self._filled = len(result.ranges) - len(ranges)
+        self._last, self._last_at = result, now - ago
+        return result
+
+    @cython.cfunc
+    def _set_rays(self, bearings, ages):
+        """Take other bearings and ages; None: by the platform's sweep."""
+        rays = Rays(bearings, ages, self._sweep)
+        self._given, self._given_ages, self._ray_ages = bearings, ages, rays.ages
+        self._bearings, self._ages = _view(bearings), _view(rays.ages)
+        self._cos, self._sin = _view(np.cos(bearings)), _view(np.sin(bearings))
+        self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
+        self._direction, self._oldest, self._spacing = rays.direction, rays.oldest, rays.spacing
+
+    @cython.cfunc
+    def _moved(self, measured, stamp: cython.double, seconds: cython.double):
+        """Ranges, bearings and ages (k,) of a scan, as seen at the `stamp` of its newest ray.
+
+        None at rest, without odometry that reaches back over the scan, if all rays are of one
+        instant, and if nothing fills a sector that was not measured. The newest ray of the last
+        scan is `seconds` older.
+        """
+        history: OdometryHistory = self._history
+        rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
+        if rows == 0:
+            return None
+        n: cython.Py_ssize_t = self._ages.shape[0]
+        k: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        unmeasured: cython.double = self._direction * history.path[rows - 1, 3]
+        is_filled: cython.bint = unmeasured > 0.5 * self._spacing
+        room: cython.Py_ssize_t = n
+        before = self._last
+        ages = self._ray_ages
+        if is_filled:
+            if before is None or before.ages is None or not 0.0 < seconds <= self._stale_after:
+                return None
+            if not history.covers(stamp - seconds):
+                return None
+            room += len(before.ranges)
+        ranges, bearings = np.empty(room), np.empty(room)
+        distances: cython.double[::1] = _view(ranges)
+        angles: cython.double[::1] = _view(bearings)
+        if is_filled:
+            history.set_way(stamp - seconds, stamp)
+            self._sector[0] = self._oldest - 0.5 * self._direction * self._spacing
+            self._sector[1], self._sector[2] = self._direction, unmeasured
+            ages = np.empty(room)
+            kept: cython.double[::1] = _view(ages)
+            k = rays_in_sector(
+                _view(before.ranges),
+                _view(before.bearings),
+                _view(before.ages),
+                self._filled,  # or a ray could be passed on for ever
+                history.way,
+                self._sector,
+                self._limits,
+                distances,
+                angles,
+                kept,
+            )
+            for i in range(k):
+                kept[i] += seconds
+            for i in range(n):
+                kept[k + i] = self._ages[i]
+            ranges, bearings, ages = ranges[: k + n], bearings[: k + n], ages[: k + n]
+        move_rays(
+            _view(measured),
+            self._bearings,
+            self._cos,
+            self._sin,
+            self._ages,
+            history.path,
+            rows,
+            self._limits,
+            distances[k:],
+            angles[k:],
+        )
+        for values in (ranges, bearings, ages):
+            values.setflags(write=False)
+        return ranges, bearings, ages
+
+
+@cython.cfunc
+def _scan_with(scan, ranges, bearings, ages, newest_age: cython.double):
+    """A scan of the same sequence, stamp and limits."""
+    limits = scan.range_min, scan.range_max
+    return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age)

@@ -14,11 +14,11 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.events import MessageInput, OdometryInput, ScanInput

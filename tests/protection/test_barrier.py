@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from msgspec import structs
 
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
@@ -125,7 +126,7 @@ DELAY = st.sampled_from([0.0, 0.1, 0.3])
 def sweeping(scan: Scan, seconds: float) -> Scan:
     """The scan as of a sensor that turns once in so many seconds."""
     ages = seconds * (1.0 - (1.0 + np.arange(len(scan.ranges))) / len(scan.ranges))
-    return replace(scan, ages=ages) if seconds else scan
+    return structs.replace(scan, ages=ages) if seconds else scan
 
 
 def since_seen(platform: Platform, scan: Scan) -> Array:
@@ -257,9 +258,9 @@ def test_older_rays_never_allow_more(
     later = max(platform.scan.latency - since_seen(platform, sweeping(scan, sweep)).min(), 0.0)
     safe = decided(platform, sweeping(scan, sweep), requested, age=age + later).safe
     assert passes(platform, scan, safe, age)
-    assert decided(platform, replace(scan, ages=np.zeros(RAYS)), requested, age=age) == decided(
-        platform, scan, requested, age=age
-    )
+    assert decided(
+        platform, structs.replace(scan, ages=np.zeros(RAYS)), requested, age=age
+    ) == decided(platform, scan, requested, age=age)
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, DELAY)
@@ -312,7 +313,7 @@ def test_order_and_repetition_of_rays_do_not_matter(
     scan, requested = seeing(platform, returns), request_of(platform, v, w)
     safe = decided(platform, scan, requested).safe
     ranges, bearings = np.tile(scan.ranges, 2), np.tile(scan.bearings, 2)
-    twice = replace(scan, ranges=ranges, bearings=bearings, ages=None)
+    twice = structs.replace(scan, ranges=ranges, bearings=bearings, ages=None)
     for changed in (reordered(scan, np.random.default_rng(seed)), twice):
         other = decided(platform, changed, requested).safe
         assert other.linear == pytest.approx(safe.linear, abs=1e-9)

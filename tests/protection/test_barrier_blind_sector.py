@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 
 from swarmd.core.values import Pose, Scan, Twist
 from swarmd.settings.platforms import load_platform

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from numpy.random import Generator
 
 from swarmd.core.clock import TICK
@@ -272,7 +273,7 @@ class Lossy(FilterSim):
             if first <= scan.seq <= last:
                 off = (scan.bearings - middle + np.pi) % (2.0 * np.pi) - np.pi
                 ranges[np.abs(off) <= half] = np.nan
-        return replace(scan, ranges=ranges)
+        return structs.replace(scan, ranges=ranges)
 
 
 @pytest.mark.parametrize("distance", part([0.2, 0.4], [0.3, 0.5]))

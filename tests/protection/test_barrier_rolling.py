@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
+from msgspec.structs import replace
 
 from tests.support.homing import HomingSim
 
@@ -17,8 +18,8 @@ def fault(name: str, seed: int, *, de_skews: bool = True) -> float:
     """m/s at which the outline closes at the touch; the robot first measures the delay."""
     sim = HomingSim(name, seed, begin=3.0, phase=0.06, late=TRANSPORT, rolling=True)
     if not de_skews:
-        sim.sensors._deskewer.deskew = (  # type: ignore[method-assign]
-            lambda scan, *_: replace(scan, ages=None, newest_age=None)
+        sim.sensors._deskewer = SimpleNamespace(  # type: ignore[assignment]
+            deskew=lambda scan, *_: replace(scan, ages=None, newest_age=None)
         )
     return sim.fault(4.0) or 0.0
 

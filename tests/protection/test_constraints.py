@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
@@ -306,7 +307,7 @@ def decided_by(
         ranges[np.arange(first, first + count) % 360] = platform.scan.range_min + beyond
     scan = scan_from(platform, ranges, platform.scan.bearings)
     if sweep:
-        scan = replace(scan, ages=np.linspace(sweep, 0.0, 360))
+        scan = structs.replace(scan, ages=np.linspace(sweep, 0.0, 360))
     before = DecisionContext(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
     barrier.decide(twist, before, command=twist, touch=None)
     now = DecisionContext(BEGIN, 0.0, driving(twist, 0.0), 0.0)

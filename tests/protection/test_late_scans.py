@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import pytest
 
@@ -32,7 +33,9 @@ def met(name: str, late: Callable[[int], float], *, measures: bool = True) -> Fi
     front = box(0.2, 3.0, Pose(2.0), velocity=(-speed, 0.0), begin=BEGIN)
     sim = FilterSim(platform, [front], phase=0.07, noise=0.005, late=late)
     if not measures:
-        sim.sensors.scan_delay.on_scan = lambda scan, now: None  # type: ignore[method-assign]
+        sim.sensors.scan_delay = SimpleNamespace(  # type: ignore[assignment]
+            on_scan=lambda scan, now: None, added=0.0, is_late=False
+        )
     top = platform.limits.linear
     return sim.run(lambda time: Twist(top if time > BEGIN else 0.0), BEGIN + 8.0)
 

@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +18,7 @@ import zstandard
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from msgspec import structs
+from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import (

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import CodeInput, HazardsInput, RangesInput
@@ -127,7 +128,7 @@ class Story:
             near = float(np.float32(0.3 + 0.2 * np.cos(3.0 * now)))
             ring = ring_scan(seq, now, {0.0: near, 60.0: 0.125})
             self.robot.step(RangesInput(ring))
-        return replace(scan, ranges=np.where(ahead, np.float32(distance), scan.ranges))
+        return structs.replace(scan, ranges=np.where(ahead, np.float32(distance), scan.ranges))
 
     def run(self, pattern: str, seconds: float = 3.0, **params: float) -> None:
         self.robot.ask("run", pattern=pattern, params=params)

@@ -168,9 +168,9 @@ def test_a_ring_without_valid_values_holds(ranges: list[float] | str, reason: Re
         rig.lidar(now)
         scan = ring_scan(100 + tick, now, NOTHING)
         if isinstance(ranges, str):
-            scan = replace(scan, seq=1)
+            scan = msgspec.structs.replace(scan, seq=1)
         else:
-            scan = replace(scan, ranges=np.array(ranges))
+            scan = msgspec.structs.replace(scan, ranges=np.array(ranges))
         rig.sensors.on_ranges(scan, now)
     assert rig.sensors.hold(now) is reason
 
@@ -358,7 +358,7 @@ class History:
         self.scanned_at = self.now
         self.both.observe(scan, self.geometry, context)
         self.lidar.observe(scan, self.geometry, msgspec.structs.replace(context, near=()))
-        nothing = replace(scan, ranges=np.full(len(ranges), math.inf))
+        nothing = msgspec.structs.replace(scan, ranges=np.full(len(ranges), math.inf))
         self.ring.observe(nothing, self.geometry, context)
 
     def _drive(self, seconds: float) -> None:

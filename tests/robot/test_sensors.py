@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, OdometryInput
@@ -98,10 +99,10 @@ def test_zeros_beside_near_rays_count_as_near_unless_in_barrier(mode: Mode) -> N
     platform = with_mode(load_platform("burger"), mode)
     senses, ranges = Sensors(platform), np.full(360, 2.0)
     ranges[100] = 0.15
-    senses.on_scan(replace(empty_scan(platform, 0, 0.0), ranges=ranges), 0.0)
+    senses.on_scan(structs.replace(empty_scan(platform, 0, 0.0), ranges=ranges), 0.0)
     ranges = ranges.copy()
     ranges[97:104] = 0.0
-    senses.on_scan(replace(empty_scan(platform, 1, 0.2), ranges=ranges), 0.2)
+    senses.on_scan(structs.replace(empty_scan(platform, 1, 0.2), ranges=ranges), 0.2)
     assert senses.scan is not None
     assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")
 
@@ -117,7 +118,7 @@ def test_rays_count_as_old_as_the_oldest_while_their_order_is_not_known(has_clai
     for tick in range(60):  # it turns at 1 rad/s
         now = 0.05 * tick
         senses.on_odometry(Odometry(now, Pose(0.0, 0.0, now), Twist(0.0, 1.0)), now)
-    assert senses.on_scan(replace(empty_scan(platform, 1, 2.8), ages=ages), 3.0)
+    assert senses.on_scan(structs.replace(empty_scan(platform, 1, 2.8), ages=ages), 3.0)
     assert senses.scan is not None
     assert senses.scan.newest_age == 0.1
     np.testing.assert_allclose(senses.scan.bearings, scan.bearings)
@@ -140,7 +141,9 @@ def test_lost_rays_keep_their_obstacle_while_the_robot_turns(senses: Sensors) ->
     ranges[95:106] = 1.0
     for now, yaw_deg in ((0.0, 0.0), (0.2, 30.0)):
         senses.on_odometry(Odometry(now, Pose(yaw=math.radians(yaw_deg)), Twist()), now)
-        senses.on_scan(replace(empty_scan(platform, round(now * 5), now), ranges=ranges), now)
+        senses.on_scan(
+            structs.replace(empty_scan(platform, round(now * 5), now), ranges=ranges), now
+        )
         ranges = np.where(np.abs(np.arange(360) - 70) <= 5, np.nan, 2.5)
     assert senses.scan is not None
     assert senses.scan.ranges[65:76] == pytest.approx(np.full(11, 1.0))
@@ -239,13 +242,13 @@ def test_invalid_scans_stop_the_robot(fault: str) -> None:
     harness = started()
     scan, nothing = empty_scan(harness.platform, 10_000, 5.0), np.empty(0)
     bad = {
-        "all_nan": replace(scan, ranges=np.full(360, np.nan)),
-        "lengths": replace(scan, ranges=scan.ranges[:-7]),
-        "empty": replace(scan, ranges=nothing, bearings=nothing),
+        "all_nan": structs.replace(scan, ranges=np.full(360, np.nan)),
+        "lengths": structs.replace(scan, ranges=scan.ranges[:-7]),
+        "empty": structs.replace(scan, ranges=nothing, bearings=nothing),
     }
 
     def scans(seq: int, now: float) -> Scan:
-        return replace(bad[fault], seq=seq, stamp=now) if fault in bad else scan
+        return structs.replace(bad[fault], seq=seq, stamp=now) if fault in bad else scan
 
     harness.scans = scans
     harness.advance(2.0)
@@ -267,7 +270,7 @@ def test_small_faults_of_a_sensor_do_not_stop(fault: str) -> None:
         n = 350 + 5 * (seq % 4)
         bearings = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
         ranges = np.full(n, 2.0 + 1e-6 * seq)
-        return replace(scan, ranges=ranges, bearings=bearings, ages=None)
+        return structs.replace(scan, ranges=ranges, bearings=bearings, ages=None)
 
     harness.scans = harness.nan_scan(0.1) if fault == "unknown rays" else faulty
     harness.commands.clear()
@@ -289,7 +292,7 @@ def test_returned_driver_does_not_start_a_stopped_robot() -> None:
 
 def test_protection_acts_only_while_running() -> None:
     harness = started()
-    harness.scans = lambda seq, now: replace(
+    harness.scans = lambda seq, now: structs.replace(
         empty_scan(harness.platform, seq, now),
         ranges=np.where(np.abs(np.arange(360) - 180) > 150, 0.3, np.inf),
     )

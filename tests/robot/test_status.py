@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec import structs
+from msgspec.structs import replace
 
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, ReadingsInput

@@ -10,11 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from msgspec import structs
 from numpy.typing import NDArray
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
-from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.sensing.scans import PACKET_RAYS
 
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
@@ -277,7 +278,7 @@ def test_same_sequence_or_stamp_is_frozen(same: str) -> None:
     conditioner = ScanConditioner(SPEC)
     first = raw_scan(1.0, 1)
     conditioner.take(first, None, 0.0)
-    again = replace(first, stamp=0.4) if same == "seq" else replace(first, seq=2)
+    again = structs.replace(first, stamp=0.4) if same == "seq" else structs.replace(first, seq=2)
     assert conditioner.take(again, None, 0.2) is Reason.FROZEN_SCAN
 
 
@@ -400,6 +401,6 @@ def test_range_of_low_precision_is_compared_with_the_limit_as_it_is(
 @pytest.mark.parametrize("stamp", [math.nan, math.inf, -math.inf])
 def test_a_stamp_that_is_not_finite_is_refused(stamp: float) -> None:
     conditioner = ScanConditioner(SPEC)
-    scan = replace(raw_scan(1.0, 1), stamp=stamp)
+    scan = structs.replace(raw_scan(1.0, 1), stamp=stamp)
     assert conditioner.take(scan, None, 0.2) is Reason.INVALID_SCAN
     assert isinstance(conditioner.take(raw_scan(1.0, 2), None, 0.4), Scan)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
-from swarmd.sensing.deskew import Deskewer
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory
 
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N
@@ -26,7 +26,8 @@ class Ride:
         self.spec = ScanSpec(
             BEARINGS, 1.0 / PERIOD, 0.12, 3.5, offset=(offset, 0.0), latency=0.13, sweep=sweep
         )
-        self.twist, self.deskewer = twist, Deskewer(self.spec)
+        self.twist, self.history = twist, OdometryHistory()
+        self.deskewer = Deskewer(self.spec, self.history)
         turned = (sweep.direction * (BEARINGS - sweep.start) + 1e-9) % math.tau
         self.ages = (turned.max() - turned) / math.tau * sweep.duration
 
@@ -52,8 +53,8 @@ class Ride:
         newest, arrival = PERIOD * seq, PERIOD * seq + 0.13 - float(self.ages.mean())
         last = math.floor(arrival / 0.02) * 0.02
         for k in range(12, -1, -1):
-            if not last - 0.02 * k <= self.deskewer._motion.latest + 1e-6:
-                self.deskewer.on_odometry(self.odometry(last - 0.02 * k))
+            if not last - 0.02 * k <= self.history.latest + 1e-6:
+                self.history.take(self.odometry(last - 0.02 * k), arrival)
         ranges = self.ranges(newest - self.ages, BEARINGS)
         raw = Scan(seq, newest, ranges, BEARINGS, 0.12, 3.5, ages, self.spec.latency)
         return self.deskewer.deskew(raw, arrival, arrival - last), newest
@@ -101,7 +102,7 @@ def test_at_rest_and_without_odometry_the_rays_stay() -> None:
     raw = Scan(1, 0.2, np.full(N, 1.0), BEARINGS, 0.12, 3.5, None, 0.13)
     without = ride.deskewer.deskew(raw, 1.0, None)
     for k in range(40):
-        ride.deskewer.on_odometry(Odometry(0.02 * k, Pose(1.0, 2.0, 3.0), Twist()))
+        ride.history.take(Odometry(0.02 * k, Pose(1.0, 2.0, 3.0), Twist()), 1.0)
     at_rest = ride.deskewer.deskew(raw, 1.0, 0.01)
     for scan in (without, at_rest):
         assert scan.bearings is BEARINGS
@@ -137,6 +138,7 @@ def test_a_pose_that_jumps_ends_the_history() -> None:
     moves = []
     for tick in range(20):
         x = 0.01 * tick + (5.0 if tick >= 8 else 0.0)
-        ride.deskewer.on_odometry(Odometry(0.05 * tick, Pose(x, 0.0, 0.05 * tick), ride.twist))
+        reading = Odometry(0.05 * tick, Pose(x, 0.0, 0.05 * tick), ride.twist)
+        ride.history.take(reading, 0.05 * tick)
         moves.append(ride.deskewer.deskew(raw, 0.05 * tick, 0.0).bearings is not BEARINGS)
     assert moves == [2 <= tick < 8 or tick >= 10 for tick in range(20)]

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.codec import encode
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.measured_sweep import AT_ONCE, MeasuredSweep, Order
-from swarmd.sensing.scan_delay import ScanDelay
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanDelay
 from tests.support.turning_lidar import Lidar, Room, TurningLidar, swinging, wandering
 
 REVERSED = Lidar(Order(-1.0, 0.2), claim=0.2)  # a driver that reverses the rays of rplidar
@@ -137,7 +137,7 @@ def test_order_stays_known_when_clocks_are_set() -> None:
     run = turning(REVERSED)
     known = known_after(run)
     assert known is not None
-    run.delays.on_scan(replace(run.raw, stamp=run.raw.stamp - 1000.0), run.time)
+    run.delays.on_scan(structs.replace(run.raw, stamp=run.raw.stamp - 1000.0), run.time)
     assert run.delays.restarts == 1
     assert run.order is known
 
@@ -146,7 +146,7 @@ def test_another_lidar_is_measured_anew() -> None:
     run = turning(REVERSED)
     assert known_after(run) is not None
     bearings = -run.raw.bearings
-    run.delays.on_scan(replace(run.raw, bearings=bearings), run.time)
+    run.delays.on_scan(structs.replace(run.raw, bearings=bearings), run.time)
     assert run.order is None
 
 
@@ -154,7 +154,7 @@ def test_sensor_that_varies_its_number_of_rays_stays_known() -> None:
     run = turning(REVERSED)
     known = known_after(run)
     step = math.tau / 355
-    scan = replace(
+    scan = structs.replace(
         run.raw,
         ranges=np.full(355, 1.0),
         bearings=run.raw.bearings[0] + step * np.arange(355),
@@ -214,4 +214,4 @@ def test_platform_that_tells_its_sweep_measures_none() -> None:
     spec = REVERSED.spec(measures_sweep=False)
     assert ScanDelay(spec).sweep is None
     raw = flat(spec, None, 360)
-    assert Deskewer(spec).deskew(raw, 1.0, None) is raw
+    assert Deskewer(spec, OdometryHistory()).deskew(raw, 1.0, None) is raw

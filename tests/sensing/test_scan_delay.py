@@ -13,7 +13,8 @@ import pytest
 from swarmd.core.codec import encode
 from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
-from swarmd.sensing.scan_delay import ScanDelay, delay_by_stamps
+from swarmd.sensing.scan_delay import delay_by_stamps
+from swarmd.sensing.scan_pipeline import ScanDelay
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_of
 
@@ -69,7 +70,7 @@ class Rig:
             odometry = Odometry(stamp, pose, Twist(0.0, rate))
             self.coming.append((now + lag, tick, odometry))
             if tick % 4 == 0:
-                scan = replace(self.scan(now), stamp=now + self.scan_clock)
+                scan = msgspec.structs.replace(self.scan(now), stamp=now + self.scan_clock)
                 self.coming.append((now + self.delay(self.seq), -1, scan))
             self.deliver(now + 0.049)
         self.time = end
@@ -116,7 +117,10 @@ def test_ages_of_rays_count_from_the_oldest_which_the_stamp_tells() -> None:
     """A sweep of 0.2 s that ends on arrival has a mean age of 0.1 s, which is declared."""
     ages = np.linspace(0.2, 0.0, 360)
     figure = delay_by_stamps(
-        [(1.25, 1.0)], [(1.2, 1.2)], replace(Rig(lambda seq: 0.0).scan(0.0), ages=ages), SPEC
+        [(1.25, 1.0)],
+        [(1.2, 1.2)],
+        msgspec.structs.replace(Rig(lambda seq: 0.0).scan(0.0), ages=ages),
+        SPEC,
     )
     assert figure.delay == pytest.approx(0.15)
 
@@ -308,7 +312,7 @@ def test_a_clock_that_is_set_far_ahead_leaves_figures_that_a_status_can_tell() -
         delay.on_odometry(Odometry(now + clock, Pose(), Twist()), now)
         if tick % 4 == 0:
             scan = scan_of(BURGER, ROOM, seq=tick)
-            delay.on_scan(replace(scan, stamp=now - 0.1), now)
+            delay.on_scan(msgspec.structs.replace(scan, stamp=now - 0.1), now)
     assert delay.is_late
     summary = delay.summary(10.0)
     assert msgspec.convert(msgspec.to_builtins(summary), ScanDelaySummary) == summary

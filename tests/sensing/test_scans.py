@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Scan, ScanSpec
+from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
 from swarmd.sensing import scans as interpreted
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.examples import examples
@@ -246,6 +246,61 @@ def test_lost_rays_have_the_range_that_was_measured_nearest_to_their_direction(
     turned = round(turned / (math.tau / 360)) * math.tau / 360
     apart = (bearings + turned - bearings[:, None] + math.pi) % math.tau - math.pi
     np.testing.assert_array_equal(got, np.where(is_lost, first[np.abs(apart).argmin(axis=0)], 1.5))
+
+
+def sensed(module: Any, spec: ScanSpec, seed: int, bearings: Array) -> list[Any]:
+    """All that comes of the scans and readings of a drive, with odd ones among them."""
+    rng, kept = np.random.default_rng(seed), list[Any]()
+    delay, conditioner = module.ScanDelay(spec), module.ScanConditioner(spec)
+    history = module.OdometryHistory(delay)
+    deskewer = module.Deskewer(spec, history, delay.sweep)
+    rates = rng.uniform(-2.0, 2.0, 12)
+    yaw, clock, at, odometry, ranges = 0.0, 0.0, -math.inf, Odometry(0.0, Pose(), Twist()), None
+    ages = None if rng.random() < 0.5 else np.sort(rng.choice(12, len(bearings))) / 60.0
+    for tick in range(160):
+        now, rate = 0.05 * tick, float(rates[tick // 16])
+        yaw += 0.05 * rate
+        if rng.random() < 0.01:  # a clock is set, or the pose jumps
+            clock, yaw = float(rng.choice((-1.0, 2.0))), yaw + float(rng.choice((0.0, 1.0)))
+        pose = Pose(0.01 * tick, float(rng.choice((0.0, 1e-3))), yaw)
+        if rng.random() < 0.95:
+            odometry = Odometry(now + clock, pose, Twist(0.2, rate))
+        odd = Odometry(now, pose, Twist(float(rng.choice((math.nan, 2e9)))))
+        is_new = history.take(odd if rng.random() < 0.02 else odometry, now)
+        at = now if is_new else at
+        kept += [is_new, history.latest, delay.restarts]
+        if tick % 4:
+            continue
+        if ranges is None or rng.random() < 0.9:
+            ranges = ranges_of(len(bearings), spec, int(rng.integers(0, 3)), rng.random())
+        stamp = now - 0.1 - (0.3 if rng.random() < 0.05 else 0.0)
+        scan = Scan(tick, stamp, ranges, bearings, spec.range_min, spec.range_max, ages)
+        taken = conditioner.take(scan, odometry, now)
+        delay.on_scan(scan, now)
+        kept += [conditioner.known_at, conditioner.blind_text, delay.added, delay.is_late]
+        kept.append(delay.summary(now))
+        if isinstance(taken, Scan):
+            age = now - at if now - at < 0.5 else None
+            taken = deskewer.deskew(taken, now, age, delay.added)
+            rays = taken.ranges, taken.bearings, taken.ages
+            kept += [None if one is None else one.tobytes() for one in rays]
+            kept.append(taken.newest_age)
+        else:
+            kept.append(taken)
+    return kept
+
+
+@needs_compiled
+@given(layouts(), st.sampled_from(SPECS), st.sampled_from(ZEROS), st.booleans(), SEEDS)
+@settings(max_examples=examples(24), deadline=None)
+def test_any_drive_gives_the_same_compiled_and_interpreted(
+    odd: Array, spec: ScanSpec, zero: str, measures_sweep: bool, seed: int
+) -> None:
+    sweep = None if measures_sweep else spec.sweep
+    spec = replace(spec, zero=zero, sweep=sweep, measures_sweep=measures_sweep, max_gap=7.0)
+    bearings = odd if seed % 3 == 0 else spec.bearings
+    expected, got = (sensed(module, spec, seed, bearings) for module in (interpreted, compiled))
+    assert repr(got) == repr(expected)
 
 
 Rays = tuple[Array, Array, Array]

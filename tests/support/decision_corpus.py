@@ -5,13 +5,13 @@ from __future__ import annotations
 import lzma
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.values import Odometry, Platform, Scan, Twist
 from swarmd.protection.arbiter import Arbiter

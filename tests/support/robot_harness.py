@@ -12,10 +12,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from swarmd.core.clock import TICK
 from swarmd.core.errors import UnknownPatternError, unknown

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
-from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.measured_sweep import Order
-from swarmd.sensing.scan_delay import ScanDelay
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanDelay
 
 STEP = 0.01  # s
 ODOMETRY_PERIOD = 0.05
@@ -121,7 +120,8 @@ class TurningLidar:
         self.room = Room(rng) if room is None else room
         self.spec = lidar.spec()
         self.delays = ScanDelay(self.spec)
-        self._deskewer = Deskewer(self.spec, self.delays.sweep)
+        self._history = OdometryHistory(self.delays)
+        self._deskewer = Deskewer(self.spec, self._history, self.delays.sweep)
         self._ages = lidar.order.ages(lidar.rays)
         self._claim = Order(1.0, lidar.claim).ages(lidar.rays) if lidar.claim else None
         self._times = STEP * np.arange(len(yaws))
@@ -134,7 +134,8 @@ class TurningLidar:
     def order(self) -> Order | None:
         """The order that is known."""
         assert self.delays.sweep is not None
-        return self.delays.sweep.order
+        order: Order | None = self.delays.sweep.order
+        return order
 
     def turned(self) -> float:
         """rad turned so far, to both sides."""
@@ -167,8 +168,7 @@ class TurningLidar:
         rate = float(yaw - before) / ODOMETRY_PERIOD
         pose = Pose(0.0, 0.0, math.remainder(float(yaw), 2.0 * math.pi))
         odometry = Odometry(at, pose, Twist(0.0, rate))
-        self.delays.on_odometry(odometry, at)
-        self._deskewer.on_odometry(odometry)
+        self._history.take(odometry, at)
 
     def _yaw(self, at: Array | float) -> Array:
         return np.asarray(np.interp(at, self._times, self.yaws), np.float64)
