@@ -88,7 +88,7 @@ class Goals:
         self._stood = -math.inf if record.stood is None else record.stood
         self._ran = record.ran  # the own goal was run when the robot was restarted
         self._stopped = b""  # the held goal after which a stop of all came, and made no goal
-        self._is_changed = False
+        self.is_changed = False
         # The load that failed since the robot has no such pattern, and whether it was repeated.
         self._awaits_code: int | None = None
         self._has_retried = False
@@ -115,13 +115,13 @@ class Goals:
             self.held = self.own
         if own is not None and self.own is None:
             self.state, self._reason, self._may_join, self._lease_until = None, "", False, None
-        self._is_changed |= (held, own, before) != (self.held, self.own, self.before)
+        self.is_changed |= (held, own, before) != (self.held, self.own, self.before)
 
     def take_record(self) -> GoalRecord | None:
         """The record for the disk, if it has changed since it was taken last."""
-        if not self._is_changed:
+        if not self.is_changed:
             return None
-        self._is_changed = False
+        self.is_changed = False
         return self.record()
 
     def record(self) -> GoalRecord:
@@ -192,7 +192,7 @@ class Goals:
             self._lease_count, self._lease_until = -1, None
             self._has_retried = self._ran = False
             self._offer("", may_join=may_join)
-        self._is_changed = True
+        self.is_changed = True
         self._decide_stops(now)
 
     def learn_age(self, age: float | None, now: float) -> None:
@@ -301,7 +301,7 @@ class Goals:
         if self._awaits_code == generation:
             self._has_retried = True
             self._offer("", may_join=True)
-            self._is_changed = True
+            self.is_changed = True
 
     def refusal_to_resume(self, now: float) -> str:
         """Why the run of the own goal is not resumed: its lease has ended; empty if it may be."""
@@ -330,7 +330,7 @@ class Goals:
         self.state, self._reason, self.superseded = GoalState.RUNNING, "", ""
         if not is_resumed:
             self._lease_until = None if goal.lease is None else now + goal.lease
-        self._is_changed = True
+        self.is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
         """The operator of the goal with this id was heard; old and repeated counts are ignored."""
@@ -343,11 +343,11 @@ class Goals:
 
     def bar(self, now: float) -> None:
         """The robot was stopped or reset: it joins no goal that was set before."""
-        self._stood, self._ran, self._is_changed = now, False, True
+        self._stood, self._ran, self.is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
         """A run ended, or an event came after which no found goal may start one."""
-        self._is_changed |= self._may_join
+        self.is_changed |= self._may_join
         self._may_join, self._awaits_code = False, None
         own = self.own
         if own is None:
@@ -366,7 +366,7 @@ class Goals:
         """Set the labels; None: those of the file."""
         self._set_labels = labels
         self._awaits_code = None
-        self._is_changed = True
+        self.is_changed = True
 
     def _offer(self, ended: str, *, may_join: bool) -> None:
         own = self.own
@@ -382,7 +382,7 @@ class Goals:
             self.state, self._reason = GoalState.OFFERED, text
 
     def _end(self, why: str) -> None:
-        self.state, self._reason, self._is_changed = GoalState.ENDED, why, True
+        self.state, self._reason, self.is_changed = GoalState.ENDED, why, True
 
 
 def _known(held: HeldGoal, now: float) -> KnownGoal:

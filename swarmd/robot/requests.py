@@ -326,11 +326,11 @@ class RequestHandler:
         request, running, goals = trial.request, run.running, lifecycle.goals
         assert running is not None
         goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
-        left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
+        left = None if running.finish_at == math.inf else max(running.finish_at - effects.now, 1e-3)
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = None  # the host that owes a step is gone
+        run.awaiting_since = math.inf  # the host that owes a step is gone
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,

@@ -1,0 +1,607 @@
+"""The hot path of one robot: ages of its inputs, deadlines of its pattern, holds, ticks.
+
+A kernel (see `core/kernels.py`): `Sensors`, `PatternRun` and `Robot` extend these classes by all
+that happens less often than a tick. Times are in s on the robot's clock; inf and -inf stand for a
+time that does not come and for one that has not been.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from swarmd.core.clock import STALL_TIMEOUT
+from swarmd.core.events import TickInput
+from swarmd.core.host_messages import Step
+from swarmd.core.messages import Reason, State
+from swarmd.protection.decision import NO_PERMIT, DecisionContext
+from swarmd.robot.actions import Actions, Effects
+from swarmd.robot.timeouts import (
+    FAULT_WINDOW,
+    FAULTS_BEFORE_QUARANTINE,
+    FIRST_BACKOFF,
+    LOAD_TIMEOUT,
+    MAX_HOLD_TIME,
+    MIN_EXPIRY,
+    ODOMETRY_TIMEOUT,
+    ROUNDING,
+    STATUS_PERIOD,
+    STEP_TIMEOUT,
+    STEP_TOLERANCE,
+)
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+
+    from swarmd.core.events import Input
+    from swarmd.core.host_messages import Loaded
+    from swarmd.robot.pattern_run import Loading, Wish
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY
+else:
+    from swarmd.core.cython_shadow import INFINITY
+
+_LOAD_TIMEOUT = cython.declare(cython.double, LOAD_TIMEOUT)
+_STEP_TIMEOUT = cython.declare(cython.double, STEP_TIMEOUT)
+_STEP_TOLERANCE = cython.declare(cython.double, STEP_TOLERANCE)
+_ROUNDING = cython.declare(cython.double, ROUNDING)
+_MAX_HOLD_TIME = cython.declare(cython.double, MAX_HOLD_TIME)
+_STATUS_PERIOD = cython.declare(cython.double, STATUS_PERIOD)
+_ODOMETRY_TIMEOUT = cython.declare(cython.double, ODOMETRY_TIMEOUT)
+_STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
+_RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
+_STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
+
+
+@cython.final
+@cython.cclass
+class Running:
+    """The running pattern.
+
+    `permit`: what it permits while it is not held. `period`: s between two steps. `expiry`: s for
+    which a requested command holds: three steps, at least MIN_EXPIRY. `requested` is the command
+    that it requests, None to stand; `requested_at` when the step that gave it began, `scan_seq` the
+    scan that it used (-1: none). `finish_at`: inf without an end.
+    """
+
+    generation = cython.declare(object, visibility="readonly")
+    pattern = cython.declare(object, visibility="readonly")
+    params = cython.declare(object, visibility="public")
+    rate = cython.declare(object, visibility="readonly")
+    channels = cython.declare(object, visibility="readonly")
+    values = cython.declare(object, visibility="public")
+    wish = cython.declare(object, visibility="readonly")
+    until = cython.declare(object, visibility="readonly")
+    permit = cython.declare(object, visibility="public")
+    finish_at = cython.declare(cython.double, visibility="readonly")
+    period = cython.declare(cython.double, visibility="readonly")
+    expiry = cython.declare(cython.double, visibility="readonly")
+    requested = cython.declare(object, visibility="readonly")
+    requested_at = cython.declare(cython.double, visibility="readonly")
+    scan_seq = cython.declare(cython.Py_ssize_t, visibility="readonly")
+
+    def __init__(self, loading, event, finish_at: cython.double, now: cython.double) -> None:
+        """`loading` is the load that has ended with `event`, at `now`."""
+        self.generation, self.pattern, self.params = (
+            loading.generation,
+            loading.pattern,
+            loading.params,
+        )
+        self.rate, self.channels, self.values = event.rate, event.channels, event.params
+        self.wish, self.until, self.permit = loading.wish, loading.until, NO_PERMIT
+        self.finish_at = finish_at
+        self.period, self.expiry = 1.0 / event.rate, max(MIN_EXPIRY, 3.0 / event.rate)
+        self.requested, self.requested_at, self.scan_seq = None, now, -1
+
+    def channel(self, name: str) -> str | None:
+        """The pattern's own name of `<pattern>/<channel>`; None if it does not declare it."""
+        if name in self.channels:
+            return name
+        pattern, _, channel = name.partition("/")
+        return channel if pattern == self.pattern and channel in self.channels else None
+
+    def full_name(self, channel: str) -> str:
+        """The `<pattern>/<channel>` under which a channel is published."""
+        return channel if "/" in channel else f"{self.pattern}/{channel}"
+
+
+@cython.final
+@cython.cclass
+class PatternRun:
+    """The load and the run of a pattern, the answer awaited from its host, and its faults.
+
+    `awaiting_since`: when the step began whose answer is due. `is_due`: a step was due while the
+    host was busy. `is_outdated`: the host may hold code that has been replaced.
+    """
+
+    running = cython.declare(Running, visibility="public")
+    loading = cython.declare(object, visibility="public")
+    restart_at = cython.declare(cython.double, visibility="public")
+    awaiting_since = cython.declare(cython.double, visibility="public")
+    last_step = cython.declare(cython.double, visibility="public")
+    stepped_generation = cython.declare(object, visibility="public")
+    is_due = cython.declare(cython.bint, visibility="public")
+    is_outdated = cython.declare(cython.bint, visibility="public")
+    generation = cython.declare(object, visibility="public")
+    restarts = cython.declare(cython.Py_ssize_t, visibility="public")
+    _faults: object
+
+    def __init__(self) -> None:
+        self.restart_at = self.awaiting_since = INFINITY
+        self.last_step, self.generation, self.stepped_generation = -1.0, 0, 0
+        self._faults = deque[float]()
+
+    @property
+    def wish(self) -> Wish | None:
+        """The newest wish behind what runs or is being loaded; None if the robot stands."""
+        present = self.running if self.loading is None else self.loading
+        return None if present is None else present.wish
+
+    def ready(self, event: Loaded, now: cython.double) -> Loading:
+        """Make the loaded pattern the running one, without a requested command yet."""
+        loading, self.loading = self.loading, None
+        finish_at: cython.double = INFINITY if loading.seconds is None else now + loading.seconds
+        if loading.is_restart and self.running is not None:
+            finish_at = self.running.finish_at
+        else:
+            self._faults.clear()
+        self.running = Running(loading, event, finish_at, now)
+        self.awaiting_since, self.last_step = INFINITY, -1.0
+        return loading
+
+    def stepped(self, outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
+        """Take the requested command of a step; its age counts from the start of the step."""
+        running = self.running
+        asked_at = self.awaiting_since
+        running.requested_at = now if asked_at == INFINITY else asked_at
+        self.awaiting_since = INFINITY
+        running.requested, running.scan_seq = outputs.twist, scan_seq
+
+    def is_expired(self, now: cython.double) -> bool:
+        """True if the last requested command has expired, or no pattern runs."""
+        running = self.running
+        return running is None or now >= running.requested_at + running.expiry - _ROUNDING
+
+    @cython.ccall
+    @cython.exceptval(check=False)
+    def may_step(self, now: cython.double, is_new_scan: cython.bint) -> cython.bint:
+        """True if a step is due and the host is free; while the host is busy the step stays due."""
+        running = self.running
+        if running is None or self.restart_at < INFINITY or self.loading is not None:
+            return False
+        is_time: cython.bint = now - self.last_step >= running.period - _STEP_TOLERANCE
+        if not (is_new_scan or self.is_due or is_time):
+            return False
+        if self.awaiting_since < INFINITY:
+            self.is_due = True
+            return False
+        return True
+
+    @cython.ccall
+    def stepping(self, now: cython.double) -> float:
+        """Mark the start of a step; returns the seconds since the last one (0 at the first)."""
+        self.stepped_generation = self.running.generation
+        dt = 0.0 if self.last_step < 0.0 else now - self.last_step
+        self.last_step = self.awaiting_since = now
+        self.is_due = False
+        return dt
+
+    @property
+    def is_restarting(self) -> bool:
+        """True while a failed pattern waits for its restart or is being loaded again."""
+        is_reloading = self.loading is not None and self.loading.is_restart
+        return self.restart_at < INFINITY or is_reloading
+
+    def fault(self, now: cython.double) -> bool:
+        """Count a fault; True if the pattern must be quarantined, else its restart is scheduled."""
+        self.awaiting_since = self.restart_at = INFINITY
+        self.loading = None
+        self.restarts += 1
+        faults = self._faults
+        faults.append(now)
+        while faults and now - faults[0] > FAULT_WINDOW:
+            faults.popleft()
+        if len(faults) >= FAULTS_BEFORE_QUARANTINE:
+            return True
+        self.restart_at = now + FIRST_BACKOFF * 2.0 ** (len(faults) - 1)
+        return False
+
+    def end(self) -> None:
+        """End the run and any load; a step under way is still awaited."""
+        self.end_running()
+        self.loading = None
+
+    def end_running(self) -> None:
+        """End the run; a load goes on."""
+        self.running, self.restart_at, self.is_due = None, INFINITY, False
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def lifecycle_due_at(self) -> cython.double:
+        """A time before which no deadline passes but that of a step; inf without one.
+
+        -inf during a load. A restart is a hold, which its caller looks at.
+        """
+        running = self.running
+        if self.loading is not None:
+            return -INFINITY
+        soonest: cython.double = self.awaiting_since + _STEP_TIMEOUT
+        if running is not None:
+            soonest = min(soonest, running.requested_at + running.expiry, running.finish_at)
+        return soonest
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def step_due_at(self) -> cython.double:
+        """A time before which `may_step` does nothing without a new scan; inf without one."""
+        running = self.running
+        if running is None:
+            return INFINITY
+        if self.is_due:  # a busy host is asked again after its answer
+            return -INFINITY if self.awaiting_since == INFINITY else INFINITY
+        return self.last_step + running.period - _STEP_TOLERANCE
+
+    @cython.ccall
+    def next_deadline(self, now: cython.double) -> float:
+        """The next deadline after `now`; inf without one."""
+        running = self.running
+        soonest: cython.double = _later(self.awaiting_since + _STEP_TIMEOUT, now)
+        if running is not None:
+            if self.awaiting_since == INFINITY and self.loading is None:
+                soonest = _later(self.last_step + running.period, now)
+            soonest = min(soonest, _later(running.requested_at + running.expiry, now))
+            soonest = min(soonest, _later(running.finish_at, now))
+        soonest = min(soonest, _later(self.restart_at, now))
+        loading = self.loading
+        if loading is not None:
+            soonest = min(soonest, _later(loading.since + _LOAD_TIMEOUT, now))
+            if loading.start_at is not None:
+                soonest = min(soonest, _later(loading.start_at, now))
+        return soonest
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _later(at: cython.double, now: cython.double) -> cython.double:
+    """The time `at` if it is to come, else inf."""
+    return at if now < at else INFINITY
+
+
+@cython.cclass
+class InputTimes:
+    """The arrival of inputs, the holds that follow, and the context of decisions.
+
+    `problem`: why the last scan does not count. `peers_due`: the time until which no peer holds the
+    robot, `hazards_until` that until which a hazard does. `ring`: that of range sensors, or None.
+    """
+
+    odometry = cython.declare(object, visibility="public")
+    is_driver_up = cython.declare(cython.bint, visibility="public")
+    driver_hold = cython.declare(object, visibility="public")
+    permitted_delay = cython.declare(cython.double, visibility="public")
+    _scan_at = cython.declare(cython.double, visibility="public")
+    _odometry_at = cython.declare(cython.double, visibility="public")
+    _added = cython.declare(cython.double, visibility="public")
+    _is_late = cython.declare(cython.bint, visibility="public")
+    _stale_after = cython.declare(cython.double, visibility="public")
+    _max_delay = cython.declare(cython.double, visibility="public")
+    _needs_odometry = cython.declare(cython.bint, visibility="public")
+    _problem = cython.declare(object, visibility="public")
+    _ring = cython.declare(object, visibility="public")
+    _peers_due = cython.declare(cython.double, visibility="public")
+    _teller = cython.declare(object, visibility="public")
+    _hazards_until = cython.declare(cython.double, visibility="public")
+    _ends_run = cython.declare(cython.bint, visibility="public")
+    _context = cython.declare(object, visibility="public")
+    _context_at: cython.double
+
+    def __init__(self) -> None:
+        self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
+        self._peers_due = INFINITY
+
+    @cython.ccall
+    def context(self, now: cython.double) -> DecisionContext:
+        """The context of a decision at `now`: the same object for the same time and inputs."""
+        if self._context is None or self._context_at != now:
+            self._context_at = now
+            self._context = DecisionContext(
+                now,
+                None if self._scan_at == -INFINITY else now - self._scan_at,
+                self.odometry,
+                None if self._odometry_at == -INFINITY else now - self._odometry_at,
+                self._added,
+                () if self._teller is None else self._teller.told(now),
+                () if self._ring is None else self._ring.obstacles(now),
+            )
+        return self._context
+
+    @cython.ccall
+    def hold(self, now: cython.double) -> Reason | None:
+        """The reason why the sensors forbid motion; None if they do not."""
+        if not self.is_driver_up:
+            return Reason.DRIVER_LOST
+        if self.driver_hold is not None:
+            return self.driver_hold
+        if now < self._hazards_until:
+            return Reason.HAZARD
+        if self._scan_at == -INFINITY:
+            return self._problem or Reason.NO_SCAN
+        age: cython.double = now - self._scan_at
+        if self._is_late and self._added > self.permitted_delay and age <= self._stale_after:
+            return Reason.LATE_SCAN
+        if age > self._longest_age():
+            return self._problem or Reason.STALE_SCAN
+        if self._ring is not None:
+            reason = self._ring.hold(now)
+            if reason is not None:
+                return reason
+        if self._needs_odometry and now - self._odometry_at > _ODOMETRY_TIMEOUT:
+            return Reason.STALE_ODOMETRY
+        return Reason.INCOMPATIBLE_PEER if now > self._peers_due else None
+
+    @cython.ccall
+    def hold_due_at(self) -> float:
+        """A time until which `hold` stays None, if it is None now and nothing arrives."""
+        due: cython.double = self._peers_due
+        if self._scan_at > -INFINITY:
+            due = min(due, self._scan_at + self._stale_after - self._added)
+        if self._needs_odometry and self._odometry_at > -INFINITY:
+            due = min(due, self._odometry_at + _ODOMETRY_TIMEOUT)
+        if self._ring is not None:
+            stale_at = self._ring.stale_at
+            if stale_at is not None:
+                due = min(due, stale_at)
+        return due
+
+    @cython.ccall
+    def stale_at(self) -> float | None:
+        """The time at which the present scan, or that of the ring, becomes too old.
+
+        None before the first.
+        """
+        if self._scan_at == -INFINITY:
+            return None
+        stale_at = self._scan_at + self._longest_age()
+        ring_at = None if self._ring is None else self._ring.stale_at
+        return stale_at if ring_at is None else min(stale_at, ring_at)
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def _longest_age(self) -> cython.double:
+        """The age in s beyond which a scan is stale: age and delay count together.
+
+        A permitted delay beyond the platform's bound takes nothing more of it.
+        """
+        added: cython.double = self._added
+        if added <= self.permitted_delay and self._max_delay < added:
+            added = self._max_delay
+        return self._stale_after - added
+
+
+@cython.final
+@cython.cclass
+class DutyCycle:
+    """Ticks in `running` since the last run request, and the ticks with active protection."""
+
+    decisions = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    active = cython.declare(cython.Py_ssize_t, visibility="readonly")
+
+    @property
+    def share(self) -> float:
+        """Between 0 and 1; 0 before the first tick."""
+        return self.active / float(self.decisions) if self.decisions else 0.0
+
+
+@cython.cclass
+class Ticker:
+    """Ticks and settles the inputs of one robot.
+
+    Quiet ticks: the first tick after an event finds until when nothing is due. Each event but a
+    quiet tick resets `_quiet_until`. An event that may change the lifecycle resets `_due_at`, too.
+    Odometry, neighbours, readings and messages reset neither.
+    """
+
+    decision = cython.declare(object, visibility="public")
+    decided_at = cython.declare(cython.double, visibility="public")
+    _sensors = cython.declare(InputTimes, visibility="public")
+    _run = cython.declare(PatternRun, visibility="public")
+    _lifecycle = cython.declare(object, visibility="public")
+    _machine = cython.declare(object, visibility="public")
+    _requests = cython.declare(object, visibility="public")
+    _protection = cython.declare(object, visibility="public")
+    _duty = cython.declare(DutyCycle, visibility="public")
+    _last_tick = cython.declare(cython.double, visibility="public")
+    # Before it only a step or the status can be due.
+    _due_at = cython.declare(cython.double, visibility="public")
+    # Before it nothing is due: a tick only decides.
+    _quiet_until = cython.declare(cython.double, visibility="public")
+    _published_at = cython.declare(cython.double, visibility="public")
+    # The lifecycle may have changed since the last look at it.
+    _is_status_due = cython.declare(cython.bint, visibility="public")
+    # What takes each type of input but a tick: of the robot, the input, the time.
+    _handlers = cython.declare(dict, visibility="public")
+    # That of the last event; under a hold no tick is quiet.
+    _hold = cython.declare(object, visibility="public")
+    _settled: object  # the actions of the last event but a quiet tick
+
+    def __init__(self) -> None:
+        self.decided_at = self._due_at = self._quiet_until = self._published_at = -INFINITY
+        self._hold, self._is_status_due = Reason.NO_SCAN, True
+
+    def step(self, input: Input, now: cython.double) -> Actions | None:
+        """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
+        if type(input) is TickInput:
+            return self._tick(now)
+        return self._handlers[type(input)](self, input, now)
+
+    def _begin(self, now: cython.double) -> Effects:
+        """Begin the effects of an event. After a stall of the loop the run ends first."""
+        effects = Effects(now)
+        late = now - self._last_tick
+        if late > _STALL_TIMEOUT:
+            self._last_tick = now
+            self._due_at = -INFINITY
+            self._lifecycle.stall(late, effects)
+        return effects
+
+    @cython.cfunc
+    def _tick(self, now: cython.double):
+        """Check all deadlines: 20 times a second, at rest 10 times, and at `wake_at`."""
+        if now >= self._quiet_until:
+            self._look_ahead()
+        is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
+        effects = None if is_quiet else self._begin(now)
+        self._last_tick = now
+        if self._machine.state is _RUNNING:
+            duty = self._duty
+            duty.decisions += 1
+            duty.active += self.decision.is_active
+        if effects is None:
+            last = self._settled
+            decision = Ticker._decide(self, None, now)
+            return Actions(
+                decision.safe,
+                decision,
+                last.requested_scan_seq,
+                last.is_idle,
+                last.is_stopped,
+                True,
+            )
+        effects.is_tick = effects.is_routine = True
+        return self._settle(effects)
+
+    def _settle(self, effects) -> Actions:
+        now: cython.double = effects.now
+        sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
+        is_routine: cython.bint = effects.is_routine
+        running = run.running
+        sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
+        hold = InputTimes.hold(sensors, now)
+        hazards = text = ""
+        if hold is Reason.HAZARD or sensors._ends_run:
+            text = sensors.hazards.text(now)
+            hazards = text if hold is Reason.HAZARD else ""
+        if sensors._ends_run:
+            lifecycle.on_hazard(text, effects)
+        if hold is not None or now >= self._due_at or not is_routine:
+            self._requests.advance(effects)
+            hold = lifecycle.advance(hold, effects, hazards)
+            self._is_status_due, self._due_at = True, -INFINITY
+        self._quiet_until, self._hold = -INFINITY, hold
+        decision = Ticker._decide(self, hold, now)
+        machine = self._machine
+        if run.restart_at < INFINITY:
+            self._restart(effects)
+        state = machine.state
+        host = effects.host
+        if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
+            inputs = sensors.inputs(now, run.stepping(now))
+            host = Step(run.running.generation, inputs)
+        # Replies go first: a status may wait for the tick, an emergency stop may not.
+        is_latched: cython.bint = effects.is_latched
+        has_status: cython.bint = effects.is_tick or is_latched
+        if has_status:
+            has_status = (
+                self._is_status_due or now >= self._published_at + _STATUS_PERIOD - _ROUNDING
+            ) and self._has_new_status(now)
+        running = run.running
+        actions = self._settled = Actions(
+            decision.safe,
+            decision,
+            -1 if running is None else running.scan_seq,
+            sensors.is_driver_up and state is _IDLE,
+            state is not _IDLE and state is not _RUNNING,
+            False,
+            lifecycle.latches.record() if is_latched else None,
+            lifecycle.goals.take_record() if lifecycle.goals.is_changed else None,
+            effects.trial,
+            host,
+            effects.messages,
+            has_status,
+            effects.replies,
+            effects.failed_code,
+            effects.ended,
+        )
+        return actions
+
+    @cython.cfunc
+    def _look_ahead(self):
+        """Find until when nothing is due if no event comes; a hold is looked at in each tick."""
+        if self._hold is not None:
+            return
+        due: cython.double = self._lifecycle_due_at()
+        if self._machine.state is _RUNNING:
+            due = min(due, InputTimes.hold_due_at(self._sensors))
+        self._due_at = due - _ROUNDING
+        if not self._is_status_due:
+            due = min(due, self._run.step_due_at(), self._published_at + _STATUS_PERIOD)
+            self._quiet_until = due - _ROUNDING
+
+    @cython.cfunc
+    def _lifecycle_due_at(self) -> cython.double:
+        """A time before which `advance` without a hold changes nothing; inf without one."""
+        lifecycle = self._lifecycle
+        if lifecycle.params_request is not None or lifecycle.trial is not None:
+            return -INFINITY
+        due: cython.double = self._run.lifecycle_due_at()
+        lease_ends = lifecycle.goals.lease_ends
+        if lease_ends is not None:
+            due = min(due, lease_ends)
+        return due
+
+    @property
+    def is_at_rest(self) -> bool:
+        """True if only events change the state: no run, load or trial, and no answer due.
+
+        False without the base: another node may drive it, and a stopped robot then sends zero.
+        """
+        is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
+        return bool(self._sensors.is_driver_up) and not is_due
+
+    @cython.ccall
+    def _decide(self, hold, now: cython.double):
+        running = self._run.running
+        context = InputTimes.context(self._sensors, now)
+        if running is None:
+            decision = self._protection.decide(None, context, False, hold)
+        else:
+            decision = self._protection.decide(
+                running.requested,
+                context,
+                self._machine.state is _RUNNING,
+                hold,
+                # Nothing is permitted under a hold, and a pattern that restarts is held.
+                running.permit if hold is None else NO_PERMIT,
+            )
+        self.decided_at, self.decision = now, decision
+        return decision
+
+    def wake_at(self, now: cython.double) -> float | None:
+        """The next deadline for which the robot must be woken between ticks; None without one.
+
+        Deadlines of the pattern run, the run lease, the scans and the longest hold. Odometry,
+        peers and hazards are checked at ticks.
+        """
+        lifecycle = self._lifecycle
+        soonest: cython.double = self._run.next_deadline(now)
+        if self._machine.state is _RUNNING:
+            lease_ends = lifecycle.goals.lease_ends
+            if lease_ends is not None:
+                soonest = min(soonest, _later(lease_ends, now))
+            stale_at = InputTimes.stale_at(self._sensors)
+            if stale_at is not None:
+                soonest = min(soonest, _later(stale_at + _STALE_MARGIN, now))
+            soonest = min(soonest, _later(lifecycle.hold_since + _MAX_HOLD_TIME, now))
+        return soonest if soonest < INFINITY else None
+
+
+def tick_many(robots: list[Ticker], now: cython.double) -> list[Actions]:
+    """What a tick of each robot at `now` gives."""
+    found: list = []
+    robot: Ticker
+    for robot in robots:
+        found.append(robot._tick(now))
+    return found
