@@ -25,6 +25,7 @@ from swarmd.core import events
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
@@ -47,6 +48,8 @@ from swarmd.sim.world.radio import Flight, neighbors_rate
 from swarmd.sim.world.realism import configured
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
+
+_core = load_kernel("swarmd.robot.tick")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
@@ -324,20 +327,24 @@ class Lockstep:
     def _tick(self, now: float) -> None:
         world = self.world
         if self._odometry_due.due(now):
-            own = self._own
             # All odometers are read at once: one takes as long as a hundred.
-            for row, odometry in zip(own.tolist(), world.odometry(own), strict=True):
-                shell = self.shells[row]
-                if shell is not None:
-                    shell.step(events.OdometryInput(odometry), now)
-        for shell in self._present(self._ticks.due(now)):
-            shell.tick(now)
-        for shell in self._present(self._alarms.due(self._steps)):
-            shell.tick(now)
+            shells = self.shells[self._process.rows]
+            robots = [None if shell is None else shell.robot for shell in shells]
+            _core.odometry_many(robots, world.odometry(self._own), now)
+        self._tick_rows(self._ticks.due(now), now)
+        self._tick_rows(self._alarms.due(self._steps), now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
             self._commands[row] = 0.0
             self._has_new_commands = True
             del self._silent_at[row]
+
+    def _tick_rows(self, rows: Sequence[int], now: float) -> None:
+        shells = self._present(rows)
+        if shells:
+            robots, rows = [shell.robot for shell in shells], [shell.row for shell in shells]
+            for place, actions in _core.tick_many(robots, rows, self._commands, now):
+                shells[place].carry_out(actions, now)
+            self._has_new_commands = True
 
     def _present(self, rows: Sequence[int]) -> Sequence[RobotShell]:
         """The shells of those robots of this process that have a daemon."""

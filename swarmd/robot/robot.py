@@ -78,7 +78,6 @@ class Robot(Ticker):
         self.id = id
         self.platform = platform
         self._last_tick, self._handlers = now, _HANDLERS
-        self._is_off_command = False  # the base does not follow its commands
         self._sensors = Sensors(platform, settings.accepts, tells_pose=settings.tells_pose)
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
@@ -206,18 +205,7 @@ class Robot(Ticker):
         return self._settle(effects)
 
     def _on_odometry(self, one: events.OdometryInput, now: float) -> None:
-        odometry, sensors, protection = one.odometry, self._sensors, self._protection
-        restarts = sensors.scan_delay.restarts
-        sensors.on_odometry(odometry, now)
-        if sensors.scan_delay.restarts != restarts:
-            self._log_restart(now)
-        if sensors.odometry is odometry:
-            protection.on_odometry(odometry)
-            if protection.events:
-                self._log_protection(now)
-            text = protection.following.text
-            if bool(text) != self._is_off_command:
-                self._log_following(text, now)
+        self._take_odometry(one.odometry, now)
 
     def _on_neighbors(self, one: events.NeighborsInput, now: float) -> None:
         self._sensors.on_neighbors(one.neighbors, now)

@@ -421,6 +421,8 @@ class Ticker:
     _published_at = cython.declare(cython.double, visibility="public")
     # The lifecycle may have changed since the last look at it.
     _is_status_due = cython.declare(cython.bint, visibility="public")
+    # The base does not follow its commands.
+    _is_off_command = cython.declare(cython.bint, visibility="public")
     # What takes each type of input but a tick: of the robot, the input, the time.
     _handlers = cython.declare(dict, visibility="public")
     # That of the last event; under a hold no tick is quiet.
@@ -434,7 +436,12 @@ class Ticker:
     def step(self, input: Input, now: cython.double) -> Actions | None:
         """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
         if type(input) is TickInput:
-            return self._tick(now)
+            actions = self._tick(now)
+            if actions is not None:
+                return actions
+            last, decision = self._settled, self.decision
+            seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
+            return Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
         return self._handlers[type(input)](self, input, now)
 
     def _begin(self, now: cython.double) -> Effects:
@@ -449,7 +456,10 @@ class Ticker:
 
     @cython.cfunc
     def _tick(self, now: cython.double):
-        """Check all deadlines: 20 times a second, at rest 10 times, and at `wake_at`."""
+        """Check all deadlines: 20 times a second, at rest 10 times, and at `wake_at`.
+
+        None after a quiet tick, which decides only.
+        """
         if now >= self._quiet_until:
             self._look_ahead()
         is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
@@ -460,16 +470,8 @@ class Ticker:
             duty.decisions += 1
             duty.active += self.decision.is_active
         if effects is None:
-            last = self._settled
-            decision = Ticker._decide(self, None, now)
-            return Actions(
-                decision.safe,
-                decision,
-                last.requested_scan_seq,
-                last.is_idle,
-                last.is_stopped,
-                True,
-            )
+            Ticker._decide(self, None, now)
+            return None
         effects.is_tick = effects.is_routine = True
         return self._settle(effects)
 
@@ -562,6 +564,21 @@ class Ticker:
         return bool(self._sensors.is_driver_up) and not is_due
 
     @cython.ccall
+    def _take_odometry(self, odometry, now: cython.double):
+        sensors, protection = self._sensors, self._protection
+        restarts = sensors.scan_delay.restarts
+        sensors.on_odometry(odometry, now)
+        if sensors.scan_delay.restarts != restarts:
+            self._log_restart(now)
+        if sensors.odometry is odometry:
+            protection.on_odometry(odometry)
+            if protection.events:
+                self._log_protection(now)
+            text = protection.following.text
+            if bool(text) != self._is_off_command:
+                self._log_following(text, now)
+
+    @cython.ccall
     def _decide(self, hold, now: cython.double):
         running = self._run.running
         context = InputTimes.context(self._sensors, now)
@@ -598,10 +615,34 @@ class Ticker:
         return soonest if soonest < INFINITY else None
 
 
-def tick_many(robots: list[Ticker], now: cython.double) -> list[Actions]:
-    """What a tick of each robot at `now` gives."""
+def tick_many(
+    robots: list, rows: list, commands: cython.double[:, ::1], now: cython.double
+) -> list[tuple[int, Actions]]:
+    """Tick robots: the place in `robots` and the actions of each tick that is not quiet.
+
+    The command of a quiet tick goes into the robot's row of `commands`: linear, angular, lateral.
+    """
     found: list = []
     robot: Ticker
-    for robot in robots:
-        found.append(robot._tick(now))
+    i: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    for i in range(len(robots)):
+        robot = robots[i]
+        actions = robot._tick(now)
+        if actions is None:
+            row, twist = rows[i], robot.decision.safe
+            commands[row, 0], commands[row, 1] = twist.linear, twist.angular
+            commands[row, 2] = twist.lateral
+        else:
+            found.append((i, actions))
     return found
+
+
+def odometry_many(robots: list, readings: list, now: cython.double) -> None:
+    """Hand its reading of odometry to each robot; None in place of a robot that is not there."""
+    robot: Ticker
+    i: cython.Py_ssize_t
+    for i in range(len(robots)):
+        robot = robots[i]
+        if robot is not None:
+            robot._take_odometry(readings[i], now)
