@@ -112,7 +112,7 @@ class Lockstep:
         readers = n if scenario.fields else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
-        self._alarms = Alarms(n, self.world.dt)
+        self.alarms = Alarms(n, self.world.dt)
         self._commands = np.zeros((n, 3))
         self._has_new_commands = True  # that the world has not had
         self._silent_at: dict[int, float] = {}
@@ -191,7 +191,7 @@ class Lockstep:
             self._latches[row] = shell.latches
         self.exchange()
         self._peer_latches.pop(row, None)
-        self._alarms.set(row, None)
+        self.alarms.set(row, None)
         self.shells[row] = None
         self.has_daemon[row] = False
         self._absent_count += 1
@@ -239,10 +239,6 @@ class Lockstep:
         if latches or row in self._latched:
             self._published.append((row, dict(latches)))
             (self._latched.add if latches else self._latched.discard)(row)
-
-    def set_alarm(self, row: int, at: float | None) -> None:
-        """Tick robot `row` at `at`, even between two ticks."""
-        self._alarms.set(row, at)
 
     # Time
 
@@ -332,7 +328,7 @@ class Lockstep:
             robots = [None if shell is None else shell.robot for shell in shells]
             _core.odometry_many(robots, world.odometry(self._own), now)
         self._tick_rows(self._ticks.due(now), now)
-        self._tick_rows(self._alarms.due(self._steps), now)
+        self._tick_rows(self.alarms.due(self._steps), now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
             self._commands[row] = 0.0
             self._has_new_commands = True

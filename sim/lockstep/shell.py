@@ -61,7 +61,7 @@ class RobotShell:
     def carry_out(self, actions: Actions, now: float) -> None:
         """Carry out the actions and set the alarm."""
         self._carry_out(actions, now)
-        self._outputs.set_alarm(self.row, self.robot.wake_at(now))
+        self._outputs.alarms.set(self.row, self.robot.wake_at(now))
 
     def _carry_out(self, actions: Actions, now: float) -> None:
         outputs = self._outputs

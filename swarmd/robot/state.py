@@ -238,10 +238,7 @@ class Lifecycle:
     # Events of the pattern host
 
     def on_host(self, event: host_messages.HostEvent, effects: Effects) -> None:
-        """Act on an event of the pattern host; events of other generations are ignored."""
-        if isinstance(event, host_messages.Stepped):
-            self._on_stepped(event, effects)
-            return
+        """Act on an event of the host but Stepped; those of other generations are ignored."""
         run = self.pattern_run
         is_loading = run.loading is not None and event.generation == run.loading.generation
         is_running = run.running is not None and event.generation == run.running.generation
@@ -333,7 +330,8 @@ class Lifecycle:
         if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)
 
-    def _on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
+    def on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
+        """Act on the answer to a step; of another generation it only frees the host."""
         run = self.pattern_run
         running = run.running
         if running is None or event.generation != running.generation:

@@ -11,8 +11,8 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.events import TickInput
-from swarmd.core.host_messages import Step
+from swarmd.core.events import HostInput, TickInput
+from swarmd.core.host_messages import Step, Stepped
 from swarmd.core.messages import Reason, State
 from swarmd.protection.decision import NO_PERMIT, DecisionContext
 from swarmd.robot.actions import Actions, Effects
@@ -442,6 +442,10 @@ class Ticker:
             last, decision = self._settled, self.decision
             seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
             return Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
+        if type(input) is HostInput and type(input.event) is Stepped:
+            effects = self._begin(now)
+            self._lifecycle.on_stepped(input.event, effects)
+            return self._settle(effects)
         return self._handlers[type(input)](self, input, now)
 
     def _begin(self, now: cython.double) -> Effects:

@@ -8,10 +8,10 @@ has no returns. Returned bearings are within [-pi, pi).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from swarmd.core.kernels import load_kernel
@@ -35,8 +35,7 @@ class Gap(NamedTuple):
     width: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RayClusters:
+class RayClusters(Struct, frozen=True, eq=False):
     """Objects as runs of neighbouring rays, one element of each array per object.
 
     `ranges` (k,) m to the nearest ray, `bearings` (k,) rad of the middle, `widths` (k,) m across
