@@ -79,7 +79,7 @@ class Goals:
         self.superseded = ""
         self._reason = ""
         self._may_join = False
-        self._lease_until: float | None = None
+        self.lease_until: float | None = None
         self._lease_count = -1
         self._stops: dict[str, None] = {}
         self._undecided: dict[str, _Undecided] = {}
@@ -103,7 +103,7 @@ class Goals:
     @property
     def lease_ends(self) -> float | None:
         """When the run of the own goal ends unless its operator is heard, in s."""
-        return self._lease_until if self.state is GoalState.RUNNING else None
+        return self.lease_until if self.state is GoalState.RUNNING else None
 
     def forget(self, counts: Callable[[Goal], bool]) -> None:
         """Drop the goals that do not count any more, such as those of a revoked operator."""
@@ -114,7 +114,7 @@ class Goals:
         if self.held is None:
             self.held = self.own
         if own is not None and self.own is None:
-            self.state, self._reason, self._may_join, self._lease_until = None, "", False, None
+            self.state, self._reason, self._may_join, self.lease_until = None, "", False, None
         self.is_changed |= (held, own, before) != (self.held, self.own, self.before)
 
     def take_record(self) -> GoalRecord | None:
@@ -189,7 +189,7 @@ class Goals:
             self.held, self._held_since = new, now
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
-            self._lease_count, self._lease_until = -1, None
+            self._lease_count, self.lease_until = -1, None
             self._has_retried = self._ran = False
             self._offer("", may_join=may_join)
         self.is_changed = True
@@ -308,7 +308,7 @@ class Goals:
         own = self.own
         if own is None or own.goal.lease is None:
             return ""
-        if self._lease_until is not None and now < self._lease_until:
+        if self.lease_until is not None and now < self.lease_until:
             return ""
         return f"the operator of its run lease was not heard for {own.goal.lease:g} s"
 
@@ -329,7 +329,7 @@ class Goals:
             self.adopt(goal, age, now, may_join=False)
         self.state, self._reason, self.superseded = GoalState.RUNNING, "", ""
         if not is_resumed:
-            self._lease_until = None if goal.lease is None else now + goal.lease
+            self.lease_until = None if goal.lease is None else now + goal.lease
         self.is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
@@ -339,7 +339,7 @@ class Goals:
             return
         if count > self._lease_count:
             self._lease_count = count
-            self._lease_until = now + own.goal.lease
+            self.lease_until = now + own.goal.lease
 
     def bar(self, now: float) -> None:
         """The robot was stopped or reset: it joins no goal that was set before."""

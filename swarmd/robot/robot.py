@@ -21,7 +21,7 @@ from swarmd.core.messages import Epoch, Latch, Motion, Reason, State, Status
 from swarmd.core.values import Platform, Scalar, Scan, SharedPose
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision
-from swarmd.robot.actions import Actions, Effects
+from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.message_limits import EventLimit
@@ -34,7 +34,7 @@ from swarmd.robot.status import make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import DutyCycle, Ticker
+    from swarmd.robot.tick import DutyCycle, Effects, Ticker
 else:
     _kernel = load_kernel("swarmd.robot.tick")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
@@ -86,7 +86,7 @@ class Robot(Ticker):
         self._lifecycle.pattern_run.generation = generation
         self._events = EventLimit(self._lifecycle.log)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
-        self._goals = GoalHandler(self._lifecycle)
+        self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
         self._requests = RequestHandler(
             id, self._lifecycle, self._goals, self._protection, self._stop_text
         )
@@ -104,7 +104,8 @@ class Robot(Ticker):
     @property
     def state(self) -> State:
         """The state."""
-        return self._machine.state
+        state: State = self._machine.state
+        return state
 
     @property
     def reason(self) -> Reason | None:
@@ -186,10 +187,8 @@ class Robot(Ticker):
         effects = self._begin(now)
         effects.is_routine = True
         blind = self._sensors.blind_text
-        restarts = self._sensors.scan_delay.restarts
         effects.is_new_scan = self._sensors.on_scan(one.scan, now)
-        if self._sensors.scan_delay.restarts != restarts:
-            self._log_restart(now)
+        self._look_at_stamps(now)
         if self._sensors.blind_text != blind:
             text = self._sensors.blind_text or "all sectors return something again"
             self._lifecycle.log(f"scan: {text}", now)
@@ -355,10 +354,6 @@ class Robot(Ticker):
     def scan(self) -> Scan | None:
         """The latest conditioned scan."""
         return self._sensors.scan
-
-    def _log_restart(self, now: float) -> None:
-        text = "stamps of odometry or scan jumped: the scan delay is measured anew"
-        self._events.log("stamps that jump", text, now)
 
     def _log_protection(self, now: float) -> None:
         events = self._protection.events

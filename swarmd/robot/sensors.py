@@ -67,6 +67,8 @@ class Sensors(InputTimes):
     All times are in s on the robot's monotonic clock and come with each call.
     """
 
+    scan_delay: ScanDelay
+
     def __init__(
         self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
     ) -> None:

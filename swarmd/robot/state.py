@@ -38,11 +38,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
 from swarmd.core import host_messages
 from swarmd.core.goal import Goal, GoalRecord, GoalState, digest_of
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import (
     MAX_EVENTS,
     Code,
@@ -65,7 +67,7 @@ from swarmd.core.verbs import (
 )
 from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import Permit
-from swarmd.robot.actions import Effects, FailedCode
+from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.message_limits import Outbox
@@ -78,6 +80,11 @@ from swarmd.robot.timeouts import (
     ROUNDING,
     STEP_TIMEOUT,
 )
+
+if TYPE_CHECKING:
+    from swarmd.robot.tick import Effects, StateField
+else:
+    StateField = load_kernel("swarmd.robot.tick").StateField
 
 
 class Trigger(StrEnum):
@@ -116,7 +123,7 @@ TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
 )
 
 
-class StateMachine:
+class StateMachine(StateField):
     """The state, its one reason, one line of detail, and the time of the last change of state."""
 
     def __init__(self, now: float) -> None:

@@ -8,14 +8,17 @@ time that does not come and for one that has not been.
 from __future__ import annotations
 
 from collections import deque
+from types import MappingProxyType
 from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
 
 from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.events import HostInput, TickInput
-from swarmd.core.host_messages import Step, Stepped
+from swarmd.core.host_messages import KillHost, Load, SetParams, Step, Stepped
 from swarmd.core.messages import Reason, State
 from swarmd.protection.decision import NO_PERMIT, DecisionContext
-from swarmd.robot.actions import Actions, Effects
+from swarmd.robot.actions import Actions
 from swarmd.robot.timeouts import (
     FAULT_WINDOW,
     FAULTS_BEFORE_QUARANTINE,
@@ -51,8 +54,61 @@ _MAX_HOLD_TIME = cython.declare(cython.double, MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, STATUS_PERIOD)
 _ODOMETRY_TIMEOUT = cython.declare(cython.double, ODOMETRY_TIMEOUT)
 _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
+# A name of C is found at once, one of the module in a dict.
 _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
+_HAZARD = cython.declare(object, Reason.HAZARD)
+_Actions, _Context = cython.declare(object, Actions), cython.declare(object, DecisionContext)
+_TickInput, _HostInput = cython.declare(object, TickInput), cython.declare(object, HostInput)
+_Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
+_NO_PERMIT = cython.declare(object, NO_PERMIT)
+_NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
+
+
+@cython.final
+@cython.cclass
+class Effects:
+    """The effects of one event at `now`, gathered until the robot settles them into `Actions`.
+
+    `is_routine`: the event is a tick, a scan or the answer to a step, and has not changed the
+    lifecycle, but for the requested command. The others are as in `Actions`.
+    """
+
+    now = cython.declare(cython.double, visibility="readonly")
+    is_tick = cython.declare(cython.bint, visibility="public")
+    is_routine = cython.declare(cython.bint, visibility="public")
+    is_latched = cython.declare(cython.bint, visibility="public")
+    is_new_scan = cython.declare(cython.bint, visibility="public")
+    is_new_run = cython.declare(cython.bint, visibility="public")
+    trial = cython.declare(object, visibility="public")
+    messages = cython.declare(object, visibility="public")
+    replies = cython.declare(tuple, visibility="public")
+    host = cython.declare(object, visibility="public")
+    failed_code = cython.declare(object, visibility="public")
+    ended = cython.declare(object, visibility="public")
+
+    def __init__(self, now: cython.double) -> None:
+        self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""
+
+    def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
+        """Choose the one command of this event for the pattern host.
+
+        KillHost and Load decide which pattern the host holds, so the later of them wins; a Load
+        after a KillHost asks for a fresh host. SetParams and Step are meant for the pattern that
+        the host holds now, so they never replace another command.
+        """
+        if isinstance(command, (SetParams, Step)) and self.host is not None:
+            return
+        if isinstance(command, Load) and isinstance(self.host, KillHost):
+            command = replace(command, is_fresh=True)
+        self.host = command
+
+
+@cython.cclass
+class StateField:
+    """The state of a robot, which `StateMachine` changes."""
+
+    state = cython.declare(object, visibility="public")
 
 
 @cython.final
@@ -90,7 +146,7 @@ class Running:
             loading.params,
         )
         self.rate, self.channels, self.values = event.rate, event.channels, event.params
-        self.wish, self.until, self.permit = loading.wish, loading.until, NO_PERMIT
+        self.wish, self.until, self.permit = loading.wish, loading.until, _NO_PERMIT
         self.finish_at = finish_at
         self.period, self.expiry = 1.0 / event.rate, max(MIN_EXPIRY, 3.0 / event.rate)
         self.requested, self.requested_at, self.scan_seq = None, now, -1
@@ -279,6 +335,7 @@ class InputTimes:
     """
 
     odometry = cython.declare(object, visibility="public")
+    scan_delay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
     driver_hold = cython.declare(object, visibility="public")
     permitted_delay = cython.declare(cython.double, visibility="public")
@@ -307,7 +364,7 @@ class InputTimes:
         """The context of a decision at `now`: the same object for the same time and inputs."""
         if self._context is None or self._context_at != now:
             self._context_at = now
-            self._context = DecisionContext(
+            self._context = _Context(
                 now,
                 None if self._scan_at == -INFINITY else now - self._scan_at,
                 self.odometry,
@@ -326,7 +383,7 @@ class InputTimes:
         if self.driver_hold is not None:
             return self.driver_hold
         if now < self._hazards_until:
-            return Reason.HAZARD
+            return _HAZARD
         if self._scan_at == -INFINITY:
             return self._problem or Reason.NO_SCAN
         age: cython.double = now - self._scan_at
@@ -409,7 +466,8 @@ class Ticker:
     _sensors = cython.declare(InputTimes, visibility="public")
     _run = cython.declare(PatternRun, visibility="public")
     _lifecycle = cython.declare(object, visibility="public")
-    _machine = cython.declare(object, visibility="public")
+    _machine = cython.declare(StateField, visibility="public")
+    _kept_goals = cython.declare(object, visibility="public")
     _requests = cython.declare(object, visibility="public")
     _protection = cython.declare(object, visibility="public")
     _duty = cython.declare(DutyCycle, visibility="public")
@@ -421,6 +479,7 @@ class Ticker:
     _published_at = cython.declare(cython.double, visibility="public")
     # The lifecycle may have changed since the last look at it.
     _is_status_due = cython.declare(cython.bint, visibility="public")
+    _restarts: cython.Py_ssize_t  # of the scan delay, that were logged
     # The base does not follow its commands.
     _is_off_command = cython.declare(cython.bint, visibility="public")
     # What takes each type of input but a tick: of the robot, the input, the time.
@@ -435,14 +494,14 @@ class Ticker:
 
     def step(self, input: Input, now: cython.double) -> Actions | None:
         """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
-        if type(input) is TickInput:
+        if type(input) is _TickInput:
             actions = self._tick(now)
             if actions is not None:
                 return actions
             last, decision = self._settled, self.decision
             seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
-            return Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
-        if type(input) is HostInput and type(input.event) is Stepped:
+            return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
+        if type(input) is _HostInput and type(input.event) is _Stepped:
             effects = self._begin(now)
             self._lifecycle.on_stepped(input.event, effects)
             return self._settle(effects)
@@ -487,9 +546,9 @@ class Ticker:
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputTimes.hold(sensors, now)
         hazards = text = ""
-        if hold is Reason.HAZARD or sensors._ends_run:
+        if hold is _HAZARD or sensors._ends_run:
             text = sensors.hazards.text(now)
-            hazards = text if hold is Reason.HAZARD else ""
+            hazards = text if hold is _HAZARD else ""
         if sensors._ends_run:
             lifecycle.on_hazard(text, effects)
         if hold is not None or now >= self._due_at or not is_routine:
@@ -505,7 +564,7 @@ class Ticker:
         host = effects.host
         if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
             inputs = sensors.inputs(now, run.stepping(now))
-            host = Step(run.running.generation, inputs)
+            host = _Step(run.running.generation, inputs)
         # Replies go first: a status may wait for the tick, an emergency stop may not.
         is_latched: cython.bint = effects.is_latched
         has_status: cython.bint = effects.is_tick or is_latched
@@ -514,7 +573,7 @@ class Ticker:
                 self._is_status_due or now >= self._published_at + _STATUS_PERIOD - _ROUNDING
             ) and self._has_new_status(now)
         running = run.running
-        actions = self._settled = Actions(
+        actions = self._settled = _Actions(
             decision.safe,
             decision,
             -1 if running is None else running.scan_seq,
@@ -522,7 +581,7 @@ class Ticker:
             state is not _IDLE and state is not _RUNNING,
             False,
             lifecycle.latches.record() if is_latched else None,
-            lifecycle.goals.take_record() if lifecycle.goals.is_changed else None,
+            self._kept_goals.take_record() if self._kept_goals.is_changed else None,
             effects.trial,
             host,
             effects.messages,
@@ -553,9 +612,8 @@ class Ticker:
         if lifecycle.params_request is not None or lifecycle.trial is not None:
             return -INFINITY
         due: cython.double = self._run.lifecycle_due_at()
-        lease_ends = lifecycle.goals.lease_ends
-        if lease_ends is not None:
-            due = min(due, lease_ends)
+        if self._kept_goals.lease_until is not None and self._kept_goals.lease_ends is not None:
+            due = min(due, self._kept_goals.lease_ends)
         return due
 
     @property
@@ -568,12 +626,19 @@ class Ticker:
         return bool(self._sensors.is_driver_up) and not is_due
 
     @cython.ccall
+    def _look_at_stamps(self, now: cython.double):
+        """Log that stamps jumped."""
+        restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
+        if restarts != self._restarts:
+            self._restarts = restarts
+            text = "stamps of odometry or scan jumped: the scan delay is measured anew"
+            self._events.log("stamps that jump", text, now)
+
+    @cython.ccall
     def _take_odometry(self, odometry, now: cython.double):
         sensors, protection = self._sensors, self._protection
-        restarts = sensors.scan_delay.restarts
         sensors.on_odometry(odometry, now)
-        if sensors.scan_delay.restarts != restarts:
-            self._log_restart(now)
+        Ticker._look_at_stamps(self, now)
         if sensors.odometry is odometry:
             protection.on_odometry(odometry)
             if protection.events:
@@ -595,7 +660,7 @@ class Ticker:
                 self._machine.state is _RUNNING,
                 hold,
                 # Nothing is permitted under a hold, and a pattern that restarts is held.
-                running.permit if hold is None else NO_PERMIT,
+                running.permit if hold is None else _NO_PERMIT,
             )
         self.decided_at, self.decision = now, decision
         return decision
@@ -606,16 +671,16 @@ class Ticker:
         Deadlines of the pattern run, the run lease, the scans and the longest hold. Odometry,
         peers and hazards are checked at ticks.
         """
-        lifecycle = self._lifecycle
         soonest: cython.double = self._run.next_deadline(now)
         if self._machine.state is _RUNNING:
-            lease_ends = lifecycle.goals.lease_ends
-            if lease_ends is not None:
-                soonest = min(soonest, _later(lease_ends, now))
+            if self._kept_goals.lease_until is not None:
+                lease_ends = self._kept_goals.lease_ends
+                if lease_ends is not None:
+                    soonest = min(soonest, _later(lease_ends, now))
             stale_at = InputTimes.stale_at(self._sensors)
             if stale_at is not None:
                 soonest = min(soonest, _later(stale_at + _STALE_MARGIN, now))
-            soonest = min(soonest, _later(lifecycle.hold_since + _MAX_HOLD_TIME, now))
+            soonest = min(soonest, _later(self._lifecycle.hold_since + _MAX_HOLD_TIME, now))
         return soonest if soonest < INFINITY else None
 
 
