@@ -64,8 +64,10 @@ class RobotShell:
         self._outputs.alarms.set(self.row, self.robot.wake_at(now))
 
     def _carry_out(self, actions: Actions, now: float) -> None:
-        outputs = self._outputs
-        outputs.command(self.row, actions.twist)
+        outputs, row, twist = self._outputs, self.row, actions.twist
+        commands = outputs.commands  # three values are set faster than a row
+        commands[row, 0], commands[row, 1] = twist.linear, twist.angular
+        commands[row, 2], outputs.has_new_commands = twist.lateral, True
         if actions.latches is not None:
             self.latches = actions.latches
         if actions.trial is not None:

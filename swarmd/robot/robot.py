@@ -110,7 +110,8 @@ class Robot(Ticker):
     @property
     def reason(self) -> Reason | None:
         """The one reason why the robot does not move; None while it moves."""
-        return status_reason(self._lifecycle, self.decision)
+        machine = self._machine
+        return self.decision.reason if machine.state is State.RUNNING else machine.reason
 
     @property
     def epoch(self) -> Epoch:
@@ -182,20 +183,6 @@ class Robot(Ticker):
         return self._sensors.readings
 
     # Inputs from the driver and the network
-
-    def _on_scan(self, one: events.ScanInput, now: float) -> Actions:
-        effects = self._begin(now)
-        effects.is_routine = True
-        blind = self._sensors.blind_text
-        effects.is_new_scan = self._sensors.on_scan(one.scan, now)
-        self._look_at_stamps(now)
-        if self._sensors.blind_text != blind:
-            text = self._sensors.blind_text or "all sectors return something again"
-            self._lifecycle.log(f"scan: {text}", now)
-        if effects.is_new_scan and self._sensors.scan is not None:
-            self._protection.observe(self._sensors.scan, self._sensors.context(now))
-            self._log_protection(now)
-        return self._settle(effects)
 
     def _on_ranges(self, one: events.RangesInput, now: float) -> Actions:
         effects = self._begin(now)
@@ -421,7 +408,6 @@ class Robot(Ticker):
 
 
 _HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
-    events.ScanInput: Robot._on_scan,
     events.RangesInput: Robot._on_ranges,
     events.OdometryInput: Robot._on_odometry,
     events.NeighborsInput: Robot._on_neighbors,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.events import HostInput, TickInput
+from swarmd.core.events import HostInput, ScanInput, TickInput
 from swarmd.core.host_messages import KillHost, Load, SetParams, Step, Stepped
 from swarmd.core.messages import Reason, State
 from swarmd.protection.decision import NO_PERMIT, DecisionContext
@@ -59,6 +59,7 @@ _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, 
 _HAZARD = cython.declare(object, Reason.HAZARD)
 _Actions, _Context = cython.declare(object, Actions), cython.declare(object, DecisionContext)
 _TickInput, _HostInput = cython.declare(object, TickInput), cython.declare(object, HostInput)
+_ScanInput = cython.declare(object, ScanInput)
 _Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
 _NO_PERMIT = cython.declare(object, NO_PERMIT)
 _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
@@ -479,6 +480,7 @@ class Ticker:
     _published_at = cython.declare(cython.double, visibility="public")
     # The lifecycle may have changed since the last look at it.
     _is_status_due = cython.declare(cython.bint, visibility="public")
+    _blind: object  # the blind sectors that were logged
     _restarts: cython.Py_ssize_t  # of the scan delay, that were logged
     # The base does not follow its commands.
     _is_off_command = cython.declare(cython.bint, visibility="public")
@@ -490,10 +492,12 @@ class Ticker:
 
     def __init__(self) -> None:
         self.decided_at = self._due_at = self._quiet_until = self._published_at = -INFINITY
-        self._hold, self._is_status_due = Reason.NO_SCAN, True
+        self._hold, self._is_status_due, self._blind = Reason.NO_SCAN, True, ""
 
     def step(self, input: Input, now: cython.double) -> Actions | None:
         """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
+        if type(input) is _ScanInput:
+            return self._take_scan(input.scan, now)
         if type(input) is _TickInput:
             actions = self._tick(now)
             if actions is not None:
@@ -502,11 +506,12 @@ class Ticker:
             seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
             return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
         if type(input) is _HostInput and type(input.event) is _Stepped:
-            effects = self._begin(now)
+            effects = Ticker._begin(self, now)
             self._lifecycle.on_stepped(input.event, effects)
-            return self._settle(effects)
+            return self._settled_after(effects)
         return self._handlers[type(input)](self, input, now)
 
+    @cython.ccall
     def _begin(self, now: cython.double) -> Effects:
         """Begin the effects of an event. After a stall of the loop the run ends first."""
         effects = Effects(now)
@@ -526,7 +531,7 @@ class Ticker:
         if now >= self._quiet_until:
             self._look_ahead()
         is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
-        effects = None if is_quiet else self._begin(now)
+        effects = None if is_quiet else Ticker._begin(self, now)
         self._last_tick = now
         if self._machine.state is _RUNNING:
             duty = self._duty
@@ -536,9 +541,14 @@ class Ticker:
             Ticker._decide(self, None, now)
             return None
         effects.is_tick = effects.is_routine = True
-        return self._settle(effects)
+        return self._settled_after(effects)
 
-    def _settle(self, effects) -> Actions:
+    def _settle(self, effects: Effects) -> Actions:
+        """The actions that follow from an event."""
+        return self._settled_after(effects)
+
+    @cython.cfunc
+    def _settled_after(self, effects: Effects):
         now: cython.double = effects.now
         sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
         is_routine: cython.bint = effects.is_routine
@@ -625,7 +635,24 @@ class Ticker:
         is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
         return bool(self._sensors.is_driver_up) and not is_due
 
-    @cython.ccall
+    @cython.cfunc
+    def _take_scan(self, scan, now: cython.double):
+        effects: Effects = Ticker._begin(self, now)
+        sensors, protection = self._sensors, self._protection
+        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(scan, now)
+        self._look_at_stamps(now)
+        blind = sensors.blind_text
+        if blind != self._blind:
+            self._blind = blind
+            text = blind or "all sectors return something again"
+            self._lifecycle.log(f"scan: {text}", now)
+        if effects.is_new_scan:
+            protection.observe(sensors.scan, InputTimes.context(sensors, now))
+            if protection.events:
+                self._log_protection(now)
+        return self._settled_after(effects)
+
+    @cython.cfunc
     def _look_at_stamps(self, now: cython.double):
         """Log that stamps jumped."""
         restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
@@ -638,7 +665,7 @@ class Ticker:
     def _take_odometry(self, odometry, now: cython.double):
         sensors, protection = self._sensors, self._protection
         sensors.on_odometry(odometry, now)
-        Ticker._look_at_stamps(self, now)
+        self._look_at_stamps(now)
         if sensors.odometry is odometry:
             protection.on_odometry(odometry)
             if protection.events:
