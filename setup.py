@@ -33,6 +33,7 @@ KERNELS = {
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
     "swarmd.protection.following": "swarmd/protection/following.py",
+    "swarmd.robot.tick": "swarmd/robot/tick.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",
     "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",

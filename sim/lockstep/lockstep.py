@@ -25,8 +25,9 @@ from swarmd.core import events
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
-from swarmd.core.values import Array, Twist, Value
+from swarmd.core.values import Array, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
@@ -47,6 +48,8 @@ from swarmd.sim.world.radio import Flight, neighbors_rate
 from swarmd.sim.world.realism import configured
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
+
+_core = load_kernel("swarmd.robot.tick")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
@@ -111,9 +114,9 @@ class Lockstep:
         readers = n if scenario.fields else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
-        self._alarms = Alarms(n, self.world.dt)
-        self._commands = np.zeros((n, 3))
-        self._has_new_commands = True  # that the world has not had
+        self.alarms = Alarms(n, self.world.dt)
+        self.commands = np.zeros((n, 3))
+        self.has_new_commands = True  # that the world has not had
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
@@ -189,7 +192,7 @@ class Lockstep:
             self._latches[row] = shell.latches
         self.exchange()
         self._peer_latches.pop(row, None)
-        self._alarms.set(row, None)
+        self.alarms.set(row, None)
         self.shells[row] = None
         self.has_daemon[row] = False
         self._absent_count += 1
@@ -200,13 +203,13 @@ class Lockstep:
         process = self._process
         if process.count == 1 and not (self._flights or self._published):
             return
-        out = self._commands[process.rows], self._flights, self._published
+        out = self.commands[process.rows], self._flights, self._published
         self._flights, self._published = [], []
         published: list[tuple[int, dict[str, Latch]]] = []
         for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
             if index != process.index:
-                self._commands[process.rows_of[index]] = commands
-                self._has_new_commands = True
+                self.commands[process.rows_of[index]] = commands
+                self.has_new_commands = True
             self._radio.carry(some_sent, process.own)
             published += some_published
         for row, latches in sorted(published, key=itemgetter(0)):
@@ -216,13 +219,6 @@ class Lockstep:
                 self._new_latches.append((row, latches))
 
     # The outputs of robots
-
-    def command(self, row: int, twist: Twist) -> None:
-        """Set the base's command."""
-        commands = self._commands  # three values are set faster than a row
-        commands[row, 0], commands[row, 1] = twist.linear, twist.angular
-        commands[row, 2] = twist.lateral
-        self._has_new_commands = True
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Send a pattern's message by radio, after a round trip through the codec."""
@@ -237,10 +233,6 @@ class Lockstep:
         if latches or row in self._latched:
             self._published.append((row, dict(latches)))
             (self._latched.add if latches else self._latched.discard)(row)
-
-    def set_alarm(self, row: int, at: float | None) -> None:
-        """Tick robot `row` at `at`, even between two ticks."""
-        self._alarms.set(row, at)
 
     # Time
 
@@ -257,7 +249,7 @@ class Lockstep:
 
     def trace(self) -> Trace:
         """The trace up to now, in the first process; each calls it."""
-        self._recorder.record_instant(self.world.time, self._commands, self.shells)
+        self._recorder.record_instant(self.world.time, self.commands, self.shells)
         kept = self._process.collect(self._recorder.kept(self._process.rows))
         return self._recorder.trace(meta_of(self.scenario, self.seed), kept)
 
@@ -269,10 +261,10 @@ class Lockstep:
         self._tick(now)
         self.exchange()
         if self._record_due.due(now):
-            self._recorder.record_instant(now, self._commands, self.shells)
-        if self._has_new_commands:
-            world.set_commands(self._commands)
-            self._has_new_commands = False
+            self._recorder.record_instant(now, self.commands, self.shells)
+        if self.has_new_commands:
+            world.set_commands(self.commands)
+            self.has_new_commands = False
         world.step()
         self._steps += 1
         self._recorder.record_contacts(world.time)
@@ -325,20 +317,25 @@ class Lockstep:
     def _tick(self, now: float) -> None:
         world = self.world
         if self._odometry_due.due(now):
-            own = self._process.rows
             # All odometers are read at once: one takes as long as a hundred.
-            for row, odometry in zip(own.tolist(), world.odometry(own), strict=True):
-                shell = self.shells[row]
-                if shell is not None:
-                    shell.step(events.OdometryInput(odometry), now)
-        for shell in self._present(self._ticks.due(now)):
-            shell.tick(now)
-        for shell in self._present(self._alarms.due(self._steps)):
-            shell.tick(now)
+            own = self._process.rows
+            shells = [self.shells[row] for row in own.tolist()]
+            robots = [None if shell is None else shell.robot for shell in shells]
+            _core.odometry_many(robots, world.odometry(own), now)
+        self._tick_rows(self._ticks.due(now), now)
+        self._tick_rows(self.alarms.due(self._steps), now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
-            self._commands[row] = 0.0
-            self._has_new_commands = True
+            self.commands[row] = 0.0
+            self.has_new_commands = True
             del self._silent_at[row]
+
+    def _tick_rows(self, rows: Sequence[int], now: float) -> None:
+        shells = self._present(rows)
+        if shells:
+            robots, rows = [shell.robot for shell in shells], [shell.row for shell in shells]
+            for place, actions in _core.tick_many(robots, rows, self.commands, now):
+                shells[place].carry_out(actions, now)
+            self.has_new_commands = True
 
     def _present(self, rows: Sequence[int]) -> Sequence[RobotShell]:
         """The shells of those robots of this process that have a daemon."""

@@ -79,28 +79,18 @@ class Alarms:
     def __init__(self, n: int, dt: float) -> None:
         self._dt = dt
         self._step = 0
-        self._alarms = [-1] * n
-        self._rows: dict[int, list[int]] = {}
+        self._due = np.full(n, -1)  # the step of each alarm; those of the past count no more
 
     def set(self, row: int, at: float | None) -> None:
         """Set the alarm of `row` to the first step from `at` s on, at least the next; None: off."""
-        if at is None:
-            self._alarms[row] = -1
-            return
-        step = max(int(-((_ROUNDING - at) // self._dt)), self._step + 1)
-        if self._alarms[row] != step:
-            self._alarms[row] = step
-            self._rows.setdefault(step, []).append(row)
+        step = -1 if at is None else int(-((_ROUNDING - at) // self._dt))
+        self._due[row] = step if step > self._step or at is None else self._step + 1
 
     def due(self, step: int) -> list[int]:
         """The rows whose alarm is this step, in order; call it for every step."""
         self._step = step
-        if step not in self._rows:
-            return []
-        rows = [row for row in self._rows.pop(step) if self._alarms[row] == step]
-        for row in rows:
-            self._alarms[row] = -1
-        return sorted(rows)
+        rows: list[int] = (self._due == step).nonzero()[0].tolist()
+        return rows
 
 
 class Timeline:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmd.core.events import TICK_INPUT, DriverInput, HostInput, Input, RequestInput, ScanInput
+from swarmd.core.events import DriverInput, HostInput, Input, RequestInput, ScanInput
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply
-from swarmd.core.values import Scan, Twist
+from swarmd.core.values import Scan
 from swarmd.core.verbs import Request
 from swarmd.kit.factory import Find
 from swarmd.pattern_host.executor import PatternExecutor
@@ -33,7 +33,6 @@ class RobotShell:
         self.replies: list[Reply] = []
         self.decided = 0
         self.evaded = 0
-        self._twist: Twist | None = None
         self._outputs = outputs
         self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.step(DriverInput(True, "simulated"), now)
@@ -45,17 +44,7 @@ class RobotShell:
         if self.robot.is_running:
             self.decided += 1
             self.evaded += actions.decision.is_active
-        self._apply(actions, now)
-
-    def tick(self, now: float) -> None:
-        """Tick the robot, periodically or by its alarm."""
-        actions = self.robot.step(TICK_INPUT, now)
-        assert actions is not None
-        if not actions.is_quiet:
-            self._apply(actions, now)
-        elif actions.twist is not self._twist:
-            self._twist = actions.twist
-            self._outputs.command(self.row, actions.twist)
+        self.carry_out(actions, now)
 
     def request(self, request: Request, now: float) -> Reply | None:
         """Carry out an operator's request; the reply, which an inline pattern gives at once."""
@@ -67,18 +56,18 @@ class RobotShell:
         """Hand an input to the robot, and carry out what follows."""
         actions = self.robot.step(input, now)
         if actions is not None:
-            self._apply(actions, now)
+            self.carry_out(actions, now)
 
-    def _apply(self, actions: Actions, now: float) -> None:
+    def carry_out(self, actions: Actions, now: float) -> None:
         """Carry out the actions and set the alarm."""
         self._carry_out(actions, now)
-        self._outputs.set_alarm(self.row, self.robot.wake_at(now))
+        self._outputs.alarms.set(self.row, self.robot.wake_at(now))
 
     def _carry_out(self, actions: Actions, now: float) -> None:
-        outputs = self._outputs
-        if actions.twist is not self._twist:  # most ticks keep the command
-            self._twist = actions.twist
-            outputs.command(self.row, actions.twist)
+        outputs, row, twist = self._outputs, self.row, actions.twist
+        commands = outputs.commands  # three values are set faster than a row
+        commands[row, 0], commands[row, 1] = twist.linear, twist.angular
+        commands[row, 2], outputs.has_new_commands = twist.lateral, True
         if actions.latches is not None:
             self.latches = actions.latches
         if actions.trial is not None:

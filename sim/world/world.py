@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import repeat
 
 import mujoco
 import numpy as np
@@ -229,10 +230,8 @@ class World:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""
         chosen, now = np.arange(len(self.ids)) if robots is None else robots, self.time
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
-        return [
-            Odometry(now, Pose(*pose), Twist(*twist))
-            for pose, twist in zip(poses.tolist(), twists.tolist(), strict=True)
-        ]
+        places, speeds = map(Pose, *poses.T.tolist()), map(Twist, *twists.T.tolist())
+        return list(map(Odometry, repeat(now), places, speeds))
 
     def readings(self, robot: int) -> Mapping[str, float]:
         """The values of the fields at the robot's axle, by name."""

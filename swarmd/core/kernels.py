@@ -26,6 +26,7 @@ KERNELS = (
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",
     "swarmd.protection.following",
+    "swarmd.robot.tick",
     "swarmd.sensing.scans",
     "swarmd.sim.world.base",
     "swarmd.sim.world.ray_caster",

@@ -113,7 +113,7 @@ class MovementPattern(Pattern[P]):
     def step(self, inputs: Inputs) -> Outputs:
         """The command of `drive`; no command while a scan or reading that it needs is missing."""
         for word in self.needs:
-            if _is_missing(word, inputs):
+            if inputs.scan is None if word == "scan" else _is_missing(word, inputs):
                 return Outputs(report=self.report())
         twist = self.drive(inputs)
         if twist is None:  # valid outputs, but the author forgot something; any other type is not
@@ -122,9 +122,7 @@ class MovementPattern(Pattern[P]):
 
 
 def _is_missing(word: str, inputs: Inputs) -> bool:
-    """True if the scan or reading that `word` of `needs` names is not among the inputs."""
-    if word == "scan":
-        return inputs.scan is None
+    """True if the reading, or the scan of the ring, that `word` names is not among the inputs."""
     if word == "ranges":
         return inputs.ranges is None
     kind, _, name = word.partition(":")

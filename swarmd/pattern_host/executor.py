@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from swarmd.core import host_messages
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
 from swarmd.core.messages import Refusal
-from swarmd.core.values import Inputs, Message, Outputs, Platform, Scan, Twist
+from swarmd.core.values import Inputs, Message, Outputs, Platform, Scalar, Scan, Twist, Value
 from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
 from swarmd.kit.params import Params, build, schema
@@ -138,7 +138,7 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
         linear, angular, lateral = twist.linear, twist.angular, twist.lateral
         if not type(linear) is type(angular) is type(lateral) is float:
             twist = Twist(float(linear), float(angular), float(lateral))
-    messages = {}
+    messages: dict[str, Value] = {}
     for channel, said in outputs.messages.items():
         value, kind = _plain(said), channels.get(channel)
         if kind is not None:
@@ -148,11 +148,12 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
                 wanted = f"expected {kind.__name__}, as channels declares"
                 raise PluginError(f"channel {channel!r} got {named(value)}; {wanted}") from None
         messages[str(channel)] = value
-    report = {}
+    report: dict[str, Scalar] = {}
     for name, reported in outputs.report.items():
-        value = _plain(reported)
-        if isinstance(value, (int, float, str)):
-            report[str(name)] = value
+        if type(reported) not in _IMMUTABLE:
+            reported = _plain(reported)
+        if isinstance(reported, (int, float, str)):
+            report[str(name)] = reported
     return Outputs(twist, messages, report, None if outputs.done is None else str(outputs.done))
 
 

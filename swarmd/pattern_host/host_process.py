@@ -28,7 +28,7 @@ from swarmd.core.messages import Sandbox
 from swarmd.core.processes import OUT_OF_MEMORY, how_it_ended
 from swarmd.pattern_host.forked import ONE_THREAD, ForkedHost, host_sockets, take_forked_host
 from swarmd.pattern_host.wire import decode_event, decode_sandbox
-from swarmd.robot.pattern_run import LOAD_TIMEOUT
+from swarmd.robot.timeouts import LOAD_TIMEOUT
 
 MAX_FRAMES_PER_READ = 8
 """Frames read before the loop's other work, so that a flood does not block the daemon."""

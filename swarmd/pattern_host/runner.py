@@ -56,6 +56,8 @@ class InlineRunner:
 
     def send(self, command: host_messages.HostCommand) -> host_messages.HostEvent | None:
         """Carry the command out; the event that follows, if one does."""
+        if isinstance(command, host_messages.Step):  # as most are
+            return self._executor.handle(command)
         if isinstance(command, host_messages.StartTrial):
             answer = self._make_executor().handle(command.load)
             return trial_done(command.load.generation, answer)

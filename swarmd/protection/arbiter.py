@@ -185,7 +185,6 @@ class Protection:
         self,
         requested: Twist | None,
         context: DecisionContext,
-        *,
         is_running: bool,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,

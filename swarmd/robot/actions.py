@@ -1,21 +1,13 @@
-"""The effects of one event on a robot: gathered in `Effects`, handed to the shell as `Actions`."""
+"""The effects of one event on a robot, handed to the shell; `Effects` (tick.py) gathers them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from msgspec import Struct, structs
+from msgspec import Struct
 
 from swarmd.core.goal import GoalRecord
-from swarmd.core.host_messages import (
-    CancelTrial,
-    HostCommand,
-    KillHost,
-    Load,
-    SetParams,
-    StartTrial,
-    Step,
-)
+from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
 from swarmd.core.messages import Reply
 from swarmd.core.values import Twist, Value
 from swarmd.protection.decision import Decision
@@ -57,37 +49,3 @@ class Actions(Struct, frozen=True, eq=False):
     replies: tuple[Reply, ...] = ()
     failed_code: FailedCode | None = None
     ended: str = ""
-
-
-class Effects(Struct, eq=False):
-    """The effects of one event at `now`, gathered until the robot settles them into `Actions`.
-
-    `is_routine`: the event is a tick, a scan or the answer to a step, and has not changed the
-    lifecycle, but for the requested command.
-    """
-
-    now: float
-    is_tick: bool = False
-    is_routine: bool = False
-    is_latched: bool = False
-    is_new_scan: bool = False
-    is_new_run: bool = False
-    trial: StartTrial | CancelTrial | None = None
-    messages: Mapping[str, Value] = {}
-    replies: tuple[Reply, ...] = ()
-    host: HostCommand | None = None
-    failed_code: FailedCode | None = None
-    ended: str = ""
-
-    def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
-        """Choose the one command of this event for the pattern host.
-
-        KillHost and Load decide which pattern the host holds, so the later of them wins; a Load
-        after a KillHost asks for a fresh host. SetParams and Step are meant for the pattern that
-        the host holds now, so they never replace another command.
-        """
-        if isinstance(command, SetParams | Step) and self.host is not None:
-            return
-        if isinstance(command, Load) and isinstance(self.host, KillHost):
-            command = structs.replace(command, is_fresh=True)
-        self.host = command

@@ -6,15 +6,19 @@ A greater goal for this robot ends its run. Only a request starts a run, but for
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal, GoalState, HeldGoal
 from swarmd.core.messages import Epoch, Reason, Refusal, State
 from swarmd.kit.conditions import parse_conditions
-from swarmd.robot.actions import Effects
 from swarmd.robot.goals import Found
 from swarmd.robot.pattern_run import Wish
 from swarmd.robot.state import Lifecycle
+
+if TYPE_CHECKING:
+    from swarmd.robot.tick import Effects
 
 
 class GoalHandler:

@@ -79,7 +79,7 @@ class Goals:
         self.superseded = ""
         self._reason = ""
         self._may_join = False
-        self._lease_until: float | None = None
+        self.lease_until: float | None = None
         self._lease_count = -1
         self._stops: dict[str, None] = {}
         self._undecided: dict[str, _Undecided] = {}
@@ -88,7 +88,7 @@ class Goals:
         self._stood = -math.inf if record.stood is None else record.stood
         self._ran = record.ran  # the own goal was run when the robot was restarted
         self._stopped = b""  # the held goal after which a stop of all came, and made no goal
-        self._is_changed = False
+        self.is_changed = False
         # The load that failed since the robot has no such pattern, and whether it was repeated.
         self._awaits_code: int | None = None
         self._has_retried = False
@@ -103,7 +103,7 @@ class Goals:
     @property
     def lease_ends(self) -> float | None:
         """When the run of the own goal ends unless its operator is heard, in s."""
-        return self._lease_until if self.state is GoalState.RUNNING else None
+        return self.lease_until if self.state is GoalState.RUNNING else None
 
     def forget(self, counts: Callable[[Goal], bool]) -> None:
         """Drop the goals that do not count any more, such as those of a revoked operator."""
@@ -114,14 +114,14 @@ class Goals:
         if self.held is None:
             self.held = self.own
         if own is not None and self.own is None:
-            self.state, self._reason, self._may_join, self._lease_until = None, "", False, None
-        self._is_changed |= (held, own, before) != (self.held, self.own, self.before)
+            self.state, self._reason, self._may_join, self.lease_until = None, "", False, None
+        self.is_changed |= (held, own, before) != (self.held, self.own, self.before)
 
     def take_record(self) -> GoalRecord | None:
         """The record for the disk, if it has changed since it was taken last."""
-        if not self._is_changed:
+        if not self.is_changed:
             return None
-        self._is_changed = False
+        self.is_changed = False
         return self.record()
 
     def record(self) -> GoalRecord:
@@ -189,10 +189,10 @@ class Goals:
             self.held, self._held_since = new, now
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
-            self._lease_count, self._lease_until = -1, None
+            self._lease_count, self.lease_until = -1, None
             self._has_retried = self._ran = False
             self._offer("", may_join=may_join)
-        self._is_changed = True
+        self.is_changed = True
         self._decide_stops(now)
 
     def learn_age(self, age: float | None, now: float) -> None:
@@ -301,14 +301,14 @@ class Goals:
         if self._awaits_code == generation:
             self._has_retried = True
             self._offer("", may_join=True)
-            self._is_changed = True
+            self.is_changed = True
 
     def refusal_to_resume(self, now: float) -> str:
         """Why the run of the own goal is not resumed: its lease has ended; empty if it may be."""
         own = self.own
         if own is None or own.goal.lease is None:
             return ""
-        if self._lease_until is not None and now < self._lease_until:
+        if self.lease_until is not None and now < self.lease_until:
             return ""
         return f"the operator of its run lease was not heard for {own.goal.lease:g} s"
 
@@ -329,8 +329,8 @@ class Goals:
             self.adopt(goal, age, now, may_join=False)
         self.state, self._reason, self.superseded = GoalState.RUNNING, "", ""
         if not is_resumed:
-            self._lease_until = None if goal.lease is None else now + goal.lease
-        self._is_changed = True
+            self.lease_until = None if goal.lease is None else now + goal.lease
+        self.is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
         """The operator of the goal with this id was heard; old and repeated counts are ignored."""
@@ -339,15 +339,15 @@ class Goals:
             return
         if count > self._lease_count:
             self._lease_count = count
-            self._lease_until = now + own.goal.lease
+            self.lease_until = now + own.goal.lease
 
     def bar(self, now: float) -> None:
         """The robot was stopped or reset: it joins no goal that was set before."""
-        self._stood, self._ran, self._is_changed = now, False, True
+        self._stood, self._ran, self.is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
         """A run ended, or an event came after which no found goal may start one."""
-        self._is_changed |= self._may_join
+        self.is_changed |= self._may_join
         self._may_join, self._awaits_code = False, None
         own = self.own
         if own is None:
@@ -366,7 +366,7 @@ class Goals:
         """Set the labels; None: those of the file."""
         self._set_labels = labels
         self._awaits_code = None
-        self._is_changed = True
+        self.is_changed = True
 
     def _offer(self, ended: str, *, may_join: bool) -> None:
         own = self.own
@@ -382,7 +382,7 @@ class Goals:
             self.state, self._reason = GoalState.OFFERED, text
 
     def _end(self, why: str) -> None:
-        self.state, self._reason, self._is_changed = GoalState.ENDED, why, True
+        self.state, self._reason, self.is_changed = GoalState.ENDED, why, True
 
 
 def _known(held: HeldGoal, now: float) -> KnownGoal:

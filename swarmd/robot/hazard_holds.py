@@ -42,9 +42,14 @@ class HazardHolds:
             self._since.setdefault(hazard, now)
             self._until[hazard] = math.inf
 
+    @property
+    def until(self) -> float:
+        """When the last hold ends; -inf without one, inf while a hazard is reported."""
+        return max(self._until.values(), default=-math.inf)
+
     def holds(self, now: float) -> bool:
         """True while a hazard is reported, or was less than CLEAR_TIME ago."""
-        return bool(self._until) and any(now < until for until in self._until.values())
+        return now < self.until
 
     @property
     def ends_run(self) -> bool:

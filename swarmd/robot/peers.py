@@ -222,6 +222,11 @@ class Peers:
         """The time until which `holds` stays False if nothing arrives; -inf if it is True."""
         return -math.inf if self._holds_always else self._due
 
+    @property
+    def has_places(self) -> bool:
+        """True if `told` may give anything."""
+        return bool(self._sensed or self._located)
+
     def _find_due(self) -> None:
         self._due = min(map(self._told_until, self._unseen), default=math.inf)
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from swarmd.core import verbs
 from swarmd.core.goal import GoalState
@@ -30,10 +30,12 @@ from swarmd.core.host_messages import CancelTrial, KillHost, SetParams, StartTri
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.arbiter import Protection
-from swarmd.robot.actions import Effects
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.pattern_run import Trial, Wish
 from swarmd.robot.state import Lifecycle
+
+if TYPE_CHECKING:
+    from swarmd.robot.tick import Effects
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
@@ -326,11 +328,11 @@ class RequestHandler:
         request, running, goals = trial.request, run.running, lifecycle.goals
         assert running is not None
         goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
-        left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
+        left = None if running.finish_at == math.inf else max(running.finish_at - effects.now, 1e-3)
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = None  # the host that owes a step is gone
+        run.awaiting_since = math.inf  # the host that owes a step is gone
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,

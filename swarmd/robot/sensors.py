@@ -10,10 +10,13 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmd.core.codec import encode_value
+from swarmd.core.hazard import Hazard
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.values import (
     Inputs,
@@ -28,14 +31,19 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_settings, fastest_corner
-from swarmd.protection.decision import DecisionContext, ToldObstacle
+from swarmd.protection.decision import ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import Peers
+from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
-ODOMETRY_TIMEOUT = 0.5
+if TYPE_CHECKING:
+    from swarmd.robot.tick import InputTimes
+else:
+    InputTimes = load_kernel("swarmd.robot.tick").InputTimes
+
 NEIGHBOR_TIMEOUT = 3.0  # s without an update after which there are no neighbours
 AGE_UPDATE_PERIOD = 0.5  # s between updates of the neighbours' ages: a thousand take a while
 MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
@@ -51,15 +59,18 @@ class _Received:
     size: int
 
 
-class Sensors:
+class Sensors(InputTimes):
     """Scans, odometry, neighbours, readings, messages and state of the driver, with their ages.
 
     All times are in s on the robot's monotonic clock and come with each call.
     """
 
+    scan_delay: ScanDelay
+
     def __init__(
         self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
     ) -> None:
+        super().__init__()
         self._stale_after = platform.scan.stale_after
         self._max_delay = platform.scan.max_scan_delay
         self._needs_odometry = "odometry" in platform.provides
@@ -67,17 +78,12 @@ class Sensors:
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
-        self.permitted_delay = 0.0  # s of late scans with which the running pattern goes on
         self._history = OdometryHistory(self.scan_delay)
         self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
         ring = platform.ranges
         self._ring = None if ring is None else RangeRing(platform, ring)
-        self._scan_at: float | None = None
-        self._problem: Reason | None = None
-        self._odometry_at: float | None = None
         self._scan_times: deque[float] = deque(maxlen=12)
         self._is_new_scan = False
-        self._context: DecisionContext | None = None  # the last one; a scan or odometry ends it
         self._given: tuple[Neighbor, ...] = ()
         self._neighbors: tuple[Neighbor, ...] = ()
         self._neighbor_ids: frozenset[str] | None = None  # made when a message arrives
@@ -91,12 +97,9 @@ class Sensors:
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
         self.scan: Scan | None = None
-        self.odometry: Odometry | None = None
         self.readings: Mapping[str, float] = {}
         self.stale_readings: tuple[str, ...] = ()
-        self.is_driver_up = False
         self.driver_text = "not connected yet"
-        self.driver_hold: Reason | None = None
         self.gets_zero = False
 
     def on_scan(self, scan: Scan, now: float) -> bool:
@@ -108,6 +111,7 @@ class Sensors:
             self._problem = conditioned
             return False
         self.scan_delay.on_scan(scan, now)
+        self._added, self._is_late = self.scan_delay.added, self.scan_delay.is_late
         self._scan_at = self._conditioner.known_at
         self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
         self._scan_times.append(now)
@@ -123,8 +127,7 @@ class Sensors:
             self._ring.on_scan(scan, self._fresh_odometry(now), now)
 
     def _fresh_odometry(self, now: float) -> Odometry | None:
-        at = self._odometry_at
-        return self.odometry if at is not None and now - at <= ODOMETRY_TIMEOUT else None
+        return self.odometry if now - self._odometry_at <= ODOMETRY_TIMEOUT else None
 
     @property
     def blind_text(self) -> str:
@@ -153,7 +156,7 @@ class Sensors:
             self._neighbor_ids = None
         self._neighbors_at = now
         if self.peers.on_neighbors(self._given, now):
-            self._context = None
+            self._look_at_peers()
         self._aged, self._renewals = self._neighbors, 0.0
 
     def on_pose(self, pose: SharedPose, now: float) -> None:
@@ -164,14 +167,22 @@ class Sensors:
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in where a peer is in a shared frame."""
         if self.peers.on_place(place, now):
-            self._context = None
+            self._look_at_peers()
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
         """Take in what all known peers tell of their bodies; the findings that are new."""
         found = self.peers.on_peers(bodies)
-        if found:
-            self._context = None
+        self._look_at_peers()
         return found
+
+    def _look_at_peers(self) -> None:
+        self._context, self._peers_due = None, self.peers.hold_due_at()
+        self._teller = self.peers if self.peers.has_places else None
+
+    def on_hazards(self, hazards: tuple[Hazard, ...], now: float) -> None:
+        """Take in all present hazards of the base."""
+        self.hazards.take(hazards, now)
+        self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
         """Keep a message for the next step; False if its sender is no neighbour.
@@ -235,27 +246,11 @@ class Sensors:
         It counts from the arrival; for a scan that lacks a sector, from the time to which the
         remembered sector is valid.
         """
-        return None if self._scan_at is None else now - self._scan_at
+        return None if self._scan_at == -math.inf else now - self._scan_at
 
     def odometry_age(self, now: float) -> float | None:
         """The time in s since the last new odometry arrived; None before the first."""
-        return None if self._odometry_at is None else now - self._odometry_at
-
-    def context(self, now: float) -> DecisionContext:
-        """The context of a decision at `now`: the same object for the same time and inputs."""
-        context = self._context
-        if context is None or context.now != now:
-            scan_at, odometry_at = self._scan_at, self._odometry_at
-            context = self._context = DecisionContext(
-                now,
-                None if scan_at is None else now - scan_at,
-                self.odometry,
-                None if odometry_at is None else now - odometry_at,
-                self.scan_delay.added,
-                told=self.peers.told(now),
-                near=() if self._ring is None else self._ring.obstacles(now),
-            )
-        return context
+        return None if self._odometry_at == -math.inf else now - self._odometry_at
 
     def scan_rate(self, now: float) -> float:
         """Valid scans per second, over the last few; 0 once they have stopped."""
@@ -263,68 +258,6 @@ class Sensors:
         if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-4)
-
-    def hold(self, now: float) -> Reason | None:
-        """The reason why the sensors forbid motion; None if they do not."""
-        if not self.is_driver_up:
-            return Reason.DRIVER_LOST
-        if self.driver_hold is not None:
-            return self.driver_hold
-        if self.hazards.holds(now):
-            return Reason.HAZARD
-        if self._scan_at is None:
-            return self._problem or Reason.NO_SCAN
-        age, delay = now - self._scan_at, self.scan_delay
-        is_late = delay.is_late and delay.added > self.permitted_delay
-        if is_late and age <= self._stale_after:
-            return Reason.LATE_SCAN
-        # The first comparison is cheap, and mostly enough: `_longest_age` is never less.
-        if age > self._stale_after - delay.added and age > self._longest_age():
-            return self._problem or Reason.STALE_SCAN
-        if self._ring is not None and (reason := self._ring.hold(now)) is not None:
-            return reason
-        if self._needs_odometry and (
-            self._odometry_at is None or now - self._odometry_at > ODOMETRY_TIMEOUT
-        ):
-            return Reason.STALE_ODOMETRY
-        return Reason.INCOMPATIBLE_PEER if self.peers.holds(now) else None
-
-    def hold_due_at(self) -> float:
-        """A time until which `hold` stays None, if it is None now and nothing arrives."""
-        due = self.peers.hold_due_at()
-        scan_at, odometry_at, ring = self._scan_at, self._odometry_at, self._ring
-        if scan_at is not None and scan_at + self._stale_after - self.scan_delay.added < due:
-            due = scan_at + self._stale_after - self.scan_delay.added
-        if (
-            self._needs_odometry
-            and odometry_at is not None
-            and odometry_at + ODOMETRY_TIMEOUT < due
-        ):
-            due = odometry_at + ODOMETRY_TIMEOUT
-        if ring is not None and ring.stale_at is not None and ring.stale_at < due:
-            due = ring.stale_at
-        return due
-
-    def stale_at(self) -> float | None:
-        """The time at which the present scan, or that of the ring, becomes too old.
-
-        None before the first.
-        """
-        if self._scan_at is None:
-            return None
-        stale_at = self._scan_at + self._longest_age()
-        ring_at = None if self._ring is None else self._ring.stale_at
-        return stale_at if ring_at is None else min(stale_at, ring_at)
-
-    def _longest_age(self) -> float:
-        """The age in s beyond which a scan is stale: age and delay count together.
-
-        A permitted delay beyond the platform's bound takes nothing more of it.
-        """
-        added: float = self.scan_delay.added
-        if added <= self.permitted_delay:
-            added = min(added, self._max_delay)
-        return self._stale_after - added
 
     def inputs(self, now: float, dt: float) -> Inputs:
         """The inputs of one step; a message, like the mark of a new scan, is in one step only."""

@@ -38,11 +38,13 @@ from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
 from swarmd.core import host_messages
 from swarmd.core.goal import Goal, GoalRecord, GoalState, digest_of
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import (
     MAX_EVENTS,
     Code,
@@ -65,21 +67,24 @@ from swarmd.core.verbs import (
 )
 from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import Permit
-from swarmd.robot.actions import Effects, FailedCode
+from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.message_limits import Outbox
-from swarmd.robot.pattern_run import (
+from swarmd.robot.pattern_run import Loading, PatternRun, Trial, Wish
+from swarmd.robot.settings import RobotIdentity
+from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
+    MAX_HOLD_TIME,
     ROUNDING,
     STEP_TIMEOUT,
-    Loading,
-    PatternRun,
-    Trial,
-    Wish,
 )
-from swarmd.robot.settings import RobotIdentity
+
+if TYPE_CHECKING:
+    from swarmd.robot.tick import Effects, StateField
+else:
+    StateField = load_kernel("swarmd.robot.tick").StateField
 
 
 class Trigger(StrEnum):
@@ -118,7 +123,7 @@ TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
 )
 
 
-class StateMachine:
+class StateMachine(StateField):
     """The state, its one reason, one line of detail, and the time of the last change of state."""
 
     def __init__(self, now: float) -> None:
@@ -151,7 +156,6 @@ _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
 )
 
 
-MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
 MAX_TEXT = 300  # characters
 # The next run, if it was requested already, goes on loading; a load has a timeout of its own.
 _ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
@@ -184,7 +188,7 @@ class Lifecycle:
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: tuple[ParamRequest, float] | None = None
         self.trial: Trial | None = None
-        self.hold_since: float | None = None
+        self.hold_since = math.inf
         self.wrong_type_count = 0
         self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
         self._last_fault = ""
@@ -241,10 +245,7 @@ class Lifecycle:
     # Events of the pattern host
 
     def on_host(self, event: host_messages.HostEvent, effects: Effects) -> None:
-        """Act on an event of the pattern host; events of other generations are ignored."""
-        if isinstance(event, host_messages.Stepped):
-            self._on_stepped(event, effects)
-            return
+        """Act on an event of the host but Stepped; those of other generations are ignored."""
         run = self.pattern_run
         is_loading = run.loading is not None and event.generation == run.loading.generation
         is_running = run.running is not None and event.generation == run.running.generation
@@ -270,7 +271,7 @@ class Lifecycle:
         if late > MAX_LATE:
             self._end_late_load(late, effects)
         elif late < 0.0:
-            run.awaiting_since = None
+            run.awaiting_since = math.inf
             run.loading = replace(loading, loaded=event)
         else:
             self._begin_run(event, effects)
@@ -287,7 +288,7 @@ class Lifecycle:
     def _begin_run(self, event: host_messages.Loaded, effects: Effects) -> None:
         now = effects.now
         loading = self.pattern_run.ready(event, now)
-        self.hold_since = None
+        self.hold_since = math.inf
         self.state_machine.apply(Trigger.RUN, None, "", now)
         if loading.is_restart:
             self.log(f"{loading.pattern} restarted", now)
@@ -336,14 +337,15 @@ class Lifecycle:
         if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)
 
-    def _on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
+    def on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
+        """Act on the answer to a step; of another generation it only frees the host."""
         run = self.pattern_run
         running = run.running
         if running is None or event.generation != running.generation:
             if event.generation == run.stepped_generation:
-                run.awaiting_since = None
+                run.awaiting_since = math.inf
             return
-        run.stepped(event, effects.now)
+        run.stepped(event.outputs, event.scan_seq, effects.now)
         self.wrong_type_count += event.dropped
         twist = event.outputs.twist
         if twist is not None and not twist.is_finite:
@@ -377,11 +379,11 @@ class Lifecycle:
         self.applied(effects, request, event.text or "set")
 
     def _on_host_died(self, text: str, effects: Effects) -> None:
-        self.pattern_run.awaiting_since = None
+        self.pattern_run.awaiting_since = math.inf
         loading = self.pattern_run.loading
         if loading is not None and not loading.is_restart:
             self.fail_load(text, effects)
-        elif self.is_running and self.pattern_run.restart_at is None:
+        elif self.is_running and self.pattern_run.restart_at == math.inf:
             self.fault(text, effects)
 
     # Failures of a pattern
@@ -402,7 +404,7 @@ class Lifecycle:
             detail = f"{running.pattern} failed while it was provisional: {text}"
             self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
         elif not run.fault(effects.now):
-            self.hold_since = None  # the restart may take as long as any other hold
+            self.hold_since = math.inf  # the restart may take as long as any other hold
         else:
             detail = f"{running.pattern} failed {FAULTS_BEFORE_QUARANTINE} times, last: {text}"
             self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
@@ -457,7 +459,7 @@ class Lifecycle:
             request, self.params_request = self.params_request[0], None
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
-        self.hold_since = None
+        self.hold_since = math.inf
         before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, detail[:MAX_TEXT], effects.now)
         text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
@@ -515,7 +517,7 @@ class Lifecycle:
         run.loading = Loading(
             run.generation, pattern, params, seconds, now, request, wish, until, goal, start_at
         )
-        run.restart_at = None
+        run.restart_at = math.inf
         load = self.load_of(run.generation, pattern, params)
         is_fresh = is_fresh or run.is_outdated
         is_restart = run.loading.is_restart
@@ -616,14 +618,6 @@ class Lifecycle:
 
     # Time
 
-    def due_at(self) -> float:
-        """A time before which `advance` without a hold changes nothing; inf without one."""
-        is_waiting = self.params_request is not None or self.trial is not None
-        if is_waiting:
-            return -math.inf
-        due, lease_ends = self.pattern_run.lifecycle_due_at(), self.goals.lease_ends
-        return due if lease_ends is None else min(due, lease_ends)
-
     def advance(self, hold: Reason | None, effects: Effects, hold_text: str = "") -> Reason | None:
         """Act on all deadlines that have passed; returns the present hold, if any.
 
@@ -636,8 +630,8 @@ class Lifecycle:
                 self._on_loaded(loading.loaded, effects)
         elif loading is not None and now - loading.since >= LOAD_TIMEOUT:
             self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
-        if run.awaiting_since is not None and now - run.awaiting_since >= STEP_TIMEOUT:
-            run.awaiting_since = None
+        if now - run.awaiting_since >= STEP_TIMEOUT:
+            run.awaiting_since = math.inf
             self._end_silent_host(effects)
         if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
             request, self.params_request = self.params_request[0], None
@@ -646,7 +640,7 @@ class Lifecycle:
         running = run.running
         if not self.is_running or running is None:
             return None
-        if running.finish_at is not None and now >= running.finish_at:
+        if now >= running.finish_at:
             self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
             return None
         lease_ends, own = self.goals.lease_ends, self.goals.own
@@ -675,8 +669,8 @@ class Lifecycle:
             hold = Reason.COMMAND_EXPIRED
         is_switching = hold is Reason.COMMAND_EXPIRED and self.pattern_run.loading is not None
         if hold is None or is_switching:  # a load has a timeout of its own
-            self.hold_since = None
-        elif self.hold_since is None:
+            self.hold_since = math.inf
+        elif self.hold_since == math.inf:
             self.hold_since = effects.now
         elif effects.now - self.hold_since >= MAX_HOLD_TIME:
             text = hold_text or f"for {MAX_HOLD_TIME:.0f} s"

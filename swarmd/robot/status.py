@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -18,6 +17,9 @@ from swarmd.robot.pattern_run import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
+if TYPE_CHECKING:
+    from swarmd.robot.tick import DutyCycle
+
 MAX_REPORTED = 16
 MAX_ROWS = 4
 MAX_GAP = 1e6  # m, which the message can tell: odometry that jumps puts obstacles anywhere
@@ -27,19 +29,6 @@ SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
 MAX_VALUE = 256
 _SAME_PLACE = 0.4  # m between a neighbour and the object that it may be
-
-
-@dataclass(slots=True, eq=False)
-class DutyCycle:
-    """Ticks in `running` since the last run request, and the ticks with active protection."""
-
-    decisions: int = 0
-    active: int = 0
-
-    @property
-    def share(self) -> float:
-        """Between 0 and 1; 0 before the first tick."""
-        return self.active / self.decisions if self.decisions else 0.0
 
 
 def make_status(

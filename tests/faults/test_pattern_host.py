@@ -15,7 +15,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.verbs import LogBatch, LogsQuery
-from swarmd.robot.pattern_run import FIRST_BACKOFF
+from swarmd.robot.timeouts import FIRST_BACKOFF
 from swarmd.testing.driver_contract import is_running
 from tests.faults.conftest import ROBOT
 from tests.support.processes import wait_until

@@ -22,7 +22,7 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.values import Inputs, Outputs, Twist
 from swarmd.pattern_host.runner import ProcessRunner
-from swarmd.robot.pattern_run import LOAD_TIMEOUT
+from swarmd.robot.timeouts import LOAD_TIMEOUT
 from swarmd.settings.settings import load_platform
 
 pytestmark = pytest.mark.integration

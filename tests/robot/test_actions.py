@@ -6,7 +6,7 @@ import pytest
 
 from swarmd.core.host_messages import HostCommand, KillHost, Load, SetParams, Step
 from swarmd.core.values import Inputs
-from swarmd.robot.actions import Effects
+from swarmd.robot.tick import Effects
 from swarmd.settings.settings import load_platform
 
 LOAD = Load(1, "drive", (), "tb3-01", load_platform("burger"), 1)

@@ -13,7 +13,7 @@ from swarmd.core.events import HazardsInput
 from swarmd.core.hazard import ENDS_RUN, Hazard, HazardKind
 from swarmd.core.messages import Reason, Refusal, State
 from swarmd.robot.hazard_holds import CLEAR_TIME, MAX_HAZARDS, HazardHolds
-from swarmd.robot.state import MAX_HOLD_TIME
+from swarmd.robot.timeouts import MAX_HOLD_TIME
 from tests.support.examples import examples
 from tests.support.goals import make_goal
 from tests.support.robot_harness import RobotHarness

@@ -8,14 +8,8 @@ from typing import Any
 import pytest
 
 from swarmd.core.host_messages import Loaded
-from swarmd.robot.pattern_run import (
-    LOAD_TIMEOUT,
-    MIN_EXPIRY,
-    STEP_TIMEOUT,
-    Loading,
-    PatternRun,
-    Wish,
-)
+from swarmd.robot.pattern_run import Loading, PatternRun, Wish
+from swarmd.robot.timeouts import LOAD_TIMEOUT, MIN_EXPIRY, STEP_TIMEOUT
 
 
 def loading(seconds: float | None = None, since: float = 10.0) -> Loading:
@@ -43,12 +37,12 @@ def with_values(run: PatternRun, **values: Any) -> PatternRun:
         (PatternRun(), []),
         (with_values(PatternRun(), loading=loading()), [10.0 + LOAD_TIMEOUT]),
         (running(), [10.0 + MIN_EXPIRY, 10.0 + STEP_TIMEOUT]),
-        (with_values(running(), awaiting_since=None), [10.1, 10.0 + MIN_EXPIRY]),
+        (with_values(running(), awaiting_since=math.inf), [10.1, 10.0 + MIN_EXPIRY]),
         (running(seconds=0.7), [10.0 + MIN_EXPIRY, 10.7, 10.0 + STEP_TIMEOUT]),
-        (with_values(running(), restart_at=10.2, awaiting_since=None), [10.1, 10.2, 10.3]),
+        (with_values(running(), restart_at=10.2, awaiting_since=math.inf), [10.1, 10.2, 10.3]),
         # While the next pattern is being loaded, no step is due.
         (
-            with_values(running(), loading=loading(since=10.1), awaiting_since=None),
+            with_values(running(), loading=loading(since=10.1), awaiting_since=math.inf),
             [10.0 + MIN_EXPIRY, 10.1 + LOAD_TIMEOUT],
         ),
     ],

@@ -28,7 +28,7 @@ from swarmd.robot.peers import (
     TOLD_TIMEOUT,
     Peers,
 )
-from swarmd.robot.state import MAX_HOLD_TIME
+from swarmd.robot.timeouts import MAX_HOLD_TIME
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode

@@ -19,9 +19,9 @@ from swarmd.api import (
     Twist,
 )
 from swarmd.core.host_messages import Loaded, PatternFailed
-from swarmd.core.messages import State
+from swarmd.core.messages import Reason, State
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import NO_PERMIT, Decision, Permit
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
 from tests.support.robot_harness import RobotHarness
 
 ZONE = TouchZone(0.0, math.radians(20.0), 0.1)
@@ -83,9 +83,16 @@ class RecordingProtection(Protection):
 
     permit: Permit
 
-    def decide(self, *args: Any, permit: Permit = NO_PERMIT, **more: Any) -> Decision:
+    def decide(
+        self,
+        requested: Twist | None,
+        context: DecisionContext,
+        is_running: bool,
+        hold: Reason | None,
+        permit: Permit = NO_PERMIT,
+    ) -> Decision:
         self.permit = permit
-        return super().decide(*args, permit=permit, **more)
+        return super().decide(requested, context, is_running, hold, permit)
 
 
 @pytest.fixture(autouse=True)

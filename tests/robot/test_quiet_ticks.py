@@ -53,7 +53,7 @@ from swarmd.core.verbs import (
     RunRequest,
     StopRequest,
 )
-from swarmd.robot.actions import Actions, Effects
+from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.settings.settings import load_platform
@@ -70,12 +70,9 @@ COMMANDS = (Twist(0.2), Twist(0.0, 0.5), Twist(-0.1, -0.2), Twist(float("nan")),
 class Restless(Robot):
     """A robot that checks everything at each event."""
 
-    def _settle(self, effects: Effects) -> Actions:
-        effects.is_routine, self._is_status_due = False, True
-        return super()._settle(effects)
-
-    def _look_ahead(self) -> None:
-        """Nothing is known of the time to come."""
+    def step(self, input: Input, now: float) -> Actions | None:
+        self._hold = Reason.NO_SCAN  # under a hold each tick looks at all
+        return super().step(input, now)
 
 
 class Pair:

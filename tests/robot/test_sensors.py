@@ -21,9 +21,9 @@ from swarmd.robot.sensors import (
     MAX_INBOX_BYTES,
     MESSAGE_OVERHEAD,
     NEIGHBOR_TIMEOUT,
-    ODOMETRY_TIMEOUT,
     Sensors,
 )
+from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.platforms import with_mode

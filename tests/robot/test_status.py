@@ -16,9 +16,10 @@ from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Stat
 from swarmd.core.values import Neighbor, Scan, Twist
 from swarmd.protection.decision import Avoided, Decision
 from swarmd.robot.sensors import Sensors
-from swarmd.robot.status import MAX_ROWS, DutyCycle
+from swarmd.robot.status import MAX_ROWS
 from swarmd.robot.status import _avoided as avoided_text
 from swarmd.robot.status import _summary as make_summary
+from swarmd.robot.tick import DutyCycle
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.robot_harness import RobotHarness
