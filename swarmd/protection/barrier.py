@@ -648,7 +648,7 @@ class Barrier:
         return self._min_gap
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The feasible command nearest to `requested`; `requested` itself if it is feasible."""
         odometry = context.odometry

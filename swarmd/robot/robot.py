@@ -19,8 +19,8 @@ from swarmd.core.goal import GoalRecord, HeldGoal
 from swarmd.core.host_messages import Step, TrialDone
 from swarmd.core.messages import Epoch, Latch, Motion, Reason, State, Status
 from swarmd.core.values import Platform, Scalar, Scan, SharedPose
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
+from swarmd.protection.protection import Protection
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord
