@@ -104,6 +104,7 @@ _UNITS = "m/s2", "rad/s2"
 _turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
+_inf = cython.declare(cython.double, math.inf)
 
 
 def _last(count: int, most: int) -> range:
@@ -313,31 +314,78 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     levels = np.maximum(stop.sign * levels, 0.0)
     count = len(stop.cruise)
     seen = float(ways[:count].sum() / periods[:count].sum())
-    times = rows[:, :1] + _PARTS * periods[:, None]  # (n, parts)
-    rates = _SHARES * declared * stop.begin / seen  # in units of the command
-    share = np.arange(len(rates))[:, None, None, None]
-    # By command and share: the speed at its stamp, of a base that brakes from the commands before.
-    stamps, levels = np.concatenate(([-np.inf], stamps)), np.concatenate(([0.0], levels))
-    before = np.zeros((len(stamps), len(rates)))
-    for k in range(2, len(stamps)):
-        fall = rates * (stamps[k] - stamps[k - 1])
-        before[k] = np.maximum(levels[k - 1], before[k - 1] - fall)
     weights = 1.0 / (ways**2 + (_STILL * seen * periods) ** 2)
+    table = _view(np.stack((rows[:, 0], periods, weights * ways, weights), axis=1))
+    stamps = _view(np.concatenate(([-np.inf], stamps)))
+    levels = _view(np.concatenate(([0.0], levels)))
+    rates = _view(_SHARES * declared * stop.begin / seen)  # in units of the command
+    left = _left(table, stamps, levels, rates, float(weights @ ways**2))
+    return np.asarray(left), max(len(ways) - 3.0, 1.0)
 
-    def left(delays):
-        """(s, d) sums of squares for `delays` (s or 1, d)."""
-        since = times - delays[..., None, None]
-        index = stamps.searchsorted(since, side="right") - 1
-        braked = before[index, share] - rates[share] * (since - stamps[index])
-        speeds = np.maximum(levels[index], braked)
-        # Means of two parts; numpy's own, along a short axis, takes as long as all the rest.
-        modelled = 0.5 * (speeds[..., 0] + speeds[..., 1]) * periods
-        both, own = modelled @ (weights * ways), modelled**2 @ weights
-        # The scale of least squares: odometry and base may be off by a few percent.
-        return float(weights @ ways**2) - both**2 / np.maximum(own, 1e-12)
 
-    rough = _DELAYS[left(_DELAYS[None]).argmin(axis=1)]
-    return left(rough[:, None] + _NEAR_DELAYS).min(axis=1), max(len(ways) - 3.0, 1.0)
+def _view(values):
+    """`values` (n,) or (n, m) as the kernel reads them: in CPython as numbers of Python."""
+    if not cython.compiled:
+        return memoryview(values) if values.ndim > 1 else values.tolist()
+    return values
+
+
+@cython.cfunc
+def _left(
+    rows: cython.double[:, ::1],
+    stamps: cython.double[::1],
+    levels: cython.double[::1],
+    rates: cython.double[::1],
+    total: cython.double,
+):
+    """(s,) sums of squares that bases which brake at `rates` (s,) leave, each for its best delay.
+
+    `rows` (n, 4): begins, periods, ways times their weights, and weights.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    at: cython.Py_ssize_t
+    part: cython.Py_ssize_t
+    count: cython.Py_ssize_t = len(stamps)
+    delays: cython.double[::1] = _view(_DELAYS)
+    near: cython.double[::1] = _view(_NEAR_DELAYS)
+    parts: cython.double[::1] = _view(_PARTS)
+    # The speed at the stamp of each command, of a base that brakes from the commands before.
+    before: cython.double[::1] = _view(np.zeros(count))
+    least: cython.double[::1] = _view(np.zeros(len(rates)))
+    for j in range(len(rates)):
+        rate: cython.double = rates[j]
+        for k in range(2, count):
+            fallen: cython.double = before[k - 1] - rate * (stamps[k] - stamps[k - 1])
+            before[k] = max(levels[k - 1], fallen)
+        best: cython.double = 0.0
+        least[j] = _inf
+        for k in range(len(delays) + len(near)):
+            if k == len(delays):
+                rough: cython.double = best
+                least[j] = _inf
+            delay: cython.double = delays[k] if k < len(delays) else rough + near[k - len(delays)]
+            both: cython.double = 0.0
+            own: cython.double = 0.0
+            at = 0
+            for i in range(len(rows)):
+                speed: cython.double = 0.0
+                for part in range(2):  # the mean of two parts
+                    since: cython.double = rows[i, 0] + parts[part] * rows[i, 1] - delay
+                    while at + 1 < count and stamps[at + 1] <= since:
+                        at += 1
+                    while stamps[at] > since:
+                        at -= 1
+                    speed += max(levels[at], before[at] - rate * (since - stamps[at]))
+                modelled: cython.double = 0.5 * speed * rows[i, 1]
+                both += modelled * rows[i, 2]
+                own += modelled * modelled * rows[i, 3]
+            # The scale of least squares: odometry and base may be off by a few percent.
+            left: cython.double = total - both * both / max(own, 1e-12)
+            if left < least[j]:
+                least[j], best = left, delay
+    return least
 
 
 @cython.final

@@ -184,7 +184,8 @@ def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.Monke
 
     def counted(requested: Twist, *args: Any, **more: Any) -> ModeDecision:
         judged.append(requested)
-        return judge(requested, *args, **more)
+        decision: ModeDecision = judge(requested, *args, **more)
+        return decision
 
     monkeypatch.setattr(arbiter, "decide", counted)
     context = DecisionContext(1.0, 0.0)
