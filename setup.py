@@ -29,6 +29,7 @@ if sys.version_info < (3, 11):  # noqa: UP036
 
 KERNELS = {
     "swarmd.kit.points": "swarmd/kit/points.py",
+    "swarmd.protection.arbiter": "swarmd/protection/arbiter.py",
     "swarmd.protection.assumption_monitor": "swarmd/protection/assumption_monitor.py",
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
@@ -47,6 +48,7 @@ DIRECTIVES = {
     "wraparound": False,
     "initializedcheck": False,
     "cdivision": True,
+    "binding": False,  # a call of a method with one argument needs no tuple: a third of its time
     "auto_pickle": False,  # no object of a kernel is pickled, and the code is a sixth of the build
     "emit_code_comments": False,
 }
@@ -66,11 +68,11 @@ FLAGS = [
 def write_digests(source: str) -> str:
     """The path of a C file with the digests of a library, written if they changed.
 
-    The digests are of the kernel's source and of Cython's version. A kernel that uses the views of
-    another Cython might end the process.
+    The digests are of the kernel's source, and of Cython's version and directives. A kernel that
+    uses the views of another Cython might end the process.
     """
     file = (GENERATED / source).with_suffix(".digest.c")
-    views = hashlib.sha256(Cython.__version__.encode()).hexdigest()
+    views = hashlib.sha256(f"{Cython.__version__} {DIRECTIVES}".encode()).hexdigest()
     text = f'const char views_digest[] = "{views}";\n'
     if source in KERNELS.values():
         digest = hashlib.sha256(Path(source).read_bytes()).hexdigest()

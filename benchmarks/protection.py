@@ -34,8 +34,8 @@ from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, 
 from swarmd.core.verbs import RunRequest
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext
+from swarmd.protection.protection import Protection
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors

@@ -22,6 +22,7 @@ COPY = ROOT / "build" / "kernel-mutants"
 FOLDERS = ("swarmd", "patterns", "drivers", "sim", "config", "tests", "studies", "benchmarks")
 TESTS = {
     "swarmd/kit/points.py": ("tests/kit",),
+    "swarmd/protection/arbiter.py": ("tests/protection",),
     "swarmd/protection/assumption_monitor.py": ("tests/protection",),
     "swarmd/protection/barrier.py": ("tests/protection",),
     "swarmd/protection/blind_zone.py": ("tests/protection",),

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
-from swarmd.protection.arbiter import Arbiter, make_arbiter
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.modes import Arbiter, make_arbiter
 from swarmd.sim.lockstep.lockstep import Lockstep
 from tests.support import decision_corpus as corpus
 
@@ -60,7 +60,7 @@ class Recording:
         self._arbiter.observe(scan, geometry, context)
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """Note the request."""
         decision = self._arbiter.decide(requested, context, command=command, touch=touch)

@@ -21,8 +21,8 @@ from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
 from swarmd.plugins import pattern_names
-from swarmd.protection.arbiter import make_arbiter, narrowest_passage
 from swarmd.protection.compatibility import assumed_speed, body_of, findings
+from swarmd.protection.modes import make_arbiter, narrowest_passage
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings

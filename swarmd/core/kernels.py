@@ -22,6 +22,7 @@ from typing import Any
 
 KERNELS = (
     "swarmd.kit.points",
+    "swarmd.protection.arbiter",
     "swarmd.protection.assumption_monitor",
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",

@@ -1,102 +1,53 @@
 """Protection: the only path from a requested command to the command that the driver gets.
 
-`Protection` enforces limits and holds, whatever the mode; an `Arbiter` implements one mode. The
-holds of old scans and odometry are found in `robot/sensors.py`.
+`Protection` enforces limits and holds, whatever the mode; an `Arbiter` (modes.py) implements one
+mode. The holds of old scans and odometry are found in `robot/sensors.py`.
+
+A kernel (see `core/kernels.py`): each input that can change the command passes it. protection.py
+gives it to others, compiled or interpreted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol, TypeGuard
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
-from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, Twist
 from swarmd.protection.avoidance import Avoidance
-from swarmd.protection.decision import (
-    NO_PERMIT,
-    Avoided,
-    Decision,
-    DecisionContext,
-    ModeDecision,
-    Permit,
-)
+from swarmd.protection.decision import NO_PERMIT, Avoided, Decision, DecisionContext, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
-from swarmd.protection.modes import Off, PotentialField, StopZone
-from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
+from swarmd.protection.recovery import Recovery
 from swarmd.protection.tracks import Tracker
 
-if TYPE_CHECKING:
-    from swarmd.protection.assumption_monitor import AssumptionMonitor
-    from swarmd.protection.barrier import Barrier
-    from swarmd.protection.following import FollowingMonitor
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Collection
+
+    import cython
 else:
-    AssumptionMonitor = load_kernel("swarmd.protection.assumption_monitor").AssumptionMonitor
-    FollowingMonitor = load_kernel("swarmd.protection.following").FollowingMonitor
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import fabs
+else:
+    from swarmd.core.cython_shadow import fabs
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 _AVOIDING_PATIENCE = 2.0  # s of blocked motion before a robot that avoids recovers
-_STOPPED = ModeDecision(ZERO, is_active=False)
-_ZERO_TOLERANCE = 1e-9  # m/s or rad/s: what rounding leaves of a zero command
+# m/s or rad/s: what rounding leaves of a zero command
+_ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
 _NO_POINTS = np.empty((0, 2))
+# Names of C: to look up a name of the module takes as long as a tenth of a decision.
+_zero = cython.declare(object, ZERO)
+_decision = cython.declare(object, Decision)
+_no_scan = cython.declare(object, Reason.NO_SCAN)
+_driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 
 
-class Arbiter(Protocol):
-    """One protection mode. `Protection` calls it only when no hold forbids motion."""
-
-    mode: str
-
-    def clearance(self, speed: float) -> Clearance | None:
-        """The room that driving at `speed` m/s takes; None if the mode never blocks a robot."""
-
-    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
-        """Take in a new scan; the mode computes its geometry here, once per scan."""
-
-    def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
-    ) -> ModeDecision:
-        """The safe command for a requested one within the limits; the context has a scan age.
-
-        Asked again for the same command in the same context, a mode decides the same.
-
-        `command` is the present safe command, `touch` the zone in which contact is granted.
-        """
-
-
-def make_barrier(platform: Platform) -> Barrier:
-    """The arbiter of mode `barrier`, compiled or interpreted."""
-    barrier: Barrier = load_kernel("swarmd.protection.barrier").Barrier(platform)
-    return barrier
-
-
-MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
-    {"barrier": make_barrier, "potential_field": PotentialField, "stop_zone": StopZone, "off": Off}
-)
-"""The arbiter of each mode."""
-
-
-def narrowest_passage(arbiter: Arbiter) -> NarrowestPassage | None:
-    """What mode `barrier` lets the robot through; None for the other modes."""
-    return arbiter.narrowest_passage() if _is_barrier(arbiter) else None
-
-
-def _is_barrier(arbiter: Arbiter) -> TypeGuard[Barrier]:
-    return arbiter.mode == "barrier"
-
-
-def make_arbiter(platform: Platform) -> Arbiter:
-    """The arbiter of the mode in the platform file; ConfigError if there is no such mode."""
-    mode = str(platform.protection.get("mode", "barrier"))
-    if mode not in MODES:
-        raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")
-    return MODES[mode](platform)
-
-
+@cython.cclass
 class Protection:
     """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
 
@@ -104,37 +55,53 @@ class Protection:
     to log. `following`: whether the base of a running robot follows the safe commands.
     """
 
+    events = cython.declare(list, visibility="readonly")
+    following = cython.declare(object, visibility="readonly")
+    _limits: object
+    _arbiter = cython.declare(object, visibility="public")
+    _monitor = cython.declare(object, visibility="public")
+    _footprint: object
+    _geometry: object
+    _recovery: object
+    _is_recovering: cython.bint
+    _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
+    _avoidance: object
+    _tracker: object
+    _latency: cython.double
+    _is_running: cython.bint
+    _is_followed: cython.bint  # `following` has had a reading since its reset
+    _scan_seq: cython.Py_ssize_t
+    _scan: object
+    _min_gap: object
+    _near: object  # (k, 2) returns of the ring, m in the base frame; None without one
+    _safe: object
+    _allowed: object  # the safe command before `speed_share`
+    _requested: object
+    _wanted: object  # `_requested` within the limits
+    # The last decision without a hold is given again for the same case in the same context, which a
+    # scan or odometry ends: no mode decides anything else then.
+    _context: object
+    _case: tuple
+    _last: object
+
     def __init__(self, platform: Platform, seed: str = "") -> None:
         self._limits = platform.limits
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
+        monitors = load_kernel("swarmd.protection.assumption_monitor")
         # Of the modes only barrier assumes anything.
-        self._monitor = AssumptionMonitor(platform) if _is_barrier(self._arbiter) else None
-        self.following = FollowingMonitor(platform)
+        self._monitor = monitors.AssumptionMonitor(platform) if is_barrier(self._arbiter) else None
+        self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
         self._latency = platform.scan.latency
-        self._is_running = False
-        self.events: list[str] = []
-        self._scan_seq = -1
-        self._min_gap: float | None = None
-        self._scan: Scan | None = None
-        self._near = _NO_POINTS  # returns of the ring, m in the base frame
-        self._safe = ZERO
-        self._allowed = ZERO  # the safe command before `speed_share`
-        self._requested: Twist | None = None
-        self._wanted = ZERO  # `_requested` within the limits
-        # The last decision without a hold is given again for the same case in the same context,
-        # which a scan or odometry ends: no mode decides anything else then.
-        self._context: DecisionContext | None = None
-        self._case: tuple[object, ...] = ()
-        self._last: Decision
+        self.events, self._scan_seq = [], -1
+        self._safe = self._allowed = self._wanted = ZERO
+        self._is_recovering = False
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
-        self._recovery: Recovery | None = None
         is_avoiding = platform.protection.get("avoidance", "none") == "orca"
         if clearance is not None:
             patience = (_AVOIDING_PATIENCE,) if is_avoiding else ()
             self._recovery = Recovery(clearance, platform.limits, seed, *patience)
-        self._avoidance: Avoidance | None = None
         if clearance is not None and is_avoiding:
             self._avoidance = Avoidance(clearance, platform.limits)
             self._tracker = Tracker(platform)
@@ -149,7 +116,7 @@ class Protection:
         self._scan_seq, self._scan, self._context = scan.seq, scan, None
         arbiter, geometry = self._arbiter, self._geometry
         arbiter.observe(scan, geometry, context)
-        if _is_barrier(arbiter):  # which has looked at all returns
+        if is_barrier(arbiter):  # which has looked at all returns
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
@@ -164,9 +131,12 @@ class Protection:
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Compare what mode barrier assumes of the base with its measured motion."""
-        if self._monitor is not None and (text := self._monitor.on_odometry(odometry)):
-            self.events.append(text)
+        if self._monitor is not None:
+            text = self._monitor.on_odometry(odometry)
+            if text:
+                self.events.append(text)
         if self._is_running:
+            self._is_followed = True
             self.following.on_odometry(odometry)
         if self._avoidance is not None:
             self._tracker.on_odometry(odometry)
@@ -185,7 +155,7 @@ class Protection:
         self,
         requested: Twist | None,
         context: DecisionContext,
-        is_running: bool,
+        is_running: cython.bint,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
     ) -> Decision:
@@ -194,49 +164,54 @@ class Protection:
         Exactly zero outside `running`, under any hold and before the first scan. The limits apply
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
-        recovery, self._is_running = self._recovery, is_running
+        recovery, touch, self._is_running = self._recovery, permit.touch, is_running
         if requested is not self._requested:  # most are judged more than once
-            self._requested, self._wanted = requested, ZERO
+            self._requested, self._wanted = requested, _zero
             if requested is not None and requested.is_finite:
                 self._wanted = self._limits.clip(requested)
         wanted = judged = self._wanted
-        self._near = context.near_points if context.near else _NO_POINTS
+        self._near = context.near_points if context.near else None
         if is_running and hold is None and context.scan_age is None:
-            hold = Reason.NO_SCAN
-        if not is_running or hold is Reason.DRIVER_LOST or permit.touch is not None:
+            hold = _no_scan
+        if self._is_followed and (not is_running or hold is _driver_lost or touch is not None):
+            self._is_followed = False
             self.following.reset()  # what a robot may touch may stop it
         if not is_running or hold is not None:
-            if recovery is not None:
+            if self._may_recover:
+                self._may_recover = self._is_recovering = False
                 recovery.reset()
-            if self._avoidance is not None:
-                self._avoidance.reset()
-            return self._decision(wanted, _STOPPED, hold, context)
+                if self._avoidance is not None:
+                    self._avoidance.reset()
+            return self._decision(wanted, _zero, False, (), hold, context)
         if recovery is not None and permit.may_recover:
+            self._may_recover = True
             passing = self._passing(wanted, context)
             judged = recovery.replacement(passing, self._allowed, context, self._points)
-        is_recovering = recovery is not None and recovery.is_active
-        case = wanted, judged, judged is wanted, is_recovering, permit.touch
-        if context is self._context and case == self._case:
-            return self._last
-        decision = self._arbiter.decide(
-            judged if judged is wanted else self._limits.clip(judged),
-            context,
-            command=self._safe,
-            touch=permit.touch,
-        )
-        if decision.twist is not wanted and not decision.twist.is_finite:
-            decision = ModeDecision(ZERO, is_active=True, rows=decision.rows)
-        elif judged is not wanted:
-            decision = ModeDecision(decision.twist, is_active=True, rows=decision.rows)
-        reason, twist, least = None, decision.twist, _ZERO_TOLERANCE
+            self._is_recovering = recovery.is_active
+        if context is self._context:
+            case = wanted, judged, judged is wanted, self._is_recovering, touch
+            if case == self._case:
+                return self._last
+        asked = judged if judged is wanted else self._limits.clip(judged)
+        decision = self._arbiter.decide(asked, context, self._safe, touch)
+        twist = decision.twist
+        is_active: cython.bint = judged is not wanted or decision.is_active
+        linear: cython.double = twist.linear
+        angular: cython.double = twist.angular
+        lateral: cython.double = twist.lateral
+        if linear * 0.0 + angular * 0.0 + lateral * 0.0 != 0.0:  # NaN or infinite
+            twist, is_active = _zero, True
+            linear = angular = lateral = 0.0
+        reason = None
         if (
-            abs(twist.linear) <= least
-            and abs(twist.angular) <= least
-            and abs(twist.lateral) <= least
+            fabs(linear) <= _ZERO_TOLERANCE
+            and fabs(angular) <= _ZERO_TOLERANCE
+            and fabs(lateral) <= _ZERO_TOLERANCE
         ):
-            reason = Reason.PROTECTION if decision.is_active else Reason.NO_REQUESTED_COMMAND
-        last = self._last = self._decision(wanted, decision, reason, context)
-        self._context, self._case = context, case
+            reason = Reason.PROTECTION if is_active else Reason.NO_REQUESTED_COMMAND
+        last = self._last = self._decision(wanted, twist, is_active, decision.rows, reason, context)
+        self._context = context
+        self._case = wanted, judged, judged is wanted, self._is_recovering, touch
         return last
 
     def _passing(self, wanted: Twist, context: DecisionContext) -> Twist:
@@ -255,44 +230,54 @@ class Protection:
         if self._scan is None or self._recovery is None:
             return _NO_POINTS
         points = self._geometry.points(self._scan, self._recovery.lookahead)
-        return np.concatenate((points, self._near)) if len(self._near) else points
+        return points if self._near is None else np.concatenate((points, self._near))
 
+    @cython.cfunc
     def _decision(
-        self, wanted: Twist, decision: ModeDecision, reason: Reason | None, context: DecisionContext
-    ) -> Decision:
-        twist, recovery = decision.twist, self._recovery
-        safe = self._allowed = twist if twist is wanted else self._limits.clip(twist)
-        share, monitor = 1.0, self._monitor
+        self,
+        wanted: object,
+        twist: object,
+        is_active: cython.bint,
+        rows: tuple,
+        reason: object,
+        context: object,
+    ):
+        monitor, safe = self._monitor, twist
+        if twist is not wanted and twist is not _zero:
+            safe = self._limits.clip(twist)
+        self._allowed = safe
+        share: cython.double = 1.0
         if monitor is not None:
             share = monitor.speed_share
             if share < 1.0:  # the constraints are convex and hold for zero, so also for a share
                 safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
-            if text := monitor.on_command(safe):
+            text = monitor.on_command(safe)
+            if text:
                 self.events.append(text)
         self.following.on_command(safe)
         self._safe, self._context = safe, None
         gap = self._min_gap
-        if len(self._near):
+        if self._near is not None:
             beside = float(self._footprint.gaps(self._near).min())
             gap = beside if gap is None else min(gap, beside)
-        return Decision(
+        return _decision(
             self._arbiter.mode,
             wanted,
             safe,
             reason,
-            decision.is_active or share < 1.0,
-            decision.rows,
+            is_active or share < 1.0,
+            rows,
             gap,
             context.scan_age,
             self._scan_seq,
-            recovery is not None and recovery.is_active,
+            self._is_recovering,
             share,
-            self._avoided(),
+            None if self._avoidance is None else self._avoided(),
         )
 
     def _avoided(self) -> Avoided | None:
         """What avoidance leads the robot past in this decision."""
-        track = None if self._avoidance is None else self._avoidance.avoiding
+        track = self._avoidance.avoiding
         if track is None:
             return None
         return Avoided(math.atan2(track.y, track.x), math.hypot(track.x, track.y))

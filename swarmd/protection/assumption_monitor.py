@@ -74,7 +74,9 @@ _MIN_DROP_TIME = 0.1  # s of declared braking that it takes at least
 _MIN_DROP_SHARE = cython.declare(cython.double, 0.5)
 # Share of the command by which the speed may differ from the command before a stop.
 _FOLLOWED = cython.declare(cython.double, 0.15)
-_CRUISE, _MIN_CRUISE = 6, 2  # readings before a stop that tell its speed
+# Readings before a stop that tell its speed, and the least of them.
+_CRUISE = cython.declare(cython.Py_ssize_t, 6)
+_MIN_CRUISE = cython.declare(cython.Py_ssize_t, 2)
 _MIN_STEPS = 3  # readings of a stop
 _ENDS = cython.declare(cython.double, 0.1)  # share of the fall that is left when a stop is over
 # Share of the speed by which noise may raise the speed during a stop.
@@ -83,7 +85,8 @@ _MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
 _MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
 # Share of the command before a stop by which the command may rise again.
 _RISES = cython.declare(cython.double, 0.2)
-_MAX_COMMANDS = 40
+_MAX_COMMANDS = cython.declare(cython.Py_ssize_t, 40)
+_MAX_WAYS = cython.declare(cython.Py_ssize_t, 64)
 
 _NEAR = cython.declare(cython.double, 1.0)  # m within which an approach counts
 _APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans that tell a speed
@@ -101,6 +104,12 @@ _UNITS = "m/s2", "rad/s2"
 _turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
+_inf = cython.declare(cython.double, math.inf)
+
+
+def _last(count: int, most: int) -> range:
+    """The numbers of the last of `count` things, of which `most` are kept."""
+    return range(max(count - most, 0), count)
 
 
 def axis_of(finding: str) -> str | None:
@@ -147,8 +156,13 @@ class _Brake:
     _min_drop: cython.double
     _stop: _Stop
     _command: cython.double  # the last one
-    _commands: object
-    _cruise: object
+    # The last commands, their number, and the stamps since which they hold; then the steps in which
+    # the base followed: begins, ends and ways. The k-th is at k modulo the length.
+    _given: cython.Py_ssize_t
+    _stamps: cython.double[40]
+    _levels: cython.double[40]
+    _cruised: cython.Py_ssize_t
+    _cruise: cython.double[18]
     _variance: cython.double
     _freedom: cython.double
     _sum: cython.double
@@ -158,8 +172,7 @@ class _Brake:
     def __init__(self, declared: float, min_drop: float, unit: str) -> None:
         self.declared, self._unit = declared, unit
         self._min_drop = max(min_drop, _MIN_DROP_TIME * declared)
-        self._commands = deque([(-math.inf, 0.0)], _MAX_COMMANDS)  # stamps and speeds
-        self._cruise = deque(maxlen=_CRUISE)  # steps in which the base followed
+        self.interrupt()
         self._variance, self._freedom = _SLIP**2, _SLIP_FREEDOM  # of a reading, as a share of it
         self.forget()
 
@@ -171,8 +184,15 @@ class _Brake:
     def interrupt(self) -> None:
         """Drop the stop under way: the clock of odometry was set, or its pose has jumped."""
         self._stop = None
-        self._cruise.clear()
-        self._commands = deque([(-math.inf, self._command)], _MAX_COMMANDS)
+        self._cruised = self._given = 0
+        self._note(-math.inf, self._command)
+
+    @cython.cfunc
+    def _note(self, stamp: cython.double, command: cython.double):
+        """Keep a command."""
+        at: cython.Py_ssize_t = self._given % _MAX_COMMANDS
+        self._stamps[at], self._levels[at] = stamp, command
+        self._given += 1
 
     def _begin(self) -> None:
         self._sum, self._stops = 0.0, 0
@@ -188,7 +208,7 @@ class _Brake:
         if command == before:
             return False
         self._command = command
-        self._commands.append((stamp, command))
+        self._note(stamp, command)
         stop: _Stop = self._stop
         if stop is not None:
             level = max(stop.sign * command, 0.0)
@@ -201,9 +221,11 @@ class _Brake:
         level = max(sign * command, 0.0)
         if begin - level < self._min_drop or begin - level < _MIN_DROP_SHARE * begin:
             return False
-        if fabs(speed - before) <= _FOLLOWED * begin and len(self._cruise) >= _MIN_CRUISE:
-            self._stop = _Stop(sign, begin, level, stamp, list(self._cruise))
-        self._cruise.clear()
+        if fabs(speed - before) <= _FOLLOWED * begin and self._cruised >= _MIN_CRUISE:
+            rows = [3 * (k % _CRUISE) for k in _last(self._cruised, _CRUISE)]
+            cruise = [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in rows]
+            self._stop = _Stop(sign, begin, level, stamp, cruise)
+        self._cruised = 0
         return False
 
     @cython.ccall
@@ -214,10 +236,11 @@ class _Brake:
         if stop is None:
             wanted: cython.double = self._command * period
             if wanted == 0.0 or fabs(way - wanted) > _FOLLOWED * fabs(wanted):
-                if self._cruise:
-                    self._cruise.clear()
+                self._cruised = 0
             else:
-                self._cruise.append((begin, end, way))
+                at: cython.Py_ssize_t = 3 * (self._cruised % _CRUISE)
+                self._cruise[at], self._cruise[at + 1], self._cruise[at + 2] = begin, end, way
+                self._cruised += 1
             return False
         stop.steps.append((begin, end, way))
         speed: cython.double = stop.sign * way / period
@@ -232,10 +255,12 @@ class _Brake:
         """Judge the stop, which is over."""
         stop: _Stop = self._stop
         self._stop = None
-        self._cruise.clear()
+        self._cruised = 0
         if len(stop.steps) < _MIN_STEPS:
             return False
-        misfits, freedom = _misfits(stop, list(self._commands), self.braking)
+        kept = [k % _MAX_COMMANDS for k in _last(self._given, _MAX_COMMANDS)]
+        commands = [(self._stamps[k], self._levels[k]) for k in kept]
+        misfits, freedom = _misfits(stop, commands, self.braking)
         least = float(misfits.min())
         own = least / freedom
         total = self._variance * self._freedom + min(own, _WORST * self._variance) * freedom
@@ -289,31 +314,78 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     levels = np.maximum(stop.sign * levels, 0.0)
     count = len(stop.cruise)
     seen = float(ways[:count].sum() / periods[:count].sum())
-    times = rows[:, :1] + _PARTS * periods[:, None]  # (n, parts)
-    rates = _SHARES * declared * stop.begin / seen  # in units of the command
-    share = np.arange(len(rates))[:, None, None, None]
-    # By command and share: the speed at its stamp, of a base that brakes from the commands before.
-    stamps, levels = np.concatenate(([-np.inf], stamps)), np.concatenate(([0.0], levels))
-    before = np.zeros((len(stamps), len(rates)))
-    for k in range(2, len(stamps)):
-        fall = rates * (stamps[k] - stamps[k - 1])
-        before[k] = np.maximum(levels[k - 1], before[k - 1] - fall)
     weights = 1.0 / (ways**2 + (_STILL * seen * periods) ** 2)
+    table = _view(np.stack((rows[:, 0], periods, weights * ways, weights), axis=1))
+    stamps = _view(np.concatenate(([-np.inf], stamps)))
+    levels = _view(np.concatenate(([0.0], levels)))
+    rates = _view(_SHARES * declared * stop.begin / seen)  # in units of the command
+    left = _left(table, stamps, levels, rates, float(weights @ ways**2))
+    return np.asarray(left), max(len(ways) - 3.0, 1.0)
 
-    def left(delays):
-        """(s, d) sums of squares for `delays` (s or 1, d)."""
-        since = times - delays[..., None, None]
-        index = stamps.searchsorted(since, side="right") - 1
-        braked = before[index, share] - rates[share] * (since - stamps[index])
-        speeds = np.maximum(levels[index], braked)
-        # Means of two parts; numpy's own, along a short axis, takes as long as all the rest.
-        modelled = 0.5 * (speeds[..., 0] + speeds[..., 1]) * periods
-        both, own = modelled @ (weights * ways), modelled**2 @ weights
-        # The scale of least squares: odometry and base may be off by a few percent.
-        return float(weights @ ways**2) - both**2 / np.maximum(own, 1e-12)
 
-    rough = _DELAYS[left(_DELAYS[None]).argmin(axis=1)]
-    return left(rough[:, None] + _NEAR_DELAYS).min(axis=1), max(len(ways) - 3.0, 1.0)
+def _view(values):
+    """`values` (n,) or (n, m) as the kernel reads them: in CPython as numbers of Python."""
+    if not cython.compiled:
+        return memoryview(values) if values.ndim > 1 else values.tolist()
+    return values
+
+
+@cython.cfunc
+def _left(
+    rows: cython.double[:, ::1],
+    stamps: cython.double[::1],
+    levels: cython.double[::1],
+    rates: cython.double[::1],
+    total: cython.double,
+):
+    """(s,) sums of squares that bases which brake at `rates` (s,) leave, each for its best delay.
+
+    `rows` (n, 4): begins, periods, ways times their weights, and weights.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    at: cython.Py_ssize_t
+    part: cython.Py_ssize_t
+    count: cython.Py_ssize_t = len(stamps)
+    delays: cython.double[::1] = _view(_DELAYS)
+    near: cython.double[::1] = _view(_NEAR_DELAYS)
+    parts: cython.double[::1] = _view(_PARTS)
+    # The speed at the stamp of each command, of a base that brakes from the commands before.
+    before: cython.double[::1] = _view(np.zeros(count))
+    least: cython.double[::1] = _view(np.zeros(len(rates)))
+    for j in range(len(rates)):
+        rate: cython.double = rates[j]
+        for k in range(2, count):
+            fallen: cython.double = before[k - 1] - rate * (stamps[k] - stamps[k - 1])
+            before[k] = max(levels[k - 1], fallen)
+        best: cython.double = 0.0
+        least[j] = _inf
+        for k in range(len(delays) + len(near)):
+            if k == len(delays):
+                rough: cython.double = best
+                least[j] = _inf
+            delay: cython.double = delays[k] if k < len(delays) else rough + near[k - len(delays)]
+            both: cython.double = 0.0
+            own: cython.double = 0.0
+            at = 0
+            for i in range(len(rows)):
+                speed: cython.double = 0.0
+                for part in range(2):  # the mean of two parts
+                    since: cython.double = rows[i, 0] + parts[part] * rows[i, 1] - delay
+                    while at + 1 < count and stamps[at + 1] <= since:
+                        at += 1
+                    while stamps[at] > since:
+                        at -= 1
+                    speed += max(levels[at], before[at] - rate * (since - stamps[at]))
+                modelled: cython.double = 0.5 * speed * rows[i, 1]
+                both += modelled * rows[i, 2]
+                own += modelled * modelled * rows[i, 3]
+            # The scale of least squares: odometry and base may be off by a few percent.
+            left: cython.double = total - both * both / max(own, 1e-12)
+            if left < least[j]:
+                least[j], best = left, delay
+    return least
 
 
 @cython.final
@@ -339,7 +411,12 @@ class AssumptionMonitor:
     _speed: cython.double
     _rate: cython.double
     _moved: cython.double  # m that any corner may have moved so far
-    _ways: object  # stamps of odometry, and `_moved` at each
+    # The last stamps of odometry, and `_moved` at each: from the first of interest to the end. The
+    # k-th is at k modulo the length.
+    _way_at: cython.double[64]
+    _way: cython.double[64]
+    _way_first: cython.Py_ssize_t
+    _way_end: cython.Py_ssize_t
     # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
     _scans: object
     _others: object
@@ -353,7 +430,7 @@ class AssumptionMonitor:
         self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
         self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
         self._command, self._stamp = ZERO, -math.inf
-        self._ways, self._scans, self._approaches = deque(maxlen=64), deque(maxlen=64), deque()
+        self._scans, self._approaches = deque(maxlen=64), deque()
         self._others, self._others_share, self.speed_share = "", 1.0, 1.0
 
     @property
@@ -400,14 +477,16 @@ class AssumptionMonitor:
         if end < begin or max(moved, fabs(turned)) > _max_step + _max_speed * (end - begin):
             self._linear.interrupt()
             self._angular.interrupt()
-            self._ways.clear()
+            self._way_first = self._way_end = 0
             self._scans.clear()
             return ""
         if end == begin or begin == -math.inf:
             return ""
         if dx or dy or turned:
             self._moved += moved + self._radius * fabs(turned)
-        self._ways.append((end, self._moved))
+        at: cython.Py_ssize_t = self._way_end % _MAX_WAYS
+        self._way_at[at], self._way[at] = end, self._moved
+        self._way_end += 1
         way: cython.double = cos(middle) * dx + sin(middle) * dy
         is_linear: cython.bint = self._linear.on_step(begin, end, way)
         is_angular: cython.bint = self._angular.on_step(begin, end, turned)
@@ -464,10 +543,14 @@ class AssumptionMonitor:
 
     def _moved_until(self, at: float) -> float:
         """m that any corner may have moved until a stamp of odometry."""
-        ways = self._ways
-        while len(ways) > 1 and ways[1][0] <= at:
-            ways.popleft()
-        return ways[0][1] if ways else self._moved
+        self._way_first = max(self._way_first, self._way_end - _MAX_WAYS)
+        while (
+            self._way_first + 1 < self._way_end
+            and self._way_at[(self._way_first + 1) % _MAX_WAYS] <= at
+        ):
+            self._way_first += 1
+        has_way = self._way_first < self._way_end
+        return self._way[self._way_first % _MAX_WAYS] if has_way else self._moved
 
     def _braked(self, is_linear: bool, is_angular: bool) -> str:
         """The event of the axes that have just violated their braking."""

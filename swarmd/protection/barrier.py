@@ -168,6 +168,33 @@ def _first(values: cython.double[::1], count: cython.Py_ssize_t) -> cython.p_dou
 
 @cython.cfunc
 @cython.inline
+def _first_index(values: cython.longlong[::1], count: cython.Py_ssize_t) -> cython.p_longlong:
+    """As `_first`, for indices."""
+    if len(values) < count:
+        raise IndexError(f"{len(values)} indices; expected {count}")
+    if not cython.compiled:
+        return values
+    return cython.address(values[0])
+
+
+@cython.cfunc
+def _take(
+    values: cython.double[::1],
+    indices: cython.longlong[::1],
+    count: cython.Py_ssize_t,
+    into: cython.double[::1],
+    begin: cython.Py_ssize_t,
+):
+    """Put the values at the first `count` indices into a buffer, from its index `begin` on."""
+    i: cython.Py_ssize_t
+    order: cython.p_longlong = _first_index(indices, count)
+    end: cython.p_double = _first(into, begin + count)
+    for i in range(count):
+        end[begin + i] = values[order[i]]
+
+
+@cython.cfunc
+@cython.inline
 @cython.exceptval(check=False)
 def _maximum(a: cython.double, b: cython.double) -> cython.double:
     """The greater; NaN if one is."""
@@ -648,7 +675,7 @@ class Barrier:
         return self._min_gap
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The feasible command nearest to `requested`; `requested` itself if it is feasible."""
         odometry = context.odometry
@@ -863,7 +890,7 @@ class Barrier:
         newest_age: cython.double,
         delay: cython.double,
         odometry_age: cython.double,
-        ages: cython.const[cython.double][:],
+        ages: cython.const[cython.double][::1],
     ):
         """False if a scan is not newer than the last one; else the motion between the two.
 
@@ -897,7 +924,7 @@ class Barrier:
         return True
 
     @cython.cfunc
-    def _find_min_gap(self, ranges: cython.const[cython.double][:], range_min: cython.double):
+    def _find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
         """Set the m to the nearest return; None without a return."""
         i: cython.Py_ssize_t
         nearest: cython.double = _inf
@@ -937,9 +964,9 @@ class Barrier:
     @cython.cfunc
     def _take_scan(
         self,
-        ranges: cython.const[cython.double][:],
+        ranges: cython.const[cython.double][::1],
         range_min: cython.double,
-        ages: cython.const[cython.double][:],
+        ages: cython.const[cython.double][::1],
         hidden: cython.double[:, ::1],
     ):
         """Find the near obstacles of a scan, and among `hidden` (m, 3): rays, and m from the lidar.
@@ -1016,13 +1043,10 @@ class Barrier:
             self._x[i] = self._offset_x + away * self._ray_x[i]
             self._y[i] = self._offset_y + away * self._ray_y[i]
             self._gap[i], self._age[i] = 0.0, self._ray_age[i]
-        at: cython.Py_ssize_t
-        for i in range(found):
-            at = self._order[i]
-            self._x[contacts + i] = self._found_x[at]
-            self._y[contacts + i] = self._found_y[at]
-            self._gap[contacts + i] = self._found_gap[at]
-            self._age[contacts + i] = self._found_age[at]
+        _take(self._found_x, self._order, found, self._x, contacts)
+        _take(self._found_y, self._order, found, self._y, contacts)
+        _take(self._found_gap, self._order, found, self._gap, contacts)
+        _take(self._found_age, self._order, found, self._age, contacts)
         self._points, self._contacts = contacts + found, contacts
 
     @cython.cfunc
@@ -1053,13 +1077,16 @@ class Barrier:
         middle: cython.Py_ssize_t
         end: cython.Py_ssize_t
         run: cython.Py_ssize_t = 8
+        gaps: cython.p_double = _first(self._found_gap, count)
+        order: cython.p_longlong = _first_index(self._order, count)
+        spare: cython.p_longlong = _first_index(self._spare, count)
         for i in range(count):
-            gap: cython.double = self._found_gap[i]
+            gap: cython.double = gaps[i]
             first, j = i - i % run, i
-            while j > first and self._found_gap[self._order[j - 1]] > gap:
-                self._order[j] = self._order[j - 1]
+            while j > first and gaps[order[j - 1]] > gap:
+                order[j] = order[j - 1]
                 j -= 1
-            self._order[j] = i
+            order[j] = i
         while run < count:
             first = 0
             while first < count:
@@ -1067,16 +1094,14 @@ class Barrier:
                 end = min(first + 2 * run, count)
                 i, j = first, middle
                 for k in range(first, end):
-                    if i < middle and (
-                        j >= end
-                        or self._found_gap[self._order[i]] <= self._found_gap[self._order[j]]
-                    ):
-                        self._spare[k] = self._order[i]
+                    if i < middle and (j >= end or gaps[order[i]] <= gaps[order[j]]):
+                        spare[k] = order[i]
                         i += 1
                     else:
-                        self._spare[k] = self._order[j]
+                        spare[k] = order[j]
                         j += 1
                 first = end
+            order, spare = spare, order
             self._order, self._spare = self._spare, self._order
             run *= 2
         return 0
@@ -1376,16 +1401,20 @@ class Barrier:
         i: cython.Py_ssize_t
         first: cython.Py_ssize_t = 0
         point: cython.Py_ssize_t = 0
+        gaps: cython.p_double = _first(self._gap, count)
+        ages: cython.p_double = _first(self._age, count)
+        xs: cython.p_double = _first(self._x, count)
+        ys: cython.p_double = _first(self._y, count)
         while point < count:
             i = 0
             while point < count and i < _CHUNK:
                 # A later ray leaves an obstacle less time to come near: a tenth drops out.
-                if not (self._gap[point] >= self._binding_range(age + self._age[point])):
-                    x: cython.double = self._x[point]
-                    y: cython.double = self._y[point]
+                if not (gaps[point] >= self._binding_range(age + ages[point])):
+                    x: cython.double = xs[point]
+                    y: cython.double = ys[point]
                     self._at_x[i] = frame_x + c * x - s * y
                     self._at_y[i] = frame_y + s * x + c * y
-                    self._at_free[i], self._at_age[i] = self._free, age + self._age[point]
+                    self._at_free[i], self._at_age[i] = self._free, age + ages[point]
                     self._at_radius[i] = 0.0
                     i += 1
                 point += 1
@@ -1514,7 +1543,8 @@ class Barrier:
         return 0
 
     @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
+    @cython.inline
+    @cython.exceptval(check=False)
     def _binding_range(self, age: cython.double) -> cython.double:
         """The gap in m beyond which nothing binds; see BindingRange.for_scan_age."""
         gap: cython.double = self._fresh + (self._others + self._fastest) * age

@@ -12,7 +12,7 @@ A kernel (see `core/kernels.py`): each reading of odometry and each command pass
 from __future__ import annotations
 
 import math
-from collections import deque
+from array import array
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -44,12 +44,19 @@ _BRAKING = 1.0, 3.0  # m/s2 and rad/s2 where the platform declares none
 _SLOW = 0.25  # share of the declared braking
 _MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
 _MIN_READINGS = 4
+_COMMANDS = 16  # for which there is room at first
 _UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
 
 _turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
+_inf = cython.declare(cython.double, math.inf)
+
+
+def _doubles(count):
+    """A buffer of `count` doubles; of numbers of Python in CPython."""
+    return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
 
 @cython.final
@@ -61,14 +68,13 @@ class _Axis:
     _least: cython.double
     _acceleration: cython.double
     _unit: object
-    _early: object
-    _later: object
-    # Copies from the two queues for `on_reading`: speed and stamp of the last early command, stamps
-    # of the first later and of the second early one; inf if there is none.
-    _held: cython.double
-    _held_since: cython.double
-    _next: cython.double
-    _second: cython.double
+    # Speeds, and the stamps since which they hold: from `_first` on those until where the slow base
+    # is, the last of which is at `_held`, and then later ones.
+    _stamps: cython.double[::1]
+    _speeds: cython.double[::1]
+    _first: cython.Py_ssize_t
+    _held: cython.Py_ssize_t
+    _end: cython.Py_ssize_t
     _slow: cython.double
     _command: cython.double
     _begun: cython.double
@@ -77,36 +83,46 @@ class _Axis:
 
     def __init__(self, least: float, acceleration: float, unit: str) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
-        # Stamps since which a command holds: until where the slow base is, and after.
-        self._early, self._later = deque[tuple[float, float]](), deque[tuple[float, float]]()
+        self._stamps, self._speeds = _doubles(_COMMANDS), _doubles(_COMMANDS)
         self.reset(0.0, -math.inf)
 
     @cython.ccall
     def reset(self, command: cython.double, stamp: cython.double):
         """Begin again; for WINDOW, the base may be at any speed."""
-        self._early.clear()
-        self._later.clear()
-        self._early.append((stamp, command))
+        self._first = self._held = self._end = 0
         self._slow = self._command = command
-        self._look_up()
+        self._add(command, stamp)
         self._begun = stamp
-        self._off_since, self._readings, self.text = math.inf, 0, ""
+        self._follow()
 
     @cython.ccall
     def on_command(self, command: cython.double, stamp: cython.double):
         """The command changes after the reading at `stamp`."""
         if command != self._command:
             self._command = command
-            self._later.append((stamp, command))
-            self._look_up()
+            self._add(command, stamp)
 
     @cython.cfunc
-    def _look_up(self):
-        """Copy from the two queues what `on_reading` needs of them."""
-        early, later = self._early, self._later
-        self._held_since, self._held = early[-1]
-        self._next = later[0][0] if later else math.inf
-        self._second = early[1][0] if len(early) > 1 else math.inf
+    def _add(self, command: cython.double, stamp: cython.double):
+        """Append a command; where there is no room, the commands move to the begin of a buffer."""
+        i: cython.Py_ssize_t
+        first: cython.Py_ssize_t = self._first
+        count: cython.Py_ssize_t = self._end - first
+        if self._end == len(self._stamps):
+            stamps: cython.double[::1] = self._stamps
+            speeds: cython.double[::1] = self._speeds
+            if 2 * count > len(self._stamps):
+                self._stamps, self._speeds = _doubles(4 * count), _doubles(4 * count)
+            for i in range(count):
+                self._stamps[i], self._speeds[i] = stamps[first + i], speeds[first + i]
+            self._first, self._held, self._end = 0, self._held - first, count
+        self._stamps[self._end], self._speeds[self._end] = stamp, command
+        self._end += 1
+
+    @cython.cfunc
+    def _follow(self):
+        """The base follows its commands, as far as a reading shows."""
+        self._off_since, self._readings, self.text = _inf, 0, ""
 
     @cython.ccall
     def on_reading(
@@ -117,19 +133,17 @@ class _Axis:
         other: cython.double,
     ):
         """The base moved at one of two speeds, by its twist and by its pose, for `period` s."""
-        early, later = self._early, self._later
+        i: cython.Py_ssize_t
         # Commands have the stamp of the reading before, and hold from the end of a period on.
         begin: cython.double = stamp - DELAY - 2.0 * period
-        if self._next <= begin or self._held_since > begin or self._second <= stamp - WINDOW:
-            while later and later[0][0] <= begin:
-                early.append(later.popleft())
-            while len(early) > 1 and early[-1][0] > begin:  # the period has grown
-                later.appendleft(early.pop())
-            while len(early) > 1 and early[1][0] <= stamp - WINDOW:
-                early.popleft()
-            self._look_up()
+        while self._held + 1 < self._end and self._stamps[self._held + 1] <= begin:
+            self._held += 1
+        while self._held > self._first and self._stamps[self._held] > begin:  # the period has grown
+            self._held -= 1
+        while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
+            self._first += 1
         step: cython.double = self._acceleration * period
-        off: cython.double = self._held - self._slow
+        off: cython.double = self._speeds[self._held] - self._slow
         self._slow += -step if off < -step else step if off > step else off
         # Mostly the speed is near the last command and the slow base: the bounds are no narrower.
         low: cython.double = self._slow
@@ -138,16 +152,17 @@ class _Axis:
         if low > high:
             low, high = high, low
         if low - least <= one <= high + least or low - least <= other <= high + least:
-            self._off_since, self._readings, self.text = math.inf, 0, ""
+            self._follow()
             return
-        values = [self._slow, *[command for _, command in (*early, *later)]]
-        low, high = min(values), max(values)
+        low = high = self._slow
+        for i in range(self._first, self._end):
+            low, high = min(self._speeds[i], low), max(self._speeds[i], high)
         allowed: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
         is_nearer: cython.bint = max(low - other, other - high) < max(low - one, one - high)
         measured: cython.double = other if is_nearer else one
         is_off: cython.bint = not low - allowed <= measured <= high + allowed
         if not is_off or stamp - self._begun < WINDOW:
-            self._off_since, self._readings, self.text = math.inf, 0, ""
+            self._follow()
             return
         self._off_since = min(self._off_since, stamp - period)
         self._readings += 1

@@ -1,14 +1,20 @@
-"""The three simple protection modes: `potential_field`, `stop_zone` and `off`.
+"""The protection modes. `potential_field`, `stop_zone` and `off` are implemented here.
 
 Mode `barrier`, the default, is in barrier.py. Holds of old scans are found in robot/sensors.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Protocol, TypeGuard
+
 import msgspec
 import numpy as np
 
-from swarmd.core.messages import LimitingObstacle
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import LimitingObstacle, NarrowestPassage
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
@@ -16,7 +22,32 @@ from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 
+if TYPE_CHECKING:
+    from swarmd.protection.barrier import Barrier
+
 _LEAST_LENGTH = 1e-9  # of a field: a shorter one has no direction
+
+
+class Arbiter(Protocol):
+    """One protection mode. `Protection` calls it only when no hold forbids motion."""
+
+    mode: str
+
+    def clearance(self, speed: float) -> Clearance | None:
+        """The room that driving at `speed` m/s takes; None if the mode never blocks a robot."""
+
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """Take in a new scan; the mode computes its geometry here, once per scan."""
+
+    def decide(
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
+        """The safe command for a requested one within the limits; the context has a scan age.
+
+        Asked again for the same command in the same context, a mode decides the same.
+
+        `command` is the present safe command, `touch` the zone in which contact is granted.
+        """
 
 
 class Off:
@@ -34,7 +65,7 @@ class Off:
         """Scans have no effect."""
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The requested command."""
         return ModeDecision(requested, is_active=False)
@@ -81,7 +112,7 @@ class PotentialField:
             self._evasion = self._twist(field.vector)
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The evading command if there is one, else the requested command."""
         evasion = self._evasion_of_ring(context.near_points) if context.near else self._evasion
@@ -137,7 +168,7 @@ class StopZone:
         self._nearest = self._outline.nearest(scan, geometry)
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The requested command, a share of it, or zero."""
         settings, nearest = self._settings, self._nearest
@@ -158,3 +189,33 @@ class StopZone:
         return ModeDecision(
             twist, is_active=True, rows=(LimitingObstacle(bearing, gap, share * self._limit),)
         )
+
+
+def make_barrier(platform: Platform) -> Barrier:
+    """The arbiter of mode `barrier`, compiled or interpreted."""
+    barrier: Barrier = load_kernel("swarmd.protection.barrier").Barrier(platform)
+    return barrier
+
+
+MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
+    {"barrier": make_barrier, "potential_field": PotentialField, "stop_zone": StopZone, "off": Off}
+)
+"""The arbiter of each mode."""
+
+
+def narrowest_passage(arbiter: Arbiter) -> NarrowestPassage | None:
+    """What mode `barrier` lets the robot through; None for the other modes."""
+    return arbiter.narrowest_passage() if is_barrier(arbiter) else None
+
+
+def is_barrier(arbiter: Arbiter) -> TypeGuard[Barrier]:
+    """True for the arbiter of mode `barrier`."""
+    return arbiter.mode == "barrier"
+
+
+def make_arbiter(platform: Platform) -> Arbiter:
+    """The arbiter of the mode in the platform file; ConfigError if there is no such mode."""
+    mode = str(platform.protection.get("mode", "barrier"))
+    if mode not in MODES:
+        raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")
+    return MODES[mode](platform)

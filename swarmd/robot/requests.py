@@ -29,7 +29,7 @@ from swarmd.core.goal import GoalState
 from swarmd.core.host_messages import CancelTrial, KillHost, SetParams, StartTrial, TrialDone
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
-from swarmd.protection.arbiter import Protection
+from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.pattern_run import Trial, Wish
 from swarmd.robot.state import Lifecycle

@@ -19,8 +19,8 @@ from swarmd.core.host_messages import TrialDone
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Epoch, Latch, Motion, Reason, State, Status
 from swarmd.core.values import Platform, Scalar, Scan, SharedPose
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision
+from swarmd.protection.protection import Protection
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord

@@ -11,8 +11,8 @@ import msgspec
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision
+from swarmd.protection.protection import Protection
 from swarmd.robot.pattern_run import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle

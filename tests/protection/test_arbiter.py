@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,10 @@ from hypothesis.extra.numpy import arrays
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, TouchZone, Twist
-from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Decision, DecisionContext, ModeDecision
+from swarmd.protection import arbiter as interpreted
+from swarmd.protection.decision import Decision, DecisionContext, ModeDecision, Permit, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.protection import Protection
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
@@ -149,7 +152,7 @@ class FixedArbiter:
         """Ignores the scan."""
 
     def decide(
-        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The fixed command."""
         return ModeDecision(self._twist, is_active=True)
@@ -181,7 +184,8 @@ def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.Monke
 
     def counted(requested: Twist, *args: Any, **more: Any) -> ModeDecision:
         judged.append(requested)
-        return judge(requested, *args, **more)
+        decision: ModeDecision = judge(requested, *args, **more)
+        return decision
 
     monkeypatch.setattr(arbiter, "decide", counted)
     context = DecisionContext(1.0, 0.0)
@@ -199,3 +203,41 @@ def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.Monke
     assert decided(Twist(0.1), context, Reason.STALE_SCAN).safe == Twist()
     assert decided(Twist(0.1), context).safe == Twist(0.1)
     assert len(judged) == 5
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("avoidance", ["none", "orca"])
+def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: str) -> None:
+    platform = with_mode(WAFFLE, mode)
+    platform = replace(platform, protection={**platform.protection, "avoidance": avoidance})
+    draw, ones = Random(3), (Protection(platform), interpreted.Protection(platform))
+    now, pose, twist = 10.0, Pose(), ZERO
+    requested: Twist | None = None
+    permit, seen = Permit(), set[tuple[Reason | None, bool, bool]]()
+    for step in range(400):
+        now += draw.choice((0.0, 0.05, 0.05))
+        pose = Pose(pose.x + 0.05 * twist.linear, pose.y, pose.yaw + 0.05 * twist.angular)
+        odometry = Odometry(now, pose, twist)
+        near = (ToldObstacle(0.3, 0.1, 0.05, 0.1),) * draw.choice((0, 0, 0, 1))
+        context = DecisionContext(now, draw.choice((0.0, 0.1)), odometry, 0.0, near=near)
+        scan = ahead(draw.choice((0.15, 0.4, 2.0)), draw.choice((1, 60)))
+        if step % 20 == 0:
+            requested = draw.choice((None, ZERO, Twist(0.2), Twist(0.1, 2.5), Twist(math.nan)))
+            permit = Permit(True, draw.choice((None, TouchZone(0.0, 0.5, 0.05))))
+        is_running, is_held = draw.random() < 0.95, draw.random() < 0.05
+        decisions = []
+        for one in ones:
+            if step % 4 == 0:
+                one.observe(replace(scan, seq=step, stamp=now), context)
+            one.on_odometry(odometry)
+            for _ in range(2):
+                hold = Reason.STALE_SCAN if is_held else None
+                decisions.append(
+                    one.decide(requested, context, is_running=is_running, hold=hold, permit=permit)
+                )
+        assert decisions[:2] == decisions[2:]
+        assert (ones[0].findings, ones[0].events) == (ones[1].findings, ones[1].events)
+        assert ones[0].following.text == ones[1].following.text
+        twist = decisions[0].safe
+        seen.add((decisions[0].reason, decisions[0].is_active, decisions[0].is_recovering))
+    assert len(seen) >= (3 if mode == "off" else 4)

@@ -11,9 +11,9 @@ import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor
 from swarmd.protection.decision import DecisionContext
+from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part

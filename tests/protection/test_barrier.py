@@ -14,10 +14,10 @@ from hypothesis.extra.numpy import arrays
 from msgspec import structs
 
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.barrier import CREEP_SPEED
 from swarmd.protection.decision import DecisionContext, Permit, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry
+from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from tests.support.barrier_parts import interpreted, separation

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision, DecisionContext
+from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.platforms import with_mode

@@ -24,8 +24,8 @@ from swarmd.core.values import (
     TouchZone,
     Twist,
 )
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, ToldObstacle
+from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.examples import part

@@ -14,12 +14,12 @@ from msgspec import structs
 
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.arbiter import Arbiter
 from swarmd.protection.barrier import CREEP_SPEED, Barrier, linear_limit, touch_directions
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.modes import Arbiter
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import (

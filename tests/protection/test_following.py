@@ -11,9 +11,9 @@ import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, Permit
 from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW, FollowingMonitor, _Axis
+from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part

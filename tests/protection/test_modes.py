@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Platform, Pose, Scan, Twist
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision, DecisionContext
+from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import FilterSim, box, decided

@@ -20,8 +20,8 @@ from swarmd.api import (
 )
 from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Reason, State
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+from swarmd.protection.protection import Protection
 from tests.support.robot_harness import RobotHarness
 
 ZONE = TouchZone(0.0, math.radians(20.0), 0.1)

@@ -14,9 +14,9 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.values import Odometry, Platform, Scan, Twist
-from swarmd.protection.arbiter import Arbiter
 from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.modes import Arbiter
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import under_barrier

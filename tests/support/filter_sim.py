@@ -28,7 +28,6 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection import barrier
-from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import (
     NO_PERMIT,
     Decision,
@@ -37,6 +36,7 @@ from swarmd.protection.decision import (
     Permit,
     ToldObstacle,
 )
+from swarmd.protection.protection import Protection
 from swarmd.robot.sensors import Sensors
 from swarmd.testing.scans import trembling
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Twist
-from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.odometer import ODOMETRY_RATE, Odometers
 from swarmd.sim.world.realism import REALISTIC, Actuation, OdometryNoise
@@ -75,7 +74,8 @@ class RestlessBases:
         self._bases = base.Bases(Actuation(delay=delay), bases, memory, DT)
         ids, noise = [f"r{i}" for i in range(count)], noise or REALISTIC.odometry
         self._odometers = Odometers(noise, bases, np.zeros((count, 3)), ids, seed)
-        self.monitors = [AssumptionMonitor(platform) for _ in range(count)]
+        kernel = load_kernel("swarmd.protection.assumption_monitor")
+        self.monitors = [kernel.AssumptionMonitor(platform) for _ in range(count)]
         self._rng = np.random.default_rng(seed)
         self._top = np.array((platform.limits.linear, platform.limits.angular))
         self._styles = np.arange(count) % len(styles)
