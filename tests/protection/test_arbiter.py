@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from random import Random
 from typing import Any
 
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from msgspec.structs import replace
+from msgspec import structs
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, TouchZone, Twist
@@ -228,7 +229,7 @@ def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: st
         decisions = []
         for one in ones:
             if step % 4 == 0:
-                one.observe(replace(scan, seq=step, stamp=now), context)
+                one.observe(structs.replace(scan, seq=step, stamp=now), context)
             one.on_odometry(odometry)
             for _ in range(2):
                 hold = Reason.STALE_SCAN if is_held else None
