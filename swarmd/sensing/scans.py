@@ -2416,10 +2416,10 @@ class Deskewer:
     @cython.cfunc
     def _set_rays(self, bearings, ages):
         """Take other bearings and ages; None: by the platform's sweep."""
-        rays = Rays(bearings, ages, self._sweep)
+        rays = _rays_of(bearings, ages, self._sweep)
         self._given, self._given_ages, self._ray_ages = bearings, ages, rays.ages
         self._bearings, self._ages = _view(bearings), _view(rays.ages)
-        self._cos, self._sin = _view(np.cos(bearings)), _view(np.sin(bearings))
+        self._cos, self._sin = _view(rays.cos), _view(rays.sin)
         self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
         self._direction, self._oldest, self._spacing = rays.direction, rays.oldest, rays.spacing
 
@@ -2490,6 +2490,21 @@ class Deskewer:
         for values in (ranges, bearings, ages):
             values.setflags(write=False)
         return ranges, bearings, ages
+
+
+_rays: list = []  # a cache of the latest ones: robots of one kind share them, and so their memory
+
+
+@cython.cfunc
+def _rays_of(bearings, ages, sweep):
+    """The rays of these very bearings and ages."""
+    for rays in _rays:
+        if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
+            return rays
+    if len(_rays) == _MAX_LAYOUTS:
+        _rays.pop()
+    _rays.insert(0, Rays(bearings, ages, sweep))
+    return _rays[0]
 
 
 @cython.cfunc
