@@ -850,58 +850,6 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 
 
 @cython.cclass
-class _Directions:
-    """The directions of the rays of a sensor, which robots of one kind share with its memory.
-
-    `order`: the rays by rising bearing, and `place` of each ray in it. `direction` from one ray to
-    the next: 1.0 or -1.0. `is_even`: rays cover a full turn, one each `step`.
-    """
-
-    given: object
-    step: cython.double
-    bearings: cython.double[::1]
-    order: cython.longlong[::1]
-    rising: cython.double[::1]
-    place: cython.longlong[::1]
-    direction: cython.double
-    is_even: cython.bint
-
-    def __init__(self, given, step: cython.double):
-        n: cython.Py_ssize_t = len(given)
-        i: cython.Py_ssize_t
-        values = np.array(given, dtype=np.float64, order="C")
-        order = np.argsort(values % _TURN, kind="stable")
-        self.given, self.step, self.direction = given, step, 1.0
-        self.bearings, self.order = memoryview(values), memoryview(order)
-        self.rising, self.place = memoryview(values[order] % _TURN), memoryview(np.argsort(order))
-        if n > 1:
-            step_back = math.remainder(values[n - 1] - values[n - 2], _TURN)
-            self.direction = math.copysign(1.0, step_back)
-        self.is_even = fabs(n * step - _TURN) < 0.5 * step
-        for i in range(n):
-            if fabs(self.rising[i] - self.rising[0] - i * step) > 0.2 * step:
-                self.is_even = False
-
-
-_directions: list = []  # a cache of the latest ones
-
-
-@cython.cfunc
-def _directions_of(bearings, step: cython.double) -> _Directions:
-    """The directions of these very bearings."""
-    found: _Directions
-    for found in _directions:
-        if found.given is bearings and found.step == step:
-            return found
-    found = _Directions(bearings, step)
-    if len(_directions) == _MAX_LAYOUTS:
-        _directions.pop()
-    if not bearings.flags.writeable:
-        _directions.insert(0, found)
-    return found
-
-
-@cython.cclass
 class RayMemory:
     """The memory of each ray, and what it makes of a scan's ranges.
 
@@ -922,8 +870,11 @@ class RayMemory:
     _far_returns: cython.Py_ssize_t
     _given: object
     _n: cython.Py_ssize_t
-    _rays: _Directions
     _bearings: cython.double[::1]
+    _direction: cython.double
+    _is_even: cython.bint  # rays cover a full turn, one each `_step`
+    _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
+    _rising: cython.double[::1]
     _place: cython.longlong[::1]
     # By the places of rays, which begin at `_turned`: a robot that turns moves no memory.
     _ranges: cython.double[::1]
@@ -966,11 +917,11 @@ class RayMemory:
             self._given = bearings
         if bearings is not self._given:
             self._set_bearings(bearings, turned)
-        elif turned != 0.0 and self._rays.is_even:
+        elif turned != 0.0 and self._is_even:
             self._turned += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
             self._turned += n if self._turned < 0 else -n if self._turned >= n else 0
         elif turned != 0.0:
-            self._recall(self._rays.rising, turned)
+            self._recall(self._rising, turned)
         if self._interpret(out):
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
@@ -1065,13 +1016,24 @@ class RayMemory:
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
         had: cython.Py_ssize_t = self._n
-        before: _Directions = self._rays
-        self._rays = _directions_of(bearings, self._step)
-        self._given, self._n, self._place = bearings, n, self._rays.place
-        self._bearings = self._rays.bearings
+        step: cython.double = self._step
+        rising: cython.double[::1] = self._rising
+        values = np.array(bearings, dtype=np.float64, order="C")
+        order = np.argsort(values % _TURN, kind="stable")
+        self._given, self._n, self._direction = bearings, n, 1.0
+        self._bearings, self._order = memoryview(values), memoryview(order)
+        self._rising = memoryview(values[order] % _TURN)
+        self._place = memoryview(np.argsort(order))
+        if n > 1:
+            last = math.remainder(values[n - 1] - values[n - 2], _TURN)
+            self._direction = math.copysign(1.0, last)
+        self._is_even = fabs(n * step - _TURN) < 0.5 * step
+        for i in range(n):
+            if fabs(self._rising[i] - self._rising[0] - i * step) > 0.2 * step:
+                self._is_even = False
         self._is_zero, self._is_lost = _marks(n), _marks(n)
         if had:
-            self._recall(before.rising, turned)
+            self._recall(rising, turned)
             return
         self._ranges, self._seen_at, self._near_at = _doubles(n), _doubles(n), _doubles(n)
         for i in range(n):
@@ -1177,7 +1139,7 @@ class RayMemory:
         n: cython.Py_ssize_t = self._n
         for direction in range(-1, 2, 2):
             for step in range(n):
-                beside = self._rays.order[(self._place[ray] + direction * step + n) % n]
+                beside = self._order[(self._place[ray] + direction * step + n) % n]
                 if _apart(self._bearings[ray], self._bearings[beside]) > _NEAR_SECTOR:
                     break
                 if self._near_at[self._at(beside)] >= since:
@@ -1219,7 +1181,7 @@ class RayMemory:
                 continue
             if k - last > 1:
                 step = self._bearings[_wrapped(last, n)] - self._bearings[i]
-                widest = max(widest, _TURN - _mod(self._rays.direction * step))
+                widest = max(widest, _TURN - _mod(self._direction * step))
             last = k
         return widest
 
@@ -2119,11 +2081,6 @@ class ScanDelay:
         self._latency, self._bound = spec.latency, spec.max_scan_delay
         self._stamps, self._turns = _Stamps(spec), _Turns()
         self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
-
-    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
-        """Take in a reading that arrived at `now`; `OdometryHistory` does it for a robot."""
-        pose = odometry.pose
-        self.read(odometry.stamp, pose.yaw, odometry.twist.angular, pose, now)
 
     @cython.cfunc
     def read(
