@@ -24,14 +24,15 @@ _TURN = 2.0 * math.pi
 class Rays:
     """The bearings of a scan with the ages (n,) of its rays in s, and what derives from them.
 
-    `span`: the age of the oldest ray, whose bearing is `oldest`.
-    `direction` in which the sensor turns: 1.0 counter-clockwise, -1.0 clockwise, 0.0 neither.
-    `spacing` between neighbouring rays in rad.
+    `given` and `sweep`: of which the ages derive. `cos` and `sin` of the bearings. `span`: the age
+    of the oldest ray, whose bearing is `oldest`. `direction` in which the sensor turns: 1.0
+    counter-clockwise, -1.0 clockwise, 0.0 neither. `spacing` between neighbouring rays in rad.
     """
 
     def __init__(self, bearings: Array, ages: Array | None, sweep: Sweep | None) -> None:
         """`ages` as the driver gives them; None: by the `sweep`."""
-        self._bearings = bearings
+        self.bearings, self.given, self.sweep = bearings, ages, sweep
+        self.cos, self.sin = np.cos(bearings), np.sin(bearings)
         if ages is None:
             assert sweep is not None
             ages = _ages_of_sweep(bearings, sweep)
@@ -47,11 +48,11 @@ class Rays:
         """The direction, and the bearing of the oldest ray."""
         # Rays of one age, if the driver tells the ages of whole sectors, count as one.
         ages, first = np.unique(-self.ages, return_index=True)
-        steps = _wrap(np.diff(self._bearings[first]))
+        steps = _wrap(np.diff(self.bearings[first]))
         if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
             return 0.0, 0.0
         direction = math.copysign(1.0, steps[0])
-        oldest = self._bearings[-self.ages == ages[0]]
+        oldest = self.bearings[-self.ages == ages[0]]
         begin = int((direction * _wrap(oldest - oldest[0])).argmin())
         return direction, float(oldest[begin])
 

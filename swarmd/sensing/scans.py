@@ -870,20 +870,19 @@ class RayMemory:
     _far_returns: cython.Py_ssize_t
     _given: object
     _n: cython.Py_ssize_t
-    _direction: cython.double
     _bearings: cython.double[::1]
-    _order: cython.longlong[::1]
+    _direction: cython.double
+    _is_even: cython.bint  # rays cover a full turn, one each `_step`
+    _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
     _rising: cython.double[::1]
+    _place: cython.longlong[::1]
+    # By the places of rays, which begin at `_turned`: a robot that turns moves no memory.
     _ranges: cython.double[::1]
     _seen_at: cython.double[::1]
     _near_at: cython.double[::1]
-    _old_ranges: cython.double[::1]
-    _old_seen_at: cython.double[::1]
-    _old_near_at: cython.double[::1]
+    _turned: cython.Py_ssize_t
     _is_zero: cython.uchar[::1]
     _is_lost: cython.uchar[::1]
-    _place: cython.longlong[::1]
-    _is_even: cython.bint  # rays cover a full turn, one each `_step`
 
     def __init__(self, spec, *, guesses_near):
         self.known_at = -INFINITY
@@ -913,16 +912,16 @@ class RayMemory:
         n: cython.Py_ssize_t = out.shape[0]
         if self._goes_blind(out):
             return False
-        turned: cython.double = self._turned(yaw)
+        turned: cython.double = self._turn_of(yaw)
         if bearings is not self._given and self._n and np.array_equal(bearings, self._bearings):
             self._given = bearings
         if bearings is not self._given:
             self._set_bearings(bearings, turned)
+        elif turned != 0.0 and self._is_even:
+            self._turned += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
+            self._turned += n if self._turned < 0 else -n if self._turned >= n else 0
         elif turned != 0.0:
-            self._ranges, self._old_ranges = self._old_ranges, self._ranges
-            self._seen_at, self._old_seen_at = self._old_seen_at, self._seen_at
-            self._near_at, self._old_near_at = self._old_near_at, self._near_at
-            self._recall(self._order, self._rising, turned, self._is_even)
+            self._recall(self._rising, turned)
         if self._interpret(out):
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
@@ -933,10 +932,12 @@ class RayMemory:
             self.known_at = self._lost_since(now)
             unknown = 0
             i: cython.Py_ssize_t
+            k: cython.Py_ssize_t
             for i in range(n):
                 if isnan(out[i]):
-                    if self._seen_at[i] >= now - self._stale_after:
-                        out[i] = self._ranges[i]
+                    k = self._at(i)
+                    if self._seen_at[k] >= now - self._stale_after:
+                        out[i] = self._ranges[k]
                     if isnan(out[i]):
                         unknown += 1
             if unknown and not self._bridge(out):
@@ -947,6 +948,7 @@ class RayMemory:
     def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
         """Store the known rays; the number of unknown rays, which keep their memory."""
         i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
         unknown: cython.Py_ssize_t = 0
         near_below: cython.double = self._near_below
         known: cython.double[::1] = self._ranges
@@ -959,12 +961,18 @@ class RayMemory:
                 unknown += 1
                 is_lost[i] = not (self._is_lds and is_zero[i])
                 continue
-            is_lost[i] = False
-            known[i], seen_at[i] = distance, now
+            is_lost[i], k = False, self._at(i)
+            known[k], seen_at[k] = distance, now
             # A zero is no near ray: one passing obstacle would make an open field near for good.
             if distance < near_below and not is_zero[i]:
-                self._near_at[i] = now
+                self._near_at[k] = now
         return unknown
+
+    @cython.cfunc
+    @cython.inline
+    def _at(self, ray: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """Where the memory of a ray is."""
+        return _wrapped(self._place[ray] + self._turned, self._n)
 
     @cython.cfunc
     def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
@@ -992,7 +1000,7 @@ class RayMemory:
         return self._far_returns >= least
 
     @cython.cfunc
-    def _turned(self, yaw: cython.double) -> cython.double:
+    def _turn_of(self, yaw: cython.double) -> cython.double:
         """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
         turned: cython.double = _mod(yaw - self._yaw + _PI) - _PI
         if not isfinite(turned):
@@ -1005,66 +1013,55 @@ class RayMemory:
     @cython.cfunc
     def _set_bearings(self, bearings, turned: cython.double):
         """Take over the memory of other bearings."""
+        i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
         had: cython.Py_ssize_t = self._n
-        i: cython.Py_ssize_t
-        old_order: cython.longlong[::1] = self._order
-        old_rising: cython.double[::1] = self._rising
-        self._old_ranges, self._old_seen_at = self._ranges, self._seen_at
-        self._old_near_at = self._near_at
-        self._given, self._n = bearings, n
+        step: cython.double = self._step
+        rising: cython.double[::1] = self._rising
         values = np.array(bearings, dtype=np.float64, order="C")
         order = np.argsort(values % _TURN, kind="stable")
+        self._given, self._n, self._direction = bearings, n, 1.0
         self._bearings, self._order = memoryview(values), memoryview(order)
         self._rising = memoryview(values[order] % _TURN)
-        self._direction = 1.0
+        self._place = memoryview(np.argsort(order))
         if n > 1:
-            self._direction = math.copysign(
-                1.0, math.remainder(values[n - 1] - values[n - 2], _TURN)
-            )
+            last = math.remainder(values[n - 1] - values[n - 2], _TURN)
+            self._direction = math.copysign(1.0, last)
+        self._is_even = fabs(n * step - _TURN) < 0.5 * step
+        for i in range(n):
+            if fabs(self._rising[i] - self._rising[0] - i * step) > 0.2 * step:
+                self._is_even = False
+        self._is_zero, self._is_lost = _marks(n), _marks(n)
+        if had:
+            self._recall(rising, turned)
+            return
         self._ranges, self._seen_at, self._near_at = _doubles(n), _doubles(n), _doubles(n)
         for i in range(n):
             self._ranges[i], self._seen_at[i], self._near_at[i] = NAN, -INFINITY, -INFINITY
-        if had:
-            self._recall(old_order, old_rising, turned, False)
-        self._old_ranges, self._old_seen_at = _doubles(n), _doubles(n)
-        self._old_near_at = _doubles(n)
-        self._is_zero, self._is_lost = _marks(n), _marks(n)
-        self._place = memoryview(np.argsort(order))
-        self._is_even = fabs(n * self._step - _TURN) < 0.5 * self._step
-        for i in range(n):
-            if fabs(self._rising[i] - self._rising[0] - i * self._step) > 0.2 * self._step:
-                self._is_even = False
 
     @cython.cfunc
-    def _recall(
-        self,
-        order: cython.longlong[::1],
-        rising: cython.double[::1],
-        turned: cython.double,
-        is_even: cython.bint,
-    ) -> cython.int:
+    def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
-        steps: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, rint(turned / self._step))
+        n: cython.Py_ssize_t = self._n
         had: cython.Py_ssize_t = rising.shape[0]
+        ranges: cython.double[::1] = self._ranges
+        seen_at: cython.double[::1] = self._seen_at
+        near_at: cython.double[::1] = self._near_at
         too_far: cython.double = 2.0 * _TURN / had
         place: cython.Py_ssize_t = 0
-        ray: cython.Py_ssize_t
         i: cython.Py_ssize_t
-        is_far: cython.bint
-        for i in range(self._n):
-            is_far = False
-            if is_even:
-                place = self._place[i] + steps
-                place += had if place < 0 else -had if place >= had else 0
-            else:
-                wanted = _mod(self._bearings[i] + turned)
-                place = _nearest(rising, had, wanted, place)
-                is_far = _apart(rising[place], wanted) > too_far
-            ray = order[place]
-            self._ranges[i] = self._old_ranges[ray]
-            self._seen_at[i] = -INFINITY if is_far else self._old_seen_at[ray]
-            self._near_at[i] = -INFINITY if is_far else self._old_near_at[ray]
+        k: cython.Py_ssize_t
+        at: cython.Py_ssize_t
+        self._ranges, self._seen_at, self._near_at = _doubles(n), _doubles(n), _doubles(n)
+        for i in range(n):
+            wanted = _mod(self._bearings[i] + turned)
+            place = _nearest(rising, had, wanted, place)
+            is_far = _apart(rising[place], wanted) > too_far
+            k, at = _wrapped(place + self._turned, had), self._place[i]
+            self._ranges[at] = ranges[k]
+            self._seen_at[at] = -INFINITY if is_far else seen_at[k]
+            self._near_at[at] = -INFINITY if is_far else near_at[k]
+        self._turned = 0
         return 0
 
     @cython.cfunc
@@ -1121,8 +1118,9 @@ class RayMemory:
         self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
     ) -> cython.double:
         """The meaning of a zero in a run of so many; NaN: a drop-out."""
-        had_return: cython.bint = self._seen_at[ray] >= now - self._stale_after and isfinite(
-            self._ranges[ray]
+        at: cython.Py_ssize_t = self._at(ray)
+        had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
+            self._ranges[at]
         )
         # A short run over recent returns is a lost packet; a near obstacle hides more rays.
         if not (had_return and run <= _PACKET_RAYS) and self._was_near(ray, now):
@@ -1144,7 +1142,7 @@ class RayMemory:
                 beside = self._order[(self._place[ray] + direction * step + n) % n]
                 if _apart(self._bearings[ray], self._bearings[beside]) > _NEAR_SECTOR:
                     break
-                if self._near_at[beside] >= since:
+                if self._near_at[self._at(beside)] >= since:
                     return True
         return False
 
@@ -1158,8 +1156,8 @@ class RayMemory:
         while True:
             latest = -INFINITY
             for i in range(self._n):
-                if self._is_lost[i] and latest < self._seen_at[i] < before:
-                    latest = self._seen_at[i]
+                if self._is_lost[i] and latest < self._seen_at[self._at(i)] < before:
+                    latest = self._seen_at[self._at(i)]
             if latest == -INFINITY or self._widest(latest) <= self._max_gap:
                 return latest
             before = latest
@@ -1169,7 +1167,7 @@ class RayMemory:
         """The widest sector of lost rays that were last known before a time, between others."""
         n: cython.Py_ssize_t = self._n
         first: cython.Py_ssize_t = 0
-        while first < n and self._is_lost[first] and self._seen_at[first] < before:
+        while first < n and self._is_lost[first] and self._seen_at[self._at(first)] < before:
             first += 1
         if first == n:
             return INFINITY
@@ -1179,7 +1177,7 @@ class RayMemory:
         i: cython.Py_ssize_t
         for k in range(first + 1, first + n + 1):
             i = _wrapped(k, n)
-            if self._is_lost[i] and self._seen_at[i] < before:
+            if self._is_lost[i] and self._seen_at[self._at(i)] < before:
                 continue
             if k - last > 1:
                 step = self._bearings[_wrapped(last, n)] - self._bearings[i]
@@ -2084,11 +2082,6 @@ class ScanDelay:
         self._stamps, self._turns = _Stamps(spec), _Turns()
         self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
 
-    def on_odometry(self, odometry: Odometry, now: cython.double) -> None:
-        """Take in a reading that arrived at `now`; `OdometryHistory` does it for a robot."""
-        pose = odometry.pose
-        self.read(odometry.stamp, pose.yaw, odometry.twist.angular, pose, now)
-
     @cython.cfunc
     def read(
         self,
@@ -2416,10 +2409,10 @@ class Deskewer:
     @cython.cfunc
     def _set_rays(self, bearings, ages):
         """Take other bearings and ages; None: by the platform's sweep."""
-        rays = Rays(bearings, ages, self._sweep)
+        rays = _rays_of(bearings, ages, self._sweep)
         self._given, self._given_ages, self._ray_ages = bearings, ages, rays.ages
         self._bearings, self._ages = _view(bearings), _view(rays.ages)
-        self._cos, self._sin = _view(np.cos(bearings)), _view(np.sin(bearings))
+        self._cos, self._sin = _view(rays.cos), _view(rays.sin)
         self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
         self._direction, self._oldest, self._spacing = rays.direction, rays.oldest, rays.spacing
 
@@ -2490,6 +2483,21 @@ class Deskewer:
         for values in (ranges, bearings, ages):
             values.setflags(write=False)
         return ranges, bearings, ages
+
+
+_rays: list = []  # a cache of the latest ones: robots of one kind share them, and so their memory
+
+
+@cython.cfunc
+def _rays_of(bearings, ages, sweep):
+    """The rays of these very bearings and ages."""
+    for rays in _rays:
+        if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
+            return rays
+    if len(_rays) == _MAX_LAYOUTS:
+        _rays.pop()
+    _rays.insert(0, Rays(bearings, ages, sweep))
+    return _rays[0]
 
 
 @cython.cfunc

@@ -14,7 +14,7 @@ from swarmd.core.codec import encode
 from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sensing.scan_delay import delay_by_stamps
-from swarmd.sensing.scan_pipeline import ScanDelay
+from swarmd.sensing.scan_pipeline import OdometryHistory, ScanDelay
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_of
 
@@ -53,6 +53,7 @@ class Rig:
         platform: Platform = BURGER,
     ) -> None:
         self.delays, self.time = ScanDelay(platform.scan), 0.0
+        self.history = OdometryHistory(self.delays)
         self.delay, self.heading, self.discs, self.room = delay, heading, discs, room
         self.scan_clock, self.yaw_scale, self.odometry_lag = scan_clock, yaw_scale, odometry_lag
         self.platform, self.rng, self.seq = platform, np.random.default_rng(3), 0
@@ -81,7 +82,7 @@ class Rig:
         while self.coming and self.coming[0][0] <= until:
             at, _, value = self.coming.pop(0)
             if isinstance(value, Odometry):
-                self.delays.on_odometry(value, at)
+                self.history.take(value, at)
             else:
                 self.delays.on_scan(value, at)
 
@@ -185,7 +186,7 @@ def test_link_that_delays_scans_and_odometry_alike_is_late_for_a_moment_only() -
 def test_stamps_that_go_back_begin_anew() -> None:
     rig = Rig(lambda seq: SPEC.latency + 0.2)
     rig.run(4.0)
-    rig.delays.on_odometry(Odometry(0.5, Pose(), Twist()), rig.time)
+    rig.history.take(Odometry(0.5, Pose(), Twist()), rig.time)
     assert rig.figure("stamps")[0] is None
 
 
@@ -306,10 +307,11 @@ def test_clockwise_rays_turn_the_same_way() -> None:
 def test_a_clock_that_is_set_far_ahead_leaves_figures_that_a_status_can_tell() -> None:
     """Odometry shows first that the clock was set, as on a computer without one of its own."""
     delay, set_by = ScanDelay(SPEC), 1.7e9
+    history = OdometryHistory(delay)
     for tick in range(200):
         now = 0.05 * tick
         clock = set_by if tick >= 190 else 0.0
-        delay.on_odometry(Odometry(now + clock, Pose(), Twist()), now)
+        history.take(Odometry(now + clock, Pose(), Twist()), now)
         if tick % 4 == 0:
             scan = scan_of(BURGER, ROOM, seq=tick)
             delay.on_scan(msgspec.structs.replace(scan, stamp=now - 0.1), now)
