@@ -1,7 +1,7 @@
 """Protection: the only path from a requested command to the command that the driver gets.
 
 `Protection` enforces limits and holds, whatever the mode; an `Arbiter` implements one mode. The
-holds of old scans and odometry are found in `robot/sensors.py`.
+holds of old scans and odometry are found in `robot/tick.py`.
 """
 
 from __future__ import annotations

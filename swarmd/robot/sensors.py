@@ -1,6 +1,6 @@
 """The latest inputs of one robot, and the hold of a robot whose scan or odometry is too old.
 
-`Sensors.hold` compares each age with its limit. The limit of a scan is the platform's
+`InputTimes.hold` (tick.py) compares each age with its limit. The limit of a scan is the platform's
 `scan.stale_after`, less the measured delay. `hazard_holds.py` has the holds of a base's hazards.
 """
 
