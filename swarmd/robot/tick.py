@@ -17,15 +17,18 @@ from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.events import HostInput, ScanInput, TickInput
 from swarmd.core.host_messages import KillHost, Load, SetParams, Step, Stepped
 from swarmd.core.messages import Reason, State
+from swarmd.core.values import Inputs, Neighbor
 from swarmd.protection.decision import NO_PERMIT, DecisionContext
 from swarmd.robot.actions import Actions
 from swarmd.robot.timeouts import (
+    AGE_UPDATE_PERIOD,
     FAULT_WINDOW,
     FAULTS_BEFORE_QUARANTINE,
     FIRST_BACKOFF,
     LOAD_TIMEOUT,
     MAX_HOLD_TIME,
     MIN_EXPIRY,
+    NEIGHBOR_TIMEOUT,
     ODOMETRY_TIMEOUT,
     ROUNDING,
     STATUS_PERIOD,
@@ -42,9 +45,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
+    from cython.cimports.libc.math import INFINITY, floor
 else:
-    from swarmd.core.cython_shadow import INFINITY
+    from swarmd.core.cython_shadow import INFINITY, floor
 
 _LOAD_TIMEOUT = cython.declare(cython.double, LOAD_TIMEOUT)
 _STEP_TIMEOUT = cython.declare(cython.double, STEP_TIMEOUT)
@@ -53,6 +56,8 @@ _ROUNDING = cython.declare(cython.double, ROUNDING)
 _MAX_HOLD_TIME = cython.declare(cython.double, MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, STATUS_PERIOD)
 _ODOMETRY_TIMEOUT = cython.declare(cython.double, ODOMETRY_TIMEOUT)
+_NEIGHBOR_TIMEOUT = cython.declare(cython.double, NEIGHBOR_TIMEOUT)
+_AGE_UPDATE_PERIOD = cython.declare(cython.double, AGE_UPDATE_PERIOD)
 _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
 # A name of C is found at once, one of the module in a dict.
 _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
@@ -61,6 +66,7 @@ _Actions, _Context = cython.declare(object, Actions), cython.declare(object, Dec
 _TickInput, _HostInput = cython.declare(object, TickInput), cython.declare(object, HostInput)
 _ScanInput = cython.declare(object, ScanInput)
 _Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
+_Inputs = cython.declare(object, Inputs)
 _NO_PERMIT = cython.declare(object, NO_PERMIT)
 _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
@@ -336,6 +342,8 @@ class InputTimes:
     """
 
     odometry = cython.declare(object, visibility="public")
+    scan = cython.declare(object, visibility="public")
+    readings = cython.declare(object, visibility="public")
     scan_delay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
     driver_hold = cython.declare(object, visibility="public")
@@ -353,12 +361,70 @@ class InputTimes:
     _teller = cython.declare(object, visibility="public")
     _hazards_until = cython.declare(cython.double, visibility="public")
     _ends_run = cython.declare(cython.bint, visibility="public")
+    _is_new_scan = cython.declare(cython.bint, visibility="public")
+    _deskewer = cython.declare(object, visibility="public")
+    _inbox = cython.declare(object, visibility="public")
+    _neighbors = cython.declare(tuple, visibility="public")
+    _neighbors_at = cython.declare(cython.double, visibility="public")
+    # The neighbours with their ages, and how often they were brought up to date.
+    _aged = cython.declare(tuple, visibility="public")
+    _renewals = cython.declare(cython.double, visibility="public")
     _context = cython.declare(object, visibility="public")
     _context_at: cython.double
 
     def __init__(self) -> None:
         self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
         self._peers_due = INFINITY
+        self._neighbors = self._aged = ()
+
+    @cython.ccall
+    def on_odometry(self, odometry, now: cython.double):
+        """Take in a measured pose and twist.
+
+        A reading with an old stamp does not renew the age; one that is not valid is ignored.
+        """
+        if not odometry.is_valid:
+            return
+        self._context = None
+        if self.odometry is None or odometry.stamp != self.odometry.stamp:
+            self._odometry_at = now
+            self.scan_delay.on_odometry(odometry, now)
+        self.odometry = odometry
+        self._deskewer.on_odometry(odometry)
+
+    @cython.ccall
+    def neighbors(self, now: cython.double) -> tuple:
+        """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
+        past: cython.double = now - self._neighbors_at
+        if past > _NEIGHBOR_TIMEOUT:
+            return ()
+        renewals: cython.double = floor(past / _AGE_UPDATE_PERIOD)
+        if renewals != self._renewals:
+            self._renewals, past = renewals, renewals * _AGE_UPDATE_PERIOD
+            self._aged = tuple(
+                [
+                    Neighbor(n.id, n.age + past, n.distance, n.bearing, n.heading)
+                    for n in self._neighbors
+                ]
+            )
+        return self._aged
+
+    @cython.ccall
+    def inputs(self, now: cython.double, dt: cython.double):
+        """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
+        inputs = _Inputs(
+            now,
+            dt,
+            self.scan,
+            self._is_new_scan != 0,
+            self.odometry,
+            InputTimes.neighbors(self, now),
+            self._take_messages(now) if self._inbox else (),
+            self.readings,
+            None if self._ring is None else self._ring.scan,
+        )
+        self._is_new_scan = False
+        return inputs
 
     @cython.ccall
     def context(self, now: cython.double) -> DecisionContext:
@@ -573,7 +639,7 @@ class Ticker:
         state = machine.state
         host = effects.host
         if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
-            inputs = sensors.inputs(now, run.stepping(now))
+            inputs = InputTimes.inputs(sensors, now, run.stepping(now))
             host = _Step(run.running.generation, inputs)
         # Replies go first: a status may wait for the tick, an emergency stop may not.
         is_latched: cython.bint = effects.is_latched
@@ -664,7 +730,7 @@ class Ticker:
     @cython.ccall
     def _take_odometry(self, odometry, now: cython.double):
         sensors, protection = self._sensors, self._protection
-        sensors.on_odometry(odometry, now)
+        InputTimes.on_odometry(sensors, odometry, now)
         self._look_at_stamps(now)
         if sensors.odometry is odometry:
             protection.on_odometry(odometry)

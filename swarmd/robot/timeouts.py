@@ -22,3 +22,7 @@ STATUS_PERIOD = 1.0
 """Between two statuses while nothing changes."""
 ODOMETRY_TIMEOUT = 0.5
 """After which odometry is stale."""
+NEIGHBOR_TIMEOUT = 3.0
+"""Without an update after which there are no neighbours."""
+AGE_UPDATE_PERIOD = 0.5
+"""Between updates of the neighbours' ages: a thousand take a while."""
