@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.events import HostInput, ScanInput, TickInput
+from swarmd.core.events import HostInput
 from swarmd.core.host_messages import KillHost, Load, SetParams, Step, Stepped
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Inputs, Neighbor
@@ -39,7 +39,7 @@ from swarmd.robot.timeouts import (
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 
-    from swarmd.core.events import Input
+    from swarmd.core.events import Input, ScanInput, TickInput
     from swarmd.core.host_messages import Loaded
     from swarmd.robot.pattern_run import Loading, Wish
 else:
@@ -63,8 +63,7 @@ _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
 _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
 _HAZARD = cython.declare(object, Reason.HAZARD)
 _Actions, _Context = cython.declare(object, Actions), cython.declare(object, DecisionContext)
-_TickInput, _HostInput = cython.declare(object, TickInput), cython.declare(object, HostInput)
-_ScanInput = cython.declare(object, ScanInput)
+_HostInput = cython.declare(object, HostInput)
 _Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
 _Inputs = cython.declare(object, Inputs)
 _NO_PERMIT = cython.declare(object, NO_PERMIT)
@@ -550,7 +549,7 @@ class Ticker:
     _restarts: cython.Py_ssize_t  # of the scan delay, that were logged
     # The base does not follow its commands.
     _is_off_command = cython.declare(cython.bint, visibility="public")
-    # What takes each type of input but a tick: of the robot, the input, the time.
+    # What takes each type of input: of the robot, the input, the time.
     _handlers = cython.declare(dict, visibility="public")
     # That of the last event; under a hold no tick is quiet.
     _hold = cython.declare(object, visibility="public")
@@ -562,15 +561,6 @@ class Ticker:
 
     def step(self, input: Input, now: cython.double) -> Actions | None:
         """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
-        if type(input) is _ScanInput:
-            return self._take_scan(input.scan, now)
-        if type(input) is _TickInput:
-            actions = self._tick(now)
-            if actions is not None:
-                return actions
-            last, decision = self._settled, self.decision
-            seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
-            return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
         if type(input) is _HostInput and type(input.event) is _Stepped:
             effects = Ticker._begin(self, now)
             self._lifecycle.on_stepped(input.event, effects)
@@ -587,6 +577,14 @@ class Ticker:
             self._due_at = -INFINITY
             self._lifecycle.stall(late, effects)
         return effects
+
+    def _on_tick(self, one: TickInput, now: cython.double) -> Actions:
+        actions = self._tick(now)
+        if actions is not None:
+            return actions
+        last, decision = self._settled, self.decision
+        seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
+        return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
 
     @cython.cfunc
     def _tick(self, now: cython.double):
@@ -701,11 +699,10 @@ class Ticker:
         is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
         return bool(self._sensors.is_driver_up) and not is_due
 
-    @cython.cfunc
-    def _take_scan(self, scan, now: cython.double):
+    def _on_scan(self, one: ScanInput, now: cython.double) -> Actions:
         effects: Effects = Ticker._begin(self, now)
         sensors, protection = self._sensors, self._protection
-        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(scan, now)
+        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(one.scan, now)
         self._look_at_stamps(now)
         blind = sensors.blind_text
         if blind != self._blind:
