@@ -19,22 +19,8 @@ from swarmd.core.host_messages import KillHost, Load, SetParams, Step, Stepped
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Inputs, Neighbor
 from swarmd.protection.decision import NO_PERMIT, DecisionContext
+from swarmd.robot import timeouts
 from swarmd.robot.actions import Actions
-from swarmd.robot.timeouts import (
-    AGE_UPDATE_PERIOD,
-    FAULT_WINDOW,
-    FAULTS_BEFORE_QUARANTINE,
-    FIRST_BACKOFF,
-    LOAD_TIMEOUT,
-    MAX_HOLD_TIME,
-    MIN_EXPIRY,
-    NEIGHBOR_TIMEOUT,
-    ODOMETRY_TIMEOUT,
-    ROUNDING,
-    STATUS_PERIOD,
-    STEP_TIMEOUT,
-    STEP_TOLERANCE,
-)
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -49,15 +35,14 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import INFINITY, floor
 
-_LOAD_TIMEOUT = cython.declare(cython.double, LOAD_TIMEOUT)
-_STEP_TIMEOUT = cython.declare(cython.double, STEP_TIMEOUT)
-_STEP_TOLERANCE = cython.declare(cython.double, STEP_TOLERANCE)
-_ROUNDING = cython.declare(cython.double, ROUNDING)
-_MAX_HOLD_TIME = cython.declare(cython.double, MAX_HOLD_TIME)
-_STATUS_PERIOD = cython.declare(cython.double, STATUS_PERIOD)
-_ODOMETRY_TIMEOUT = cython.declare(cython.double, ODOMETRY_TIMEOUT)
-_NEIGHBOR_TIMEOUT = cython.declare(cython.double, NEIGHBOR_TIMEOUT)
-_AGE_UPDATE_PERIOD = cython.declare(cython.double, AGE_UPDATE_PERIOD)
+_STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
+_STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)
+_ROUNDING = cython.declare(cython.double, timeouts.ROUNDING)
+_MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
+_STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
+_ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
+_NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)
+_AGE_UPDATE_PERIOD = cython.declare(cython.double, timeouts.AGE_UPDATE_PERIOD)
 _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
 # A name of C is found at once, one of the module in a dict.
 _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
@@ -154,7 +139,7 @@ class Running:
         self.rate, self.channels, self.values = event.rate, event.channels, event.params
         self.wish, self.until, self.permit = loading.wish, loading.until, _NO_PERMIT
         self.finish_at = finish_at
-        self.period, self.expiry = 1.0 / event.rate, max(MIN_EXPIRY, 3.0 / event.rate)
+        self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
         self.requested, self.requested_at, self.scan_seq = None, now, -1
 
     def channel(self, name: str) -> str | None:
@@ -263,11 +248,11 @@ class PatternRun:
         self.restarts += 1
         faults = self._faults
         faults.append(now)
-        while faults and now - faults[0] > FAULT_WINDOW:
+        while faults and now - faults[0] > timeouts.FAULT_WINDOW:
             faults.popleft()
-        if len(faults) >= FAULTS_BEFORE_QUARANTINE:
+        if len(faults) >= timeouts.FAULTS_BEFORE_QUARANTINE:
             return True
-        self.restart_at = now + FIRST_BACKOFF * 2.0 ** (len(faults) - 1)
+        self.restart_at = now + timeouts.FIRST_BACKOFF * 2.0 ** (len(faults) - 1)
         return False
 
     def end(self) -> None:
@@ -318,7 +303,7 @@ class PatternRun:
         soonest = min(soonest, _later(self.restart_at, now))
         loading = self.loading
         if loading is not None:
-            soonest = min(soonest, _later(loading.since + _LOAD_TIMEOUT, now))
+            soonest = min(soonest, _later(loading.since + timeouts.LOAD_TIMEOUT, now))
             if loading.start_at is not None:
                 soonest = min(soonest, _later(loading.start_at, now))
         return soonest
