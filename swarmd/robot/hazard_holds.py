@@ -1,6 +1,6 @@
 """How the hazards of a base hold a robot, and how each hold ends. Pure.
 
-The holds of scans, odometry and peers are in `Sensors.hold` (sensors.py).
+The holds of scans, odometry and peers are in `InputTimes.hold` (tick.py).
 
 | kind                          | while it is reported | ends                              |
 |-------------------------------|----------------------|-----------------------------------|

@@ -408,6 +408,7 @@ class Robot(Ticker):
 
 
 _HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
+    events.ScanInput: Robot._on_scan,
     events.RangesInput: Robot._on_ranges,
     events.OdometryInput: Robot._on_odometry,
     events.NeighborsInput: Robot._on_neighbors,
@@ -431,4 +432,5 @@ _HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.RosterInput: Robot._on_roster,
     events.LeaveInput: Robot._on_leave,
     events.NoteInput: Robot._on_note,
+    events.TickInput: Robot._on_tick,
 }

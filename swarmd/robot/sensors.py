@@ -1,6 +1,6 @@
 """The latest inputs of one robot, and the hold of a robot whose scan or odometry is too old.
 
-`Sensors.hold` compares each age with its limit. The limit of a scan is the platform's
+`InputTimes.hold` (tick.py) compares each age with its limit. The limit of a scan is the platform's
 `scan.stale_after`, less the measured delay. `hazard_holds.py` has the holds of a base's hazards.
 """
 
@@ -19,7 +19,6 @@ from swarmd.core.hazard import Hazard
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.values import (
-    Inputs,
     Message,
     Neighbor,
     Odometry,
@@ -35,7 +34,7 @@ from swarmd.protection.decision import ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import Peers
-from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
+from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
@@ -44,8 +43,6 @@ if TYPE_CHECKING:
 else:
     InputTimes = load_kernel("swarmd.robot.tick").InputTimes
 
-NEIGHBOR_TIMEOUT = 3.0  # s without an update after which there are no neighbours
-AGE_UPDATE_PERIOD = 0.5  # s between updates of the neighbours' ages: a thousand take a while
 MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
 MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are dropped first
 
@@ -66,6 +63,10 @@ class Sensors(InputTimes):
     """
 
     scan_delay: ScanDelay
+    _deskewer: Deskewer
+    scan: Scan | None
+    odometry: Odometry | None
+    readings: Mapping[str, float]
 
     def __init__(
         self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
@@ -83,21 +84,15 @@ class Sensors(InputTimes):
         ring = platform.ranges
         self._ring = None if ring is None else RangeRing(platform, ring)
         self._scan_times: deque[float] = deque(maxlen=12)
-        self._is_new_scan = False
         self._given: tuple[Neighbor, ...] = ()
-        self._neighbors: tuple[Neighbor, ...] = ()
         self._neighbor_ids: frozenset[str] | None = None  # made when a message arrives
-        self._aged: tuple[Neighbor, ...] = ()
-        self._renewals = 0.0
-        self._neighbors_at = 0.0
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self.hazards = HazardHolds()
         self._inbox: deque[_Received] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
-        self.scan: Scan | None = None
-        self.readings: Mapping[str, float] = {}
+        self.readings = {}
         self.stale_readings: tuple[str, ...] = ()
         self.driver_text = "not connected yet"
         self.gets_zero = False
@@ -134,18 +129,6 @@ class Sensors(InputTimes):
         """The blind sectors of the sensor; empty without one."""
         return self._conditioner.blind_text
 
-    def on_odometry(self, odometry: Odometry, now: float) -> None:
-        """Take in a measured pose and twist.
-
-        A reading with an old stamp does not renew the age; one that is not valid is ignored.
-        """
-        is_new = self._history.take(odometry, now)
-        if is_new is None:
-            return
-        self._context, self.odometry = None, odometry
-        if is_new:
-            self._odometry_at = now
-
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """Take in the robots that are sensed or heard; those in reach are the neighbours."""
         if neighbors is not self._given:
@@ -154,10 +137,9 @@ class Sensors(InputTimes):
                 neighbors = tuple(neighbor for neighbor in neighbors if neighbor.in_reach)
             self._neighbors = neighbors
             self._neighbor_ids = None
-        self._neighbors_at = now
+        self._neighbors_at, self._aged, self._renewals = now, self._neighbors, 0.0
         if self.peers.on_neighbors(self._given, now):
             self._look_at_peers()
-        self._aged, self._renewals = self._neighbors, 0.0
 
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """Take in the own pose in a shared frame."""
@@ -191,7 +173,7 @@ class Sensors(InputTimes):
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
-        if sender not in self._neighbor_ids or not self._knows_neighbors(now):
+        if sender not in self._neighbor_ids or now - self._neighbors_at > NEIGHBOR_TIMEOUT:
             self.rejected += 1
             return False
         size = MESSAGE_OVERHEAD + len(encode_value(value))
@@ -224,22 +206,6 @@ class Sensors(InputTimes):
         self.driver_hold = hold
         self.gets_zero = gets_zero
 
-    def neighbors(self, now: float) -> tuple[Neighbor, ...]:
-        """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
-        if not self._knows_neighbors(now):
-            return ()
-        renewals = (now - self._neighbors_at) // AGE_UPDATE_PERIOD
-        if renewals != self._renewals:
-            self._renewals, passed = renewals, renewals * AGE_UPDATE_PERIOD
-            self._aged = tuple(
-                Neighbor(n.id, n.age + passed, n.distance, n.bearing, n.heading)
-                for n in self._neighbors
-            )
-        return self._aged
-
-    def _knows_neighbors(self, now: float) -> bool:
-        return now - self._neighbors_at <= NEIGHBOR_TIMEOUT
-
     def scan_age(self, now: float) -> float | None:
         """The age of the last valid scan in s; None before the first.
 
@@ -259,27 +225,13 @@ class Sensors(InputTimes):
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-4)
 
-    def inputs(self, now: float, dt: float) -> Inputs:
-        """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
-        messages: tuple[Message, ...] = ()
-        if self._inbox:
-            messages = tuple(
-                Message(one.sender, one.channel, one.value, now - one.at) for one in self._inbox
-            )
-            self.forget_messages()
-        inputs = Inputs(
-            now=now,
-            dt=dt,
-            scan=self.scan,
-            is_new_scan=self._is_new_scan,
-            odometry=self.odometry,
-            neighbors=self.neighbors(now),
-            messages=messages,
-            readings=self.readings,
-            ranges=None if self._ring is None else self._ring.scan,
+    def _take_messages(self, now: float) -> tuple[Message, ...]:
+        """The messages since the last step, which no other step gets."""
+        messages = tuple(
+            Message(one.sender, one.channel, one.value, now - one.at) for one in self._inbox
         )
-        self._is_new_scan = False
-        return inputs
+        self.forget_messages()
+        return messages
 
     def forget_messages(self) -> None:
         """Drop the messages to an earlier pattern."""

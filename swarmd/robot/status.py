@@ -120,7 +120,7 @@ def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
         off = math.remainder(one.bearing - avoided.bearing, 2.0 * math.pi)
         way = abs(one.distance - avoided.distance) + avoided.distance * abs(off)
         if way < _SAME_PLACE:
-            return one.id
+            return str(one.id)
     return avoided.text
 
 

@@ -14,53 +14,43 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from swarmd.core.clock import STALL_TIMEOUT
-from swarmd.core.events import HostInput, ScanInput, TickInput
+from swarmd.core.events import HostInput
 from swarmd.core.host_messages import KillHost, Load, SetParams, Step, Stepped
 from swarmd.core.messages import Reason, State
+from swarmd.core.values import Inputs, Neighbor
 from swarmd.protection.decision import NO_PERMIT, DecisionContext
+from swarmd.robot import timeouts
 from swarmd.robot.actions import Actions
-from swarmd.robot.timeouts import (
-    FAULT_WINDOW,
-    FAULTS_BEFORE_QUARANTINE,
-    FIRST_BACKOFF,
-    LOAD_TIMEOUT,
-    MAX_HOLD_TIME,
-    MIN_EXPIRY,
-    ODOMETRY_TIMEOUT,
-    ROUNDING,
-    STATUS_PERIOD,
-    STEP_TIMEOUT,
-    STEP_TOLERANCE,
-)
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 
-    from swarmd.core.events import Input
+    from swarmd.core.events import Input, ScanInput, TickInput
     from swarmd.core.host_messages import Loaded
     from swarmd.robot.pattern_run import Loading, Wish
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
+    from cython.cimports.libc.math import INFINITY, floor
 else:
-    from swarmd.core.cython_shadow import INFINITY
+    from swarmd.core.cython_shadow import INFINITY, floor
 
-_LOAD_TIMEOUT = cython.declare(cython.double, LOAD_TIMEOUT)
-_STEP_TIMEOUT = cython.declare(cython.double, STEP_TIMEOUT)
-_STEP_TOLERANCE = cython.declare(cython.double, STEP_TOLERANCE)
-_ROUNDING = cython.declare(cython.double, ROUNDING)
-_MAX_HOLD_TIME = cython.declare(cython.double, MAX_HOLD_TIME)
-_STATUS_PERIOD = cython.declare(cython.double, STATUS_PERIOD)
-_ODOMETRY_TIMEOUT = cython.declare(cython.double, ODOMETRY_TIMEOUT)
+_STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
+_STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)
+_ROUNDING = cython.declare(cython.double, timeouts.ROUNDING)
+_MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
+_STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
+_ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
+_NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)
+_AGE_UPDATE_PERIOD = cython.declare(cython.double, timeouts.AGE_UPDATE_PERIOD)
 _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
 # A name of C is found at once, one of the module in a dict.
 _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
 _HAZARD = cython.declare(object, Reason.HAZARD)
 _Actions, _Context = cython.declare(object, Actions), cython.declare(object, DecisionContext)
-_TickInput, _HostInput = cython.declare(object, TickInput), cython.declare(object, HostInput)
-_ScanInput = cython.declare(object, ScanInput)
+_HostInput = cython.declare(object, HostInput)
 _Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
+_Inputs = cython.declare(object, Inputs)
 _NO_PERMIT = cython.declare(object, NO_PERMIT)
 _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
@@ -149,7 +139,7 @@ class Running:
         self.rate, self.channels, self.values = event.rate, event.channels, event.params
         self.wish, self.until, self.permit = loading.wish, loading.until, _NO_PERMIT
         self.finish_at = finish_at
-        self.period, self.expiry = 1.0 / event.rate, max(MIN_EXPIRY, 3.0 / event.rate)
+        self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
         self.requested, self.requested_at, self.scan_seq = None, now, -1
 
     def channel(self, name: str) -> str | None:
@@ -258,11 +248,11 @@ class PatternRun:
         self.restarts += 1
         faults = self._faults
         faults.append(now)
-        while faults and now - faults[0] > FAULT_WINDOW:
+        while faults and now - faults[0] > timeouts.FAULT_WINDOW:
             faults.popleft()
-        if len(faults) >= FAULTS_BEFORE_QUARANTINE:
+        if len(faults) >= timeouts.FAULTS_BEFORE_QUARANTINE:
             return True
-        self.restart_at = now + FIRST_BACKOFF * 2.0 ** (len(faults) - 1)
+        self.restart_at = now + timeouts.FIRST_BACKOFF * 2.0 ** (len(faults) - 1)
         return False
 
     def end(self) -> None:
@@ -313,7 +303,7 @@ class PatternRun:
         soonest = min(soonest, _later(self.restart_at, now))
         loading = self.loading
         if loading is not None:
-            soonest = min(soonest, _later(loading.since + _LOAD_TIMEOUT, now))
+            soonest = min(soonest, _later(loading.since + timeouts.LOAD_TIMEOUT, now))
             if loading.start_at is not None:
                 soonest = min(soonest, _later(loading.start_at, now))
         return soonest
@@ -336,6 +326,8 @@ class InputTimes:
     """
 
     odometry = cython.declare(object, visibility="public")
+    scan = cython.declare(object, visibility="public")
+    readings = cython.declare(object, visibility="public")
     scan_delay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
     driver_hold = cython.declare(object, visibility="public")
@@ -353,12 +345,68 @@ class InputTimes:
     _teller = cython.declare(object, visibility="public")
     _hazards_until = cython.declare(cython.double, visibility="public")
     _ends_run = cython.declare(cython.bint, visibility="public")
+    _is_new_scan = cython.declare(cython.bint, visibility="public")
+    _history = cython.declare(object, visibility="public")
+    _inbox = cython.declare(object, visibility="public")
+    _neighbors = cython.declare(tuple, visibility="public")
+    _neighbors_at = cython.declare(cython.double, visibility="public")
+    # The neighbours with their ages, and how often they were brought up to date.
+    _aged = cython.declare(tuple, visibility="public")
+    _renewals = cython.declare(cython.double, visibility="public")
     _context = cython.declare(object, visibility="public")
     _context_at: cython.double
 
     def __init__(self) -> None:
         self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
         self._peers_due = INFINITY
+        self._neighbors = self._aged = ()
+
+    @cython.ccall
+    def on_odometry(self, odometry, now: cython.double):
+        """Take in a measured pose and twist.
+
+        A reading with an old stamp does not renew the age; one that is not valid is ignored.
+        """
+        is_new = self._history.take(odometry, now)
+        if is_new is None:
+            return
+        self._context, self.odometry = None, odometry
+        if is_new:
+            self._odometry_at = now
+
+    @cython.ccall
+    def neighbors(self, now: cython.double) -> tuple:
+        """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
+        past: cython.double = now - self._neighbors_at
+        if past > _NEIGHBOR_TIMEOUT:
+            return ()
+        renewals: cython.double = floor(past / _AGE_UPDATE_PERIOD)
+        if renewals != self._renewals:
+            self._renewals, past = renewals, renewals * _AGE_UPDATE_PERIOD
+            self._aged = tuple(
+                [
+                    Neighbor(n.id, n.age + past, n.distance, n.bearing, n.heading)
+                    for n in self._neighbors
+                ]
+            )
+        return self._aged
+
+    @cython.ccall
+    def inputs(self, now: cython.double, dt: cython.double):
+        """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
+        inputs = _Inputs(
+            now,
+            dt,
+            self.scan,
+            self._is_new_scan != 0,
+            self.odometry,
+            InputTimes.neighbors(self, now),
+            self._take_messages(now) if self._inbox else (),
+            self.readings,
+            None if self._ring is None else self._ring.scan,
+        )
+        self._is_new_scan = False
+        return inputs
 
     @cython.ccall
     def context(self, now: cython.double) -> DecisionContext:
@@ -484,7 +532,7 @@ class Ticker:
     _restarts: cython.Py_ssize_t  # of the scan delay, that were logged
     # The base does not follow its commands.
     _is_off_command = cython.declare(cython.bint, visibility="public")
-    # What takes each type of input but a tick: of the robot, the input, the time.
+    # What takes each type of input: of the robot, the input, the time.
     _handlers = cython.declare(dict, visibility="public")
     # That of the last event; under a hold no tick is quiet.
     _hold = cython.declare(object, visibility="public")
@@ -496,15 +544,6 @@ class Ticker:
 
     def step(self, input: Input, now: cython.double) -> Actions | None:
         """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
-        if type(input) is _ScanInput:
-            return self._take_scan(input.scan, now)
-        if type(input) is _TickInput:
-            actions = self._tick(now)
-            if actions is not None:
-                return actions
-            last, decision = self._settled, self.decision
-            seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
-            return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
         if type(input) is _HostInput and type(input.event) is _Stepped:
             effects = Ticker._begin(self, now)
             self._lifecycle.on_stepped(input.event, effects)
@@ -521,6 +560,14 @@ class Ticker:
             self._due_at = -INFINITY
             self._lifecycle.stall(late, effects)
         return effects
+
+    def _on_tick(self, one: TickInput, now: cython.double) -> Actions:
+        actions = self._tick(now)
+        if actions is not None:
+            return actions
+        last, decision = self._settled, self.decision
+        seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
+        return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
 
     @cython.cfunc
     def _tick(self, now: cython.double):
@@ -573,7 +620,7 @@ class Ticker:
         state = machine.state
         host = effects.host
         if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
-            inputs = sensors.inputs(now, run.stepping(now))
+            inputs = InputTimes.inputs(sensors, now, run.stepping(now))
             host = _Step(run.running.generation, inputs)
         # Replies go first: a status may wait for the tick, an emergency stop may not.
         is_latched: cython.bint = effects.is_latched
@@ -635,11 +682,10 @@ class Ticker:
         is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
         return bool(self._sensors.is_driver_up) and not is_due
 
-    @cython.cfunc
-    def _take_scan(self, scan, now: cython.double):
+    def _on_scan(self, one: ScanInput, now: cython.double) -> Actions:
         effects: Effects = Ticker._begin(self, now)
         sensors, protection = self._sensors, self._protection
-        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(scan, now)
+        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(one.scan, now)
         self._look_at_stamps(now)
         blind = sensors.blind_text
         if blind != self._blind:
@@ -664,7 +710,7 @@ class Ticker:
     @cython.ccall
     def _take_odometry(self, odometry, now: cython.double):
         sensors, protection = self._sensors, self._protection
-        sensors.on_odometry(odometry, now)
+        InputTimes.on_odometry(sensors, odometry, now)
         self._look_at_stamps(now)
         if sensors.odometry is odometry:
             protection.on_odometry(odometry)

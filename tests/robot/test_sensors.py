@@ -17,13 +17,11 @@ from swarmd.protection.compatibility import body_of
 from swarmd.protection.settings import Mode
 from swarmd.robot.message_limits import EVENT_BURST
 from swarmd.robot.sensors import (
-    AGE_UPDATE_PERIOD,
     MAX_INBOX_BYTES,
     MESSAGE_OVERHEAD,
-    NEIGHBOR_TIMEOUT,
     Sensors,
 )
-from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
+from swarmd.robot.timeouts import AGE_UPDATE_PERIOD, NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.platforms import with_mode
