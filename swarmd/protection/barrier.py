@@ -188,9 +188,10 @@ def _take(
     """Put the values at the first `count` indices into a buffer, from its index `begin` on."""
     i: cython.Py_ssize_t
     order: cython.p_longlong = _first_index(indices, count)
-    end: cython.p_double = _first(into, begin + count)
+    given: cython.p_double = _first(values, count)
+    to: cython.p_double = _first(into, begin + count)
     for i in range(count):
-        end[begin + i] = values[order[i]]
+        to[begin + i] = given[order[i]]
 
 
 @cython.cfunc
@@ -386,7 +387,7 @@ class Barrier:
     _moved_yaw: cython.double
     _seconds: cython.double
     # The rays, and the near obstacles of the last scan: contacts first, then by rising gaps.
-    _directions: cython.double[:, ::1]
+    _directions: cython.double[::1]  # x and y of each ray
     _points: cython.Py_ssize_t
     _contacts: cython.Py_ssize_t
     _is_near: cython.bint
@@ -540,7 +541,8 @@ class Barrier:
         self._is_box = self._edges == 4 and bool(is_along)
         self._readings = _doubles(7 * HISTORY)
         self._taken = -_inf
-        self._directions = self._told = self._touch_table = _NO_ROWS
+        self._told = self._touch_table = _NO_ROWS
+        self._directions = _NO_AGES
         self._told_ones, self._decision = (), ModeDecision(ZERO, is_active=False)
         self._reserve_points(64)
         self._reserve_placed(64)
@@ -639,7 +641,7 @@ class Barrier:
             self._record(context.odometry)
         directions = geometry.directions(scan)
         if directions is not self._given:
-            self._given, self._directions = directions, _view(directions)
+            self._given, self._directions = directions, _view(directions.ravel())
         ranges = _view(scan.ranges)
         ages = _NO_AGES if scan.ages is None else _view(scan.ages)
         age: cython.double = context.scan_age or 0.0
@@ -935,9 +937,12 @@ class Barrier:
         smallest: cython.double = _inf
         for i in range(len(ranges)):
             if ranges[i] <= within:
-                self._place(i, ranges[i], range_min, 0)
-                if self._found_gap[0] < smallest:
-                    smallest = self._found_gap[0]
+                away: cython.double = range_min if ranges[i] < range_min else ranges[i]
+                x: cython.double = self._offset_x + away * self._directions[2 * i]
+                y: cython.double = self._offset_y + away * self._directions[2 * i + 1]
+                gap: cython.double = self._gap_of(x, y)
+                if gap < smallest:
+                    smallest = gap
         self._set_min_gap(nearest, smallest)
 
     @cython.cfunc
@@ -977,8 +982,7 @@ class Barrier:
         """
         count: cython.Py_ssize_t = len(ranges)
         unseen: cython.Py_ssize_t = len(hidden)
-        if count > len(self._directions):
-            raise IndexError(f"{count} ranges, but {len(self._directions)} rays")
+        directions: cython.p_double = _first(self._directions, 2 * count)
         has_ages: cython.bint = len(ages) > 0
         if has_ages and len(ages) != count:
             raise IndexError(f"{count} ranges, but {len(ages)} ages")
@@ -1002,20 +1006,27 @@ class Barrier:
         ring: cython.double = self._ring(nearest, range_min)
         smallest: cython.double = _inf  # gap of all returns
         closest: cython.double = _inf  # gap of the near ones
+        found_x: cython.p_double = _first(self._found_x, count + unseen)
+        found_y: cython.p_double = _first(self._found_y, count + unseen)
+        found_gap: cython.p_double = _first(self._found_gap, count + unseen)
+        found_age: cython.p_double = _first(self._found_age, count + unseen)
         for i in range(count):
             away: cython.double = ranges[i]
             if away == -_inf:
-                self._ray_x[contacts] = self._directions[i, 0]
-                self._ray_y[contacts] = self._directions[i, 1]
+                self._ray_x[contacts] = directions[2 * i]
+                self._ray_y[contacts] = directions[2 * i + 1]
                 self._ray_age[contacts] = ages[i] if has_ages else 0.0
                 contacts += 1
             elif away <= outermost or away <= ring:
-                self._place(i, away, range_min, found)
-                self._found_age[found] = ages[i] if has_ages else 0.0
-                gap: cython.double = self._found_gap[found]
+                away = range_min if away < range_min else away
+                found_x[found] = self._offset_x + away * directions[2 * i]
+                found_y[found] = self._offset_y + away * directions[2 * i + 1]
+                gap: cython.double = self._gap_of(found_x[found], found_y[found])
+                found_gap[found] = gap
+                found_age[found] = ages[i] if has_ages else 0.0
                 if gap < smallest:
                     smallest = gap
-                if away <= outermost:
+                if ranges[i] <= outermost:
                     if gap < closest:
                         closest = gap
                     if gap <= furthest:
@@ -1026,8 +1037,8 @@ class Barrier:
                 x: cython.double = self._offset_x + hidden[i, 2] * hidden[i, 0]
                 y: cython.double = self._offset_y + hidden[i, 2] * hidden[i, 1]
                 gap = self._gap_of(x, y)
-                self._found_x[found], self._found_y[found], self._found_gap[found] = x, y, gap
-                self._found_age[found] = self._oldest
+                found_x[found], found_y[found], found_gap[found] = x, y, gap
+                found_age[found] = self._oldest
                 if gap < closest:
                     closest = gap
                 if gap <= furthest:
@@ -1048,23 +1059,6 @@ class Barrier:
         _take(self._found_gap, self._order, found, self._gap, contacts)
         _take(self._found_age, self._order, found, self._age, contacts)
         self._points, self._contacts = contacts + found, contacts
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place(
-        self,
-        ray: cython.Py_ssize_t,
-        away: cython.double,
-        range_min: cython.double,
-        at: cython.Py_ssize_t,
-    ) -> cython.int:
-        """The point and the gap of a return, at an index of those found."""
-        if away < range_min:
-            away = range_min
-        self._found_x[at] = self._offset_x + away * self._directions[ray, 0]
-        self._found_y[at] = self._offset_y + away * self._directions[ray, 1]
-        self._found_gap[at] = self._gap_of(self._found_x[at], self._found_y[at])
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
