@@ -440,7 +440,11 @@ class Barrier:
     _first_row: cython.longlong[::1]
     _normal_x: cython.double[::1]
     _normal_y: cython.double[::1]
-    _near: cython.longlong[::1]
+    # Of points that the stop check regards: places, gaps, and what these must be now.
+    _near_x: cython.double[::1]
+    _near_y: cython.double[::1]
+    _near_gap: cython.double[::1]
+    _near_need: cython.double[::1]
     _inside: cython.longlong[::1]
     _row_x: cython.double[::1]
     _row_y: cython.double[::1]
@@ -453,9 +457,9 @@ class Barrier:
     _source: cython.longlong[::1]
     _ranked: cython.Py_ssize_t[4]  # rows to report
     # Two envelopes: while creeping and else.
-    _envelope_x: cython.double[:, ::1]
-    _envelope_y: cython.double[:, ::1]
-    _envelope_cap: cython.double[:, ::1]
+    _envelope_x: cython.double[::1]
+    _envelope_y: cython.double[::1]
+    _envelope_cap: cython.double[::1]
     _envelope_along_x: cython.double[2]
     _envelope_along_y: cython.double[2]
     _way_x: cython.double[::1]
@@ -551,9 +555,8 @@ class Barrier:
         self._reserve_rows(256)
         count: cython.Py_ssize_t = len(_ENVELOPE_DIRECTIONS)
         self._way_x, self._way_y = _doubles(count), _doubles(count)
-        self._envelope_x = _view(np.zeros((2, count)))
-        self._envelope_y = _view(np.zeros((2, count)))
-        self._envelope_cap = _view(np.zeros((2, count)))
+        self._envelope_x, self._envelope_y = _doubles(2 * count), _doubles(2 * count)
+        self._envelope_cap = _doubles(2 * count)
         self._poly_x, self._poly_y = _doubles(64), _doubles(64)
         self._clip_x, self._clip_y = _doubles(64), _doubles(64)
         self._shares = _SPEED_SHARES
@@ -1129,7 +1132,9 @@ class Barrier:
         self._placed_age, self._radius_of = _doubles(count), _doubles(count)
         self._placed_contact = _doubles(count)
         self._normal_x, self._normal_y = _doubles(count), _doubles(count)
-        self._near, self._inside = _indices(count), _indices(count)
+        self._near_x, self._near_y = _doubles(count), _doubles(count)
+        self._near_gap, self._near_need = _doubles(count), _doubles(count)
+        self._inside = _indices(count)
         self._first_row = _indices(count)
         return 0
 
@@ -1498,8 +1503,10 @@ class Barrier:
             radius_of[i] = self._at_radius[j]
             row_x[at + j], row_y[at + j], row_cap[at + j] = new_x[j], new_y[j], cap[j]
             row_gap[at + j] = gap[j] - self._at_radius[j]
+        first_row: cython.p_longlong = _first_index(self._first_row, end)
+        source: cython.p_longlong = _first_index(self._source, at + count)
         for j in range(count):
-            self._first_row[first + j], self._source[at + j] = at + j, first + j
+            first_row[first + j], source[at + j] = at + j, first + j
         self._rows = at + count
         return self._add_sides(first, count)
 
@@ -1770,9 +1777,14 @@ class Barrier:
         row_x: cython.p_double = _first(self._row_x, self._all)
         row_y: cython.p_double = _first(self._row_y, self._all)
         row_cap: cython.p_double = _first(self._row_cap, self._all)
-        for i in range(len(self._way_x)):
-            row_x[at + i], row_y[at + i] = self._envelope_x[which, i], self._envelope_y[which, i]
-            row_cap[at + i] = self._envelope_cap[which, i]
+        count: cython.Py_ssize_t = len(self._way_x)
+        begin: cython.Py_ssize_t = which * count
+        x: cython.p_double = _first(self._envelope_x, begin + count)
+        y: cython.p_double = _first(self._envelope_y, begin + count)
+        cap: cython.p_double = _first(self._envelope_cap, begin + count)
+        for i in range(count):
+            row_x[at + i], row_y[at + i] = x[begin + i], y[begin + i]
+            row_cap[at + i] = cap[begin + i]
         return 0
 
     @cython.cfunc
@@ -1807,8 +1819,9 @@ class Barrier:
             y = self._way_y[after] - self._way_y[i]
             length: cython.double = hypot(y, -x)
             y, x = y / length, -x / length
-            self._envelope_x[which, i], self._envelope_y[which, i] = y, x
-            self._envelope_cap[which, i] = y * self._way_x[i] + x * self._way_y[i]
+            at: cython.Py_ssize_t = which * count + i
+            self._envelope_x[at], self._envelope_y[at] = y, x
+            self._envelope_cap[at] = y * self._way_x[i] + x * self._way_y[i]
         return 0
 
     @cython.cfunc
@@ -1963,15 +1976,23 @@ class Barrier:
         seconds: cython.double = _tick + (turning if turning > slow else slow)
         others: cython.double = self._others if self._is_passive else 0.0
         way: cython.double = (fabs(s) + fabs(w) * self._radius) * seconds
-        self._beside = 0
-        for i in range(self._contacts, self._count + self._discs):
+        points: cython.Py_ssize_t = self._count + self._discs
+        free: cython.p_double = _first(self._placed_free, points)
+        age: cython.p_double = _first(self._placed_age, points)
+        gap: cython.p_double = _first(self._placed_gap, points)
+        near_gap: cython.p_double = _first(self._near_gap, points)
+        near_need: cython.p_double = _first(self._near_need, points)
+        beside: cython.Py_ssize_t = 0
+        for i in range(self._contacts, points):
             if self._has_touch and i < self._count and self._inside[i]:
                 continue
-            need: cython.double = self._placed_free[i] + others * self._placed_age[i]
-            if self._placed_gap[i] <= need + others * seconds + way:
-                self._near[self._beside] = i
-                self._beside += 1
-        if self._beside == 0:
+            need: cython.double = free[i] + others * age[i]
+            if gap[i] <= need + others * seconds + way:
+                self._near_x[beside], self._near_y[beside] = self._placed_x[i], self._placed_y[i]
+                near_gap[beside], near_need[beside] = gap[i], need
+                beside += 1
+        self._beside = beside
+        if beside == 0:
             return 0
         self._forbidding = 0
         if self._is_clear(s, w, others):
@@ -2015,6 +2036,8 @@ class Barrier:
         k: cython.Py_ssize_t
         v: cython.double = fabs(s)
         turning: cython.double = fabs(w)
+        gap: cython.p_double = _first(self._near_gap, self._beside)
+        need: cython.p_double = _first(self._near_need, self._beside)
         for k in range(3):  # both brakes as assumed, then one of them ideal
             if (k == 1 and v == 0.0) or (k == 2 and turning == 0.0):
                 continue  # the brake of a speed of 0 changes nothing
@@ -2025,10 +2048,11 @@ class Barrier:
             way: cython.double = self._simulate(k, s, w, v, turning, step)
             if self._poses == 0:  # the outline closes on nothing
                 continue
-            if self._forbids(self._near[self._forbidding], way, step, others):
+            if self._forbids(self._forbidding, way, step, others):
                 return 0
             for i in range(self._beside):
-                if self._forbids(self._near[i], way, step, others):
+                most: cython.double = need[i] + others * (step * _STEPS) + way + _ROUNDING
+                if not (gap[i] >= most) and self._forbids(i, way, step, others):
                     self._forbidding = i
                     return 0
         return 1
@@ -2089,15 +2113,17 @@ class Barrier:
     ) -> cython.int:
         """1 if the outline closes on a point within its gap during the simulated stop."""
         j: cython.Py_ssize_t
-        gap: cython.double = self._placed_gap[point]
-        need: cython.double = self._placed_free[point] + others * self._placed_age[point]
+        gap: cython.double = self._near_gap[point]
+        need: cython.double = self._near_need[point]
+        point_x: cython.double = self._near_x[point]
+        point_y: cython.double = self._near_y[point]
         least: cython.double = need + others * (step * _STEPS) + way + _ROUNDING
         if gap >= least:
             return 0
         before: cython.double = gap
         for j in range(self._poses):
-            dx: cython.double = self._placed_x[point] - self._stop_x[j]
-            dy: cython.double = self._placed_y[point] - self._stop_y[j]
+            dx: cython.double = point_x - self._stop_x[j]
+            dy: cython.double = point_y - self._stop_y[j]
             c: cython.double = self._stop_cos[j]
             d: cython.double = self._stop_sin[j]
             x: cython.double = c * dx + d * dy
