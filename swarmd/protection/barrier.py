@@ -112,6 +112,7 @@ _max_speed = cython.declare(cython.double, MAX_SPEED)
 _reaction = cython.declare(cython.double, REACTION_TIME)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
 _inf = cython.declare(cython.double, math.inf)
+_nan = cython.declare(cython.double, math.nan)
 _pi = cython.declare(cython.double, math.pi)
 
 
@@ -299,7 +300,7 @@ class Barrier:
     _limits: Limits
     _outline: Footprint
     _memory: object
-    _given: object  # directions of the rays, as the scan's geometry has them
+    _given: object  # bearings of the rays
     _odometry: object
     _touch: object
     _told_ones: tuple
@@ -387,7 +388,8 @@ class Barrier:
     _moved_yaw: cython.double
     _seconds: cython.double
     # The rays, and the near obstacles of the last scan: contacts first, then by rising gaps.
-    _directions: cython.double[::1]  # x and y of each ray
+    _bearings: cython.const[cython.double][::1]
+    _directions: cython.double[::1]  # x and y of each ray; x is NaN where they are not known yet
     _points: cython.Py_ssize_t
     _contacts: cython.Py_ssize_t
     _is_near: cython.bint
@@ -546,7 +548,7 @@ class Barrier:
         self._readings = _doubles(7 * HISTORY)
         self._taken = -_inf
         self._told = self._touch_table = _NO_ROWS
-        self._directions = _NO_AGES
+        self._bearings, self._directions = _NO_AGES, _doubles(2)
         self._told_ones, self._decision = (), ModeDecision(ZERO, is_active=False)
         self._reserve_points(64)
         self._reserve_placed(64)
@@ -642,9 +644,8 @@ class Barrier:
         """
         if context.odometry is not None:
             self._record(context.odometry)
-        directions = geometry.directions(scan)
-        if directions is not self._given:
-            self._given, self._directions = directions, _view(directions.ravel())
+        if scan.bearings is not self._given:  # those of a robot that turns differ with each scan
+            self._set_bearings(scan.bearings)
         ranges = _view(scan.ranges)
         ages = _NO_AGES if scan.ages is None else _view(scan.ages)
         age: cython.double = context.scan_age or 0.0
@@ -661,6 +662,18 @@ class Barrier:
             if len(memory.bearings):
                 hidden = _view(_rays_and_ranges(memory.bearings, memory.nearest))
         self._take_scan(ranges, scan.range_min, ages, hidden)
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        """Take the rays of other bearings; their directions are found when they are needed."""
+        i: cython.Py_ssize_t
+        count: cython.Py_ssize_t = len(bearings)
+        self._given, self._bearings = bearings, _view(bearings)
+        if len(self._directions) < 2 * count:
+            self._directions = _doubles(2 * count)
+        directions: cython.p_double = _first(self._directions, 2 * count)
+        for i in range(count):
+            directions[2 * i] = _nan
 
     def _newest_age(self, scan):
         """How old the newest ray of a scan was on arrival in s, by the platform's latency.
@@ -941,12 +954,21 @@ class Barrier:
         for i in range(len(ranges)):
             if ranges[i] <= within:
                 away: cython.double = range_min if ranges[i] < range_min else ranges[i]
+                self._find_direction(i)
                 x: cython.double = self._offset_x + away * self._directions[2 * i]
                 y: cython.double = self._offset_y + away * self._directions[2 * i + 1]
                 gap: cython.double = self._gap_of(x, y)
                 if gap < smallest:
                     smallest = gap
         self._set_min_gap(nearest, smallest)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_direction(self, ray: cython.Py_ssize_t) -> cython.int:
+        """Put the direction of a ray into `_directions`."""
+        bearing: cython.double = self._bearings[ray]
+        self._directions[2 * ray], self._directions[2 * ray + 1] = cos(bearing), sin(bearing)
+        return 0
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
@@ -1015,12 +1037,16 @@ class Barrier:
         found_age: cython.p_double = _first(self._found_age, count + unseen)
         for i in range(count):
             away: cython.double = ranges[i]
+            if not (away <= outermost or away <= ring):
+                continue
+            if directions[2 * i] != directions[2 * i]:
+                self._find_direction(i)
             if away == -_inf:
                 self._ray_x[contacts] = directions[2 * i]
                 self._ray_y[contacts] = directions[2 * i + 1]
                 self._ray_age[contacts] = ages[i] if has_ages else 0.0
                 contacts += 1
-            elif away <= outermost or away <= ring:
+            else:
                 away = range_min if away < range_min else away
                 found_x[found] = self._offset_x + away * directions[2 * i]
                 found_y[found] = self._offset_y + away * directions[2 * i + 1]
