@@ -154,6 +154,7 @@ _SPEED_SHARES = _view(_speed_shares())
 """Shares of the two speeds, those nearest to the whole first; the last is zero."""
 _NO_ROWS = _view(np.empty((0, 4)))
 _NO_AGES = _view(np.empty(0))
+_decided = cython.declare(object, ModeDecision)  # a name of C is looked up once
 
 
 @cython.cfunc
@@ -314,6 +315,7 @@ class Barrier:
     _surface_speed: cython.double
     _is_passive: cython.bint
     _keep_out: cython.double  # NaN: no circle
+    _linear_limit: cython.double
     _angular_limit: cython.double
     _offset_x: cython.double
     _offset_y: cython.double
@@ -513,7 +515,7 @@ class Barrier:
         self._braking_angular = settings.braking_angular
         self._is_passive = is_passive
         self._keep_out = math.nan if settings.keep_out is None else settings.keep_out
-        self._angular_limit = platform.limits.angular
+        self._linear_limit, self._angular_limit = platform.limits.linear, platform.limits.angular
         self._offset_x, self._offset_y = offset = platform.scan.offset
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._inner, self._outer = outline.circles(offset)
@@ -702,7 +704,7 @@ class Barrier:
         if touch is not self._touch and touch != self._touch:
             self._grant(touch)
         told = context.told + context.near if context.near else context.told
-        if told != self._told_ones:
+        if told is not self._told_ones and told != self._told_ones:
             self._set_told(told)
         self._find_discs()
         is_free: cython.bint = not (self._has_touch or self._is_near or self._points or self._discs)
@@ -712,18 +714,18 @@ class Barrier:
         angular: cython.double = requested.angular
         lateral: cython.double = requested.lateral
         if is_free or (speed == 0.0 and angular == 0.0 and lateral == 0.0):
-            return ModeDecision(requested, is_active=False)
+            return _decided(requested, False)
         if self._scan_resets != self._resets:  # the last scan has no valid pose any more
-            return ModeDecision(ZERO, is_active=True)
-        limit: cython.double = self._limits.linear
+            return _decided(ZERO, True)
+        limit: cython.double = self._linear_limit
         if lateral != 0.0:
             speed = hypot(requested.linear, lateral)
             along_x, along_y = requested.linear / speed, lateral / speed
             limit = linear_limit(self._limits, along_x, along_y)
         is_same: cython.bint = self._keep_situation(
             context.now,
-            math.nan if context.scan_age is None else context.scan_age,
-            math.nan if context.odometry_age is None else context.odometry_age,
+            _nan if context.scan_age is None else context.scan_age,
+            _nan if context.odometry_age is None else context.odometry_age,
             -1 if odometry is None else self._version,
             along_x,
             along_y,
@@ -733,15 +735,15 @@ class Barrier:
             self._build(command.linear, command.angular, command.lateral)
             self._has_situation = True
         elif self._is_decided and self._asked_speed == speed and self._asked_angular == angular:
-            return self._decision if self._is_limited else ModeDecision(requested, is_active=False)
+            return self._decision if self._is_limited else _decided(requested, False)
         self._is_decided = False
         self._asked_speed, self._asked_angular = speed, angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True
         if not self._is_limited:
-            return ModeDecision(requested, is_active=False)
+            return _decided(requested, False)
         twist = Twist(self._linear * along_x, self._angular, self._linear * along_y)
-        self._decision = ModeDecision(twist, is_active=True, rows=self._report())
+        self._decision = _decided(twist, True, self._report())
         return self._decision
 
     @cython.cfunc
