@@ -112,6 +112,7 @@ _max_speed = cython.declare(cython.double, MAX_SPEED)
 _reaction = cython.declare(cython.double, REACTION_TIME)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
 _inf = cython.declare(cython.double, math.inf)
+_nan = cython.declare(cython.double, math.nan)
 _pi = cython.declare(cython.double, math.pi)
 
 
@@ -153,6 +154,7 @@ _SPEED_SHARES = _view(_speed_shares())
 """Shares of the two speeds, those nearest to the whole first; the last is zero."""
 _NO_ROWS = _view(np.empty((0, 4)))
 _NO_AGES = _view(np.empty(0))
+_decided = cython.declare(object, ModeDecision)  # a name of C is looked up once
 
 
 @cython.cfunc
@@ -188,9 +190,10 @@ def _take(
     """Put the values at the first `count` indices into a buffer, from its index `begin` on."""
     i: cython.Py_ssize_t
     order: cython.p_longlong = _first_index(indices, count)
-    end: cython.p_double = _first(into, begin + count)
+    given: cython.p_double = _first(values, count)
+    to: cython.p_double = _first(into, begin + count)
     for i in range(count):
-        end[begin + i] = values[order[i]]
+        to[begin + i] = given[order[i]]
 
 
 @cython.cfunc
@@ -298,7 +301,7 @@ class Barrier:
     _limits: Limits
     _outline: Footprint
     _memory: object
-    _given: object  # directions of the rays, as the scan's geometry has them
+    _given: object  # bearings of the rays
     _odometry: object
     _touch: object
     _told_ones: tuple
@@ -312,6 +315,7 @@ class Barrier:
     _surface_speed: cython.double
     _is_passive: cython.bint
     _keep_out: cython.double  # NaN: no circle
+    _linear_limit: cython.double
     _angular_limit: cython.double
     _offset_x: cython.double
     _offset_y: cython.double
@@ -386,7 +390,8 @@ class Barrier:
     _moved_yaw: cython.double
     _seconds: cython.double
     # The rays, and the near obstacles of the last scan: contacts first, then by rising gaps.
-    _directions: cython.double[:, ::1]
+    _bearings: cython.const[cython.double][::1]
+    _directions: cython.double[::1]  # x and y of each ray; x is NaN where they are not known yet
     _points: cython.Py_ssize_t
     _contacts: cython.Py_ssize_t
     _is_near: cython.bint
@@ -439,7 +444,11 @@ class Barrier:
     _first_row: cython.longlong[::1]
     _normal_x: cython.double[::1]
     _normal_y: cython.double[::1]
-    _near: cython.longlong[::1]
+    # Of points that the stop check regards: places, gaps, and what these must be now.
+    _near_x: cython.double[::1]
+    _near_y: cython.double[::1]
+    _near_gap: cython.double[::1]
+    _near_need: cython.double[::1]
     _inside: cython.longlong[::1]
     _row_x: cython.double[::1]
     _row_y: cython.double[::1]
@@ -452,9 +461,9 @@ class Barrier:
     _source: cython.longlong[::1]
     _ranked: cython.Py_ssize_t[4]  # rows to report
     # Two envelopes: while creeping and else.
-    _envelope_x: cython.double[:, ::1]
-    _envelope_y: cython.double[:, ::1]
-    _envelope_cap: cython.double[:, ::1]
+    _envelope_x: cython.double[::1]
+    _envelope_y: cython.double[::1]
+    _envelope_cap: cython.double[::1]
     _envelope_along_x: cython.double[2]
     _envelope_along_y: cython.double[2]
     _way_x: cython.double[::1]
@@ -506,7 +515,7 @@ class Barrier:
         self._braking_angular = settings.braking_angular
         self._is_passive = is_passive
         self._keep_out = math.nan if settings.keep_out is None else settings.keep_out
-        self._angular_limit = platform.limits.angular
+        self._linear_limit, self._angular_limit = platform.limits.linear, platform.limits.angular
         self._offset_x, self._offset_y = offset = platform.scan.offset
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._inner, self._outer = outline.circles(offset)
@@ -540,7 +549,8 @@ class Barrier:
         self._is_box = self._edges == 4 and bool(is_along)
         self._readings = _doubles(7 * HISTORY)
         self._taken = -_inf
-        self._directions = self._told = self._touch_table = _NO_ROWS
+        self._told = self._touch_table = _NO_ROWS
+        self._bearings, self._directions = _NO_AGES, _doubles(2)
         self._told_ones, self._decision = (), ModeDecision(ZERO, is_active=False)
         self._reserve_points(64)
         self._reserve_placed(64)
@@ -549,9 +559,8 @@ class Barrier:
         self._reserve_rows(256)
         count: cython.Py_ssize_t = len(_ENVELOPE_DIRECTIONS)
         self._way_x, self._way_y = _doubles(count), _doubles(count)
-        self._envelope_x = _view(np.zeros((2, count)))
-        self._envelope_y = _view(np.zeros((2, count)))
-        self._envelope_cap = _view(np.zeros((2, count)))
+        self._envelope_x, self._envelope_y = _doubles(2 * count), _doubles(2 * count)
+        self._envelope_cap = _doubles(2 * count)
         self._poly_x, self._poly_y = _doubles(64), _doubles(64)
         self._clip_x, self._clip_y = _doubles(64), _doubles(64)
         self._shares = _SPEED_SHARES
@@ -637,9 +646,8 @@ class Barrier:
         """
         if context.odometry is not None:
             self._record(context.odometry)
-        directions = geometry.directions(scan)
-        if directions is not self._given:
-            self._given, self._directions = directions, _view(directions)
+        if scan.bearings is not self._given:  # those of a robot that turns differ with each scan
+            self._set_bearings(scan.bearings)
         ranges = _view(scan.ranges)
         ages = _NO_AGES if scan.ages is None else _view(scan.ages)
         age: cython.double = context.scan_age or 0.0
@@ -656,6 +664,18 @@ class Barrier:
             if len(memory.bearings):
                 hidden = _view(_rays_and_ranges(memory.bearings, memory.nearest))
         self._take_scan(ranges, scan.range_min, ages, hidden)
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        """Take the rays of other bearings; their directions are found when they are needed."""
+        i: cython.Py_ssize_t
+        count: cython.Py_ssize_t = len(bearings)
+        self._given, self._bearings = bearings, _view(bearings)
+        if len(self._directions) < 2 * count:
+            self._directions = _doubles(2 * count)
+        directions: cython.p_double = _first(self._directions, 2 * count)
+        for i in range(count):
+            directions[2 * i] = _nan
 
     def _newest_age(self, scan):
         """How old the newest ray of a scan was on arrival in s, by the platform's latency.
@@ -684,7 +704,7 @@ class Barrier:
         if touch is not self._touch and touch != self._touch:
             self._grant(touch)
         told = context.told + context.near if context.near else context.told
-        if told != self._told_ones:
+        if told is not self._told_ones and told != self._told_ones:
             self._set_told(told)
         self._find_discs()
         is_free: cython.bint = not (self._has_touch or self._is_near or self._points or self._discs)
@@ -694,18 +714,18 @@ class Barrier:
         angular: cython.double = requested.angular
         lateral: cython.double = requested.lateral
         if is_free or (speed == 0.0 and angular == 0.0 and lateral == 0.0):
-            return ModeDecision(requested, is_active=False)
+            return _decided(requested, False)
         if self._scan_resets != self._resets:  # the last scan has no valid pose any more
-            return ModeDecision(ZERO, is_active=True)
-        limit: cython.double = self._limits.linear
+            return _decided(ZERO, True)
+        limit: cython.double = self._linear_limit
         if lateral != 0.0:
             speed = hypot(requested.linear, lateral)
             along_x, along_y = requested.linear / speed, lateral / speed
             limit = linear_limit(self._limits, along_x, along_y)
         is_same: cython.bint = self._keep_situation(
             context.now,
-            math.nan if context.scan_age is None else context.scan_age,
-            math.nan if context.odometry_age is None else context.odometry_age,
+            _nan if context.scan_age is None else context.scan_age,
+            _nan if context.odometry_age is None else context.odometry_age,
             -1 if odometry is None else self._version,
             along_x,
             along_y,
@@ -715,15 +735,15 @@ class Barrier:
             self._build(command.linear, command.angular, command.lateral)
             self._has_situation = True
         elif self._is_decided and self._asked_speed == speed and self._asked_angular == angular:
-            return self._decision if self._is_limited else ModeDecision(requested, is_active=False)
+            return self._decision if self._is_limited else _decided(requested, False)
         self._is_decided = False
         self._asked_speed, self._asked_angular = speed, angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True
         if not self._is_limited:
-            return ModeDecision(requested, is_active=False)
+            return _decided(requested, False)
         twist = Twist(self._linear * along_x, self._angular, self._linear * along_y)
-        self._decision = ModeDecision(twist, is_active=True, rows=self._report())
+        self._decision = _decided(twist, True, self._report())
         return self._decision
 
     @cython.cfunc
@@ -935,10 +955,22 @@ class Barrier:
         smallest: cython.double = _inf
         for i in range(len(ranges)):
             if ranges[i] <= within:
-                self._place(i, ranges[i], range_min, 0)
-                if self._found_gap[0] < smallest:
-                    smallest = self._found_gap[0]
+                away: cython.double = range_min if ranges[i] < range_min else ranges[i]
+                self._find_direction(i)
+                x: cython.double = self._offset_x + away * self._directions[2 * i]
+                y: cython.double = self._offset_y + away * self._directions[2 * i + 1]
+                gap: cython.double = self._gap_of(x, y)
+                if gap < smallest:
+                    smallest = gap
         self._set_min_gap(nearest, smallest)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_direction(self, ray: cython.Py_ssize_t) -> cython.int:
+        """Put the direction of a ray into `_directions`."""
+        bearing: cython.double = self._bearings[ray]
+        self._directions[2 * ray], self._directions[2 * ray + 1] = cos(bearing), sin(bearing)
+        return 0
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
@@ -977,8 +1009,7 @@ class Barrier:
         """
         count: cython.Py_ssize_t = len(ranges)
         unseen: cython.Py_ssize_t = len(hidden)
-        if count > len(self._directions):
-            raise IndexError(f"{count} ranges, but {len(self._directions)} rays")
+        directions: cython.p_double = _first(self._directions, 2 * count)
         has_ages: cython.bint = len(ages) > 0
         if has_ages and len(ages) != count:
             raise IndexError(f"{count} ranges, but {len(ages)} ages")
@@ -1002,20 +1033,31 @@ class Barrier:
         ring: cython.double = self._ring(nearest, range_min)
         smallest: cython.double = _inf  # gap of all returns
         closest: cython.double = _inf  # gap of the near ones
+        found_x: cython.p_double = _first(self._found_x, count + unseen)
+        found_y: cython.p_double = _first(self._found_y, count + unseen)
+        found_gap: cython.p_double = _first(self._found_gap, count + unseen)
+        found_age: cython.p_double = _first(self._found_age, count + unseen)
         for i in range(count):
             away: cython.double = ranges[i]
+            if not (away <= outermost or away <= ring):
+                continue
+            if directions[2 * i] != directions[2 * i]:
+                self._find_direction(i)
             if away == -_inf:
-                self._ray_x[contacts] = self._directions[i, 0]
-                self._ray_y[contacts] = self._directions[i, 1]
+                self._ray_x[contacts] = directions[2 * i]
+                self._ray_y[contacts] = directions[2 * i + 1]
                 self._ray_age[contacts] = ages[i] if has_ages else 0.0
                 contacts += 1
-            elif away <= outermost or away <= ring:
-                self._place(i, away, range_min, found)
-                self._found_age[found] = ages[i] if has_ages else 0.0
-                gap: cython.double = self._found_gap[found]
+            else:
+                away = range_min if away < range_min else away
+                found_x[found] = self._offset_x + away * directions[2 * i]
+                found_y[found] = self._offset_y + away * directions[2 * i + 1]
+                gap: cython.double = self._gap_of(found_x[found], found_y[found])
+                found_gap[found] = gap
+                found_age[found] = ages[i] if has_ages else 0.0
                 if gap < smallest:
                     smallest = gap
-                if away <= outermost:
+                if ranges[i] <= outermost:
                     if gap < closest:
                         closest = gap
                     if gap <= furthest:
@@ -1026,8 +1068,8 @@ class Barrier:
                 x: cython.double = self._offset_x + hidden[i, 2] * hidden[i, 0]
                 y: cython.double = self._offset_y + hidden[i, 2] * hidden[i, 1]
                 gap = self._gap_of(x, y)
-                self._found_x[found], self._found_y[found], self._found_gap[found] = x, y, gap
-                self._found_age[found] = self._oldest
+                found_x[found], found_y[found], found_gap[found] = x, y, gap
+                found_age[found] = self._oldest
                 if gap < closest:
                     closest = gap
                 if gap <= furthest:
@@ -1048,23 +1090,6 @@ class Barrier:
         _take(self._found_gap, self._order, found, self._gap, contacts)
         _take(self._found_age, self._order, found, self._age, contacts)
         self._points, self._contacts = contacts + found, contacts
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place(
-        self,
-        ray: cython.Py_ssize_t,
-        away: cython.double,
-        range_min: cython.double,
-        at: cython.Py_ssize_t,
-    ) -> cython.int:
-        """The point and the gap of a return, at an index of those found."""
-        if away < range_min:
-            away = range_min
-        self._found_x[at] = self._offset_x + away * self._directions[ray, 0]
-        self._found_y[at] = self._offset_y + away * self._directions[ray, 1]
-        self._found_gap[at] = self._gap_of(self._found_x[at], self._found_y[at])
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -1135,7 +1160,9 @@ class Barrier:
         self._placed_age, self._radius_of = _doubles(count), _doubles(count)
         self._placed_contact = _doubles(count)
         self._normal_x, self._normal_y = _doubles(count), _doubles(count)
-        self._near, self._inside = _indices(count), _indices(count)
+        self._near_x, self._near_y = _doubles(count), _doubles(count)
+        self._near_gap, self._near_need = _doubles(count), _doubles(count)
+        self._inside = _indices(count)
         self._first_row = _indices(count)
         return 0
 
@@ -1504,8 +1531,10 @@ class Barrier:
             radius_of[i] = self._at_radius[j]
             row_x[at + j], row_y[at + j], row_cap[at + j] = new_x[j], new_y[j], cap[j]
             row_gap[at + j] = gap[j] - self._at_radius[j]
+        first_row: cython.p_longlong = _first_index(self._first_row, end)
+        source: cython.p_longlong = _first_index(self._source, at + count)
         for j in range(count):
-            self._first_row[first + j], self._source[at + j] = at + j, first + j
+            first_row[first + j], source[at + j] = at + j, first + j
         self._rows = at + count
         return self._add_sides(first, count)
 
@@ -1776,9 +1805,14 @@ class Barrier:
         row_x: cython.p_double = _first(self._row_x, self._all)
         row_y: cython.p_double = _first(self._row_y, self._all)
         row_cap: cython.p_double = _first(self._row_cap, self._all)
-        for i in range(len(self._way_x)):
-            row_x[at + i], row_y[at + i] = self._envelope_x[which, i], self._envelope_y[which, i]
-            row_cap[at + i] = self._envelope_cap[which, i]
+        count: cython.Py_ssize_t = len(self._way_x)
+        begin: cython.Py_ssize_t = which * count
+        x: cython.p_double = _first(self._envelope_x, begin + count)
+        y: cython.p_double = _first(self._envelope_y, begin + count)
+        cap: cython.p_double = _first(self._envelope_cap, begin + count)
+        for i in range(count):
+            row_x[at + i], row_y[at + i] = x[begin + i], y[begin + i]
+            row_cap[at + i] = cap[begin + i]
         return 0
 
     @cython.cfunc
@@ -1813,8 +1847,9 @@ class Barrier:
             y = self._way_y[after] - self._way_y[i]
             length: cython.double = hypot(y, -x)
             y, x = y / length, -x / length
-            self._envelope_x[which, i], self._envelope_y[which, i] = y, x
-            self._envelope_cap[which, i] = y * self._way_x[i] + x * self._way_y[i]
+            at: cython.Py_ssize_t = which * count + i
+            self._envelope_x[at], self._envelope_y[at] = y, x
+            self._envelope_cap[at] = y * self._way_x[i] + x * self._way_y[i]
         return 0
 
     @cython.cfunc
@@ -1969,15 +2004,23 @@ class Barrier:
         seconds: cython.double = _tick + (turning if turning > slow else slow)
         others: cython.double = self._others if self._is_passive else 0.0
         way: cython.double = (fabs(s) + fabs(w) * self._radius) * seconds
-        self._beside = 0
-        for i in range(self._contacts, self._count + self._discs):
+        points: cython.Py_ssize_t = self._count + self._discs
+        free: cython.p_double = _first(self._placed_free, points)
+        age: cython.p_double = _first(self._placed_age, points)
+        gap: cython.p_double = _first(self._placed_gap, points)
+        near_gap: cython.p_double = _first(self._near_gap, points)
+        near_need: cython.p_double = _first(self._near_need, points)
+        beside: cython.Py_ssize_t = 0
+        for i in range(self._contacts, points):
             if self._has_touch and i < self._count and self._inside[i]:
                 continue
-            need: cython.double = self._placed_free[i] + others * self._placed_age[i]
-            if self._placed_gap[i] <= need + others * seconds + way:
-                self._near[self._beside] = i
-                self._beside += 1
-        if self._beside == 0:
+            need: cython.double = free[i] + others * age[i]
+            if gap[i] <= need + others * seconds + way:
+                self._near_x[beside], self._near_y[beside] = self._placed_x[i], self._placed_y[i]
+                near_gap[beside], near_need[beside] = gap[i], need
+                beside += 1
+        self._beside = beside
+        if beside == 0:
             return 0
         self._forbidding = 0
         if self._is_clear(s, w, others):
@@ -2021,6 +2064,8 @@ class Barrier:
         k: cython.Py_ssize_t
         v: cython.double = fabs(s)
         turning: cython.double = fabs(w)
+        gap: cython.p_double = _first(self._near_gap, self._beside)
+        need: cython.p_double = _first(self._near_need, self._beside)
         for k in range(3):  # both brakes as assumed, then one of them ideal
             if (k == 1 and v == 0.0) or (k == 2 and turning == 0.0):
                 continue  # the brake of a speed of 0 changes nothing
@@ -2031,10 +2076,11 @@ class Barrier:
             way: cython.double = self._simulate(k, s, w, v, turning, step)
             if self._poses == 0:  # the outline closes on nothing
                 continue
-            if self._forbids(self._near[self._forbidding], way, step, others):
+            if self._forbids(self._forbidding, way, step, others):
                 return 0
             for i in range(self._beside):
-                if self._forbids(self._near[i], way, step, others):
+                most: cython.double = need[i] + others * (step * _STEPS) + way + _ROUNDING
+                if not (gap[i] >= most) and self._forbids(i, way, step, others):
                     self._forbidding = i
                     return 0
         return 1
@@ -2095,15 +2141,17 @@ class Barrier:
     ) -> cython.int:
         """1 if the outline closes on a point within its gap during the simulated stop."""
         j: cython.Py_ssize_t
-        gap: cython.double = self._placed_gap[point]
-        need: cython.double = self._placed_free[point] + others * self._placed_age[point]
+        gap: cython.double = self._near_gap[point]
+        need: cython.double = self._near_need[point]
+        point_x: cython.double = self._near_x[point]
+        point_y: cython.double = self._near_y[point]
         least: cython.double = need + others * (step * _STEPS) + way + _ROUNDING
         if gap >= least:
             return 0
         before: cython.double = gap
         for j in range(self._poses):
-            dx: cython.double = self._placed_x[point] - self._stop_x[j]
-            dy: cython.double = self._placed_y[point] - self._stop_y[j]
+            dx: cython.double = point_x - self._stop_x[j]
+            dy: cython.double = point_y - self._stop_y[j]
             c: cython.double = self._stop_cos[j]
             d: cython.double = self._stop_sin[j]
             x: cython.double = c * dx + d * dy

@@ -183,7 +183,6 @@ class BlindZoneMemory:
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
-    _ways: cython.const[cython.double][:, ::1]  # in the order of the scan
     _range: cython.double[::1]
     _is_empty: cython.uchar[::1]
     _inside: cython.uchar[::1]
@@ -250,7 +249,7 @@ class BlindZoneMemory:
         if not (self._old_points or self._hidden or _has_near(given, limit)):
             return  # as mostly; what was not seen in this scan matters to hidden obstacles alone
         if scan.bearings is not self._given:
-            self._set_bearings(scan.bearings, geometry.directions(scan))
+            self._set_bearings(scan.bearings)
         n: cython.Py_ssize_t = self._n
         least: cython.double = scan.range_min
         ahead: cython.double = geometry.offset[0]
@@ -262,8 +261,8 @@ class BlindZoneMemory:
             distance = self._range[i] = given[ray]
             if -INFINITY < distance <= limit:
                 distance = max(distance, least)
-                self._x[self._points] = ahead + distance * self._ways[ray, 0]
-                self._y[self._points] = left + distance * self._ways[ray, 1]
+                self._x[self._points] = ahead + distance * cos(self._bearing[i])
+                self._y[self._points] = left + distance * sin(self._bearing[i])
                 self._points += 1
         self._find(moved.x, moved.y, moved.yaw, ahead, left, seconds, step)
         self._were_empty = 0
@@ -273,11 +272,10 @@ class BlindZoneMemory:
                 self._were_empty += 1
 
     @cython.cfunc
-    def _set_bearings(self, bearings, directions):
+    def _set_bearings(self, bearings):
         """Take the rays of other bearings; those of a robot that moves differ with each scan."""
         table = np.ascontiguousarray(bearings, np.float64)
         values: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
-        self._ways = directions if cython.compiled else memoryview(directions)
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)

@@ -88,8 +88,8 @@ def envelope(platform: Platform, speed: float, along: Point) -> tuple[Array, Arr
     one = interpreted(platform)
     (one._along_x, one._along_y), one._limit = along, platform.limits.linear
     one._find_envelope(0, speed)
-    rows = [(one._envelope_x[0, i], one._envelope_y[0, i]) for i in range(48)]
-    caps = [one._envelope_cap[0, i] for i in range(48)]
+    rows = [(one._envelope_x[i], one._envelope_y[i]) for i in range(48)]
+    caps = [one._envelope_cap[i] for i in range(48)]
     return np.array((one._way_x, one._way_y)).T, np.array(rows), np.array(caps)
 
 
