@@ -147,7 +147,7 @@ class Reply(Struct, frozen=True, kw_only=True):
     epoch: Epoch | None = None
 
 
-class LimitingObstacle(Struct, frozen=True):
+class LimitingObstacle(Struct, frozen=True, gc=False):
     """One obstacle that constrains the command.
 
     `bearing` in rad from the axle, `gap` in m to the footprint, `cap` in m/s: the highest speed

@@ -27,7 +27,7 @@ else:
     Value = Any  # msgspec decodes no union of str and bytes
 
 
-class Twist(Struct, frozen=True, array_like=True):
+class Twist(Struct, frozen=True, array_like=True, gc=False):
     """A velocity in the base frame: linear and lateral in m/s, angular in rad/s."""
 
     linear: float = 0.0
@@ -61,7 +61,7 @@ class TouchZone(Struct, frozen=True, array_like=True):
     speed: float
 
 
-class Pose(Struct, frozen=True, array_like=True):
+class Pose(Struct, frozen=True, array_like=True, gc=False):
     """Position in m and yaw in rad, in the frame that the owner of the value names."""
 
     x: float = 0.0
@@ -105,7 +105,7 @@ MAX_COORDINATE = 1e9
 """m, rad, m/s and rad/s: a reading of odometry beyond is garbage, and has no difference either."""
 
 
-class Odometry(Struct, frozen=True, array_like=True):
+class Odometry(Struct, frozen=True, array_like=True, gc=False):
     """Pose in the odometry frame and measured twist in the base frame."""
 
     stamp: float
@@ -185,7 +185,7 @@ class PeerPlace(Struct, frozen=True, array_like=True):
     age: float
 
 
-class Neighbor(Struct, frozen=True, array_like=True):
+class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     """A robot nearby, as far as it is sensed.
 
     `age` is the time in s since it was last heard, to within 0.5 s. `distance` in m, `bearing` and

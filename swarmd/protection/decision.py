@@ -11,7 +11,7 @@ from swarmd.core.messages import LimitingObstacle, Reason
 from swarmd.core.values import Array, Odometry, TouchZone, Twist
 
 
-class ToldObstacle(Struct, frozen=True, array_like=True):
+class ToldObstacle(Struct, frozen=True, array_like=True, gc=False):
     """A disc beside those of the lidar scan: a told place of a peer, or a return of the range ring.
 
     Its centre `x`, `y` in m in the base frame `age` s before the decision, when its place was
@@ -24,7 +24,7 @@ class ToldObstacle(Struct, frozen=True, array_like=True):
     age: float
 
 
-class DecisionContext(Struct, frozen=True):
+class DecisionContext(Struct, frozen=True, gc=False):
     """The time of a decision in s on the robot's clock, and the age of its inputs at that time.
 
     `scan_age` and `odometry_age` in s since arrival; None: none has arrived. `scan_delay` in s: how
@@ -61,7 +61,7 @@ class Permit(Struct, frozen=True):
 NO_PERMIT = Permit()
 
 
-class ModeDecision(Struct, frozen=True):
+class ModeDecision(Struct, frozen=True, gc=False):
     """The command of a mode; `is_active` if it differs from the requested command."""
 
     twist: Twist
@@ -84,7 +84,7 @@ class Avoided(Struct, frozen=True):
         return f"an object at {round(math.degrees(self.bearing))} deg"
 
 
-class Decision(Struct, frozen=True):
+class Decision(Struct, frozen=True, gc=False):
     """The safe command with its reasons.
 
     `requested` is clipped to the platform's limits; the driver gets `safe`. `reason` is the hold
