@@ -17,8 +17,6 @@ class ScanGeometry:
     def __init__(self, spec: ScanSpec) -> None:
         self.offset = spec.offset
         self._offset = np.array(spec.offset)
-        self._bearings = np.empty(0)
-        self._directions = np.empty((0, 2))
 
     def points(self, scan: Scan, within: float = np.inf) -> Array:
         """(k, 2) points of all returns up to `within` m from the lidar.
@@ -28,17 +26,10 @@ class ScanGeometry:
         is_seen = scan.ranges < np.inf if within == np.inf else scan.ranges <= within
         return self.points_of_rays(scan, np.flatnonzero(is_seen))
 
-    def directions(self, scan: Scan) -> Array:
-        """(n, 2) unit vectors of the rays; the same array for the same bearings."""
-        if scan.bearings is not self._bearings:  # most sensors keep theirs
-            self._bearings = scan.bearings
-            self._directions = unit_vectors(scan.bearings)
-        return self._directions
-
     def points_of_rays(self, scan: Scan, rays: NDArray[np.intp]) -> Array:
         """(k, 2) points of the rays with these indices (k,), which all have a return."""
         distances = np.maximum(scan.ranges[rays], scan.range_min)
-        return self._offset + distances[:, None] * self.directions(scan)[rays]
+        return self._offset + distances[:, None] * unit_vectors(scan.bearings[rays])
 
 
 class Footprint:
