@@ -118,7 +118,8 @@ class Verbs(LazyGroup):
 def cli(options: CommonOptions) -> None:
     """Command a swarm of robots from any machine in its network.
 
-    Targets are robot names, globs such as 'tb3-*' (quoted), or --all, less --exclude GLOB.
+    Targets are robot names, globs such as 'tb3-*' and ranges such as 'tb3-[01-07]' (quoted), or
+    --all, less --exclude GLOB.
     """
 
 

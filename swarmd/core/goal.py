@@ -121,7 +121,9 @@ def encode_goal(goal: Goal) -> bytes:
     """The bytes of a goal. CodecError if they exceed MAX_GOAL."""
     content = _encoder.encode(goal)
     if len(content) > MAX_GOAL:
-        raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}: use fewer targets")
+        raise CodecError(
+            f"a goal of {len(content)} bytes; at most {MAX_GOAL}: use fewer targets, or a glob"
+        )
     return content
 
 
