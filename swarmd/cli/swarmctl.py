@@ -6,15 +6,16 @@ that name, and for `--help`: reading the metadata of installed packages takes 40
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 import click
 
-from swarmd.cli.options import CommonOptions, LazyGroup, common_options
-from swarmd.cli.output import warn
+from swarmd.cli.options import CommonOptions, LazyGroup, common_options, output_option
+from swarmd.cli.output import print_json, warn
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 from swarmd.network.exit_codes import EXIT_CODES_HELP
@@ -95,9 +96,18 @@ class Verbs(LazyGroup):
             raise click.ClickException(str(error)) from error
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb; if a plugin lacks a library, the error has the command to install it."""
+        """Run the verb; if a plugin lacks a library, the error has the command to install it.
+
+        A mistake in the line of a stop must not pass for a stop: the error says so first.
+        """
         try:
             return super().invoke(ctx)
+        except click.UsageError as error:
+            row = verbs.VERBS.get(ctx.invoked_subcommand or "")
+            if row is None or not row.is_datagram:
+                raise
+            text = f"nothing was sent and no robot stops: {error.format_message()}"
+            raise click.UsageError(text, error.ctx) from error
         except ModuleNotFoundError as error:
             verb, missing = ctx.invoked_subcommand, error.name
             if verb is None or verb in VERBS or not missing or missing.startswith("swarmd"):
@@ -160,25 +170,26 @@ def run_cli(
 ) -> int:
     """Run a command and return its exit code; an error is one line on stderr.
 
-    While a shell completes a line, nothing is written on stderr: it would be drawn into that line.
+    With `-o json` it is a document on stdout, too: no other one was printed before. While a shell
+    completes a line, nothing is written on stderr: it would be drawn into that line.
     """
+    words = sys.argv[1:] if args is None else args
     if os.environ.get(f"_{name.upper()}_COMPLETE"):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
     except click.Abort:
-        click.echo("interrupted", err=True)
-        return 130
+        return _fail("interrupted", 130, words)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return error.exit_code
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx is not None else name
-        return _fail(f"{error.format_message()} (see {where} --help)", error.exit_code)
+        return _fail(f"{error.format_message()} (see {where} --help)", error.exit_code, words)
     except click.ClickException as error:
-        return _fail(error.format_message(), error.exit_code)
+        return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
-        return _fail(str(error), code_of(error))
+        return _fail(str(error), code_of(error), words)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -187,7 +198,7 @@ def run_cli(
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
         why = error.strerror or str(error) or type(error).__name__
-        return _fail(why if error.filename is None else f"{error.filename}: {why}", 1)
+        return _fail(why if error.filename is None else f"{error.filename}: {why}", 1, words)
 
 
 def exit_code_of(error: SwarmError) -> int:
@@ -197,6 +208,17 @@ def exit_code_of(error: SwarmError) -> int:
     return 6 if isinstance(error, NetworkError) else 1
 
 
-def _fail(text: str, code: int) -> int:
-    warn(f"error: {' '.join(text.split())}")
+def _fail(text: str, code: int, words: Sequence[str]) -> int:
+    text = " ".join(text.split())
+    warn(f"error: {text}")
+    # The words, since the line may have ended before its options were read.
+    if _form.make_context("", list(words), resilient_parsing=True).params["output"] == "json":
+        with contextlib.suppress(OSError):
+            print_json("Error", {"error": text, "exit_code": code})
     return code
+
+
+@click.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+@output_option
+def _form(output: str | None) -> None:
+    """Read the form of the answer from any line."""

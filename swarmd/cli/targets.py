@@ -16,7 +16,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import Failure
-from swarmd.core.errors import unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.names import expand_globs
 from swarmd.network.exit_codes import NO_TARGET, USAGE
@@ -94,7 +94,7 @@ def read_targets(
     *,
     is_required: bool,
 ) -> Targets:
-    """The targets of a verb; UsageError or ConfigError if a word is wrong or missing.
+    """The targets of a verb; UsageError if a word is wrong or missing.
 
     Ranges are expanded, so that robots see names and globs alone.
     """
@@ -112,7 +112,10 @@ def read_targets(
 
 
 def _expanded(words: Iterable[str]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for word in words for name in expand_globs(word)))
+    try:
+        return tuple(dict.fromkeys(name for word in words for name in expand_globs(word)))
+    except ConfigError as error:
+        raise click.UsageError(str(error)) from error
 
 
 def target_options(function: Function) -> Function:

@@ -130,6 +130,41 @@ def test_a_wrong_option_is_one_line_and_exit_2(
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("args", "code"),
+    [
+        (["members", "-o", "json", "--swrm"], 2),
+        (["-o", "json", "mebers"], 2),
+        (["run", "drive", "R1", "-ojson"], 2),
+        (["keys", "list", "--swarm", "no_such", "--output=json"], 2),
+        (
+            [
+                "--swarm",
+                "lab",
+                *["--profile", "field", "--interface", "wlan77", "members", "-o", "json"],
+            ],
+            6,
+        ),
+    ],
+)
+def test_an_error_is_one_document_in_json(
+    capsys: pytest.CaptureFixture[str], args: list[str], code: int
+) -> None:
+    assert run_cli(cli, args, "swarmctl", exit_code_of) == code
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert (found["kind"], found["exit_code"]) == ("Error", code)
+    assert captured.err == f"error: {found['error']}\n"
+
+
+@pytest.mark.parametrize("words", ["estop --al", "estop --reason", "stop R1", "estop -l"])
+def test_a_mistake_in_a_stop_says_first_that_no_robot_stops(
+    capsys: pytest.CaptureFixture[str], words: str
+) -> None:
+    assert run_cli(cli, words.split(), "swarmctl", exit_code_of) == 2
+    assert capsys.readouterr().err.startswith("error: nothing was sent and no robot stops: ")
+
+
 @pytest.mark.integration
 @pytest.mark.parametrize(
     "args",

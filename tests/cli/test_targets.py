@@ -7,7 +7,6 @@ import pytest
 
 from swarmd.cli.options import Failure
 from swarmd.cli.targets import Targets, named, read_targets, robots_of, stopped, unlabelled
-from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Presence
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
@@ -149,7 +148,7 @@ def test_a_stop_goes_to_the_robots_that_match_and_counts_the_others() -> None:
     "name", ["**/x", "a/b", "r#1", "$x", "R1", "r[!1]", "r[a-c]", "", "r" * 64, "é"]
 )
 def test_a_word_that_could_widen_a_key_is_no_name(name: str) -> None:
-    with pytest.raises(ConfigError, match=r"robot name|the range"):
+    with pytest.raises(click.UsageError, match=r"robot name|the range"):
         read_targets("stop", (name,), False, (), is_required=False)
 
 
