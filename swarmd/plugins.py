@@ -79,8 +79,18 @@ def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
     found: dict[str, Origin] = {}
     for name, origin in origins:
         first = found.get(name)
-        found[name] = origin if first is None else replace(first, rival=origin.source)
+        if first is None:
+            found[name] = origin
+        elif not is_same_file(first.value, origin.value):
+            found[name] = replace(first, rival=origin.source)
     return dict(sorted(found.items()))
+
+
+def is_same_file(one: str, other: str) -> bool:
+    """True if both are files of one content: a copy of a mission is no other mission."""
+    with suppress(OSError):
+        return Path(one).read_bytes() == Path(other).read_bytes()
+    return False
 
 
 def find_pattern(name: str, plugin_dir: Path | None) -> Origin:

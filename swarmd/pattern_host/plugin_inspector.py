@@ -49,7 +49,7 @@ from swarmd.mission.validate import (
 )
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
-from swarmd.plugins import MISSION, Origin, is_mission, pattern_names, places_of
+from swarmd.plugins import MISSION, is_mission, is_same_file, pattern_names, places_of
 from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform, platform_names
 
@@ -387,8 +387,10 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     elif document.description and not is_mission(path):
         text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
         document.faults.append(fault_at(("mission",), text))
-    elif found is not None and not _is_same(path, found):
-        other = found.source if _is_file(path, found.rival) else found.rival or found.source
+    elif found is not None and (found.rival or not is_same_file(str(path), found.value)):
+        other = (
+            found.source if is_same_file(str(path), found.rival) else found.rival or found.source
+        )
         text = f"has the name of another pattern ({other}); rename one"
         document.faults.append(fault_at(("mission",), text))
     find = PatternLoader({**places_of(origins), path.stem: (str(path.resolve()), True)})
@@ -396,16 +398,6 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     if not document.faults:
         _check_whole(document, platform, find)
     return fault_lines(path, document.faults)
-
-
-def _is_same(path: Path, origin: Origin) -> bool:
-    """Whether the pattern of that name is this file, and nothing else."""
-    files = [origin.value, *([origin.rival] if origin.rival else [])]
-    return all(_is_file(path, file) for file in files)
-
-
-def _is_file(path: Path, name: str) -> bool:
-    return Path(name).resolve() == path.resolve()
 
 
 def _check_parts(document: Document, platform: Platform, find: Find) -> None:
