@@ -9,78 +9,149 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import click
 
-from swarmd.cli.options import CommonOptions, LazyGroup, common_options, output_option
+from swarmd.cli.options import CommonOptions, LazyGroup, LazyVerb, common_options, output_option
 from swarmd.cli.output import print_json, warn
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 from swarmd.network.exit_codes import EXIT_CODES_HELP
 
-_ELSEWHERE = {
-    "stop": "stop_and_reset",
-    "estop": "stop_and_reset",
-    "reset": "stop_and_reset",
-    "resume": "goal",
-}
-"""The files of `cli/` that contain several verbs of robots."""
-# Verb -> its function, and its line for --help, which must not import the verbs.
+LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
+OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
+PLUGINS = "Simulate, and verbs of other plugins"
+
+
+def _row(name: str, section: str, example: str, file: str = "") -> LazyVerb:
+    """A verb of robots; its line is that of the table of verbs. `file`: if not that of its name."""
+    place = f"swarmd.cli.{file or name}:{name}"
+    return LazyVerb(place, verbs.VERBS[name].help, section, f"swarmctl {name} {example}".rstrip())
+
+
+# Those of a section stand together.
 VERBS = {
-    **{
-        row.name: (f"swarmd.cli.{_ELSEWHERE.get(row.name, row.name)}:{row.name}", row.help)
-        for row in verbs.VERBS.values()
-        if row.help
-    },
-    "describe": (
+    "members": _row("members", LOOK, "--wide"),
+    "describe": LazyVerb(
         "swarmd.cli.members:describe",
         "Show one robot in detail, and why it does not move.",
+        LOOK,
+        "swarmctl describe tb3-03",
     ),
-    "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
-    "mission": ("swarmd.cli.patterns:mission", "Check a mission before robots run it."),
-    "undo": ("swarmd.cli.goal:undo", "Set the goal before the present one again."),
-    "wait": ("swarmd.cli.wait:wait", "Wait until robots are as they are wanted."),
-    "diff": ("swarmd.cli.apply:diff", "Show what a swarm file would change."),
-    "apply": ("swarmd.cli.apply:apply", "Set labels, goal and parameters of a swarm file."),
-    "calibrate": (
-        "swarmd.cli.calibrate:calibrate",
-        "Measure brakes, delays and scales of a robot by a few short drives.",
+    "goal": _row("goal", LOOK, ""),
+    "events": LazyVerb(
+        "swarmd.cli.events:events",
+        "Print what happened to robots, and follow it.",
+        LOOK,
+        "swarmctl events -f",
     ),
-    "view": ("swarmd.cli.view:view", "Show a living swarm: map, list, details and commands."),
-    "top": ("swarmd.cli.top:top", "Show the robots by load."),
-    "events": ("swarmd.cli.events:events", "Print what happened to robots, and follow it."),
-    "replay": (
-        "swarmd.cli.replay:replay",
-        "Repeat a recorded run without a robot, and compare its commands.",
+    "view": LazyVerb(
+        "swarmd.cli.view:view",
+        "Show a living swarm: map, list, details and commands.",
+        LOOK,
+        "swarmctl view --web",
     ),
-    "context": (
-        "swarmd.cli.context:context",
-        "Keep network options by name, and use one set of them.",
+    "top": LazyVerb("swarmd.cli.top:top", "Show the robots by load.", LOOK, "swarmctl top"),
+    "doctor": _row("doctor", LOOK, "--all"),
+    "links": _row("links", LOOK, ""),
+    "logs": _row("logs", LOOK, "tb3-03 -f"),
+    "audit": _row("audit", LOOK, "--since 1h"),
+    "run": _row("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s"),
+    "stop": _row("stop", MOVE, "", "stop_and_reset"),
+    "estop": _row("estop", MOVE, "--reason 'a person in the arena'", "stop_and_reset"),
+    "reset": _row("reset", MOVE, "--all", "stop_and_reset"),
+    "param": _row("param", MOVE, "set --all speed=0.2"),
+    "resume": _row("resume", MOVE, "tb3-07", "goal"),
+    "undo": LazyVerb(
+        "swarmd.cli.goal:undo",
+        "Set the goal before the present one again.",
+        MOVE,
+        "swarmctl undo",
     ),
-    "completion": (
-        "swarmd.cli.completion:completion",
-        "Print the script that completes lines with Tab in bash, zsh or fish.",
+    "wait": LazyVerb(
+        "swarmd.cli.wait:wait",
+        "Wait until robots are as they are wanted.",
+        MOVE,
+        "swarmctl wait --all --for state=running --timeout 30s",
     ),
-    "keys": ("swarmd.cli.keys:keys", "Make, hand out, renew and revoke the keys of a swarm."),
-    "plugin": (
+    "label": _row("label", MOVE, "tb3-01 tb3-02 +red"),
+    "diff": LazyVerb(
+        "swarmd.cli.apply:diff",
+        "Show what a swarm file would change.",
+        FILES,
+        "swarmctl diff swarm.yaml",
+    ),
+    "apply": LazyVerb(
+        "swarmd.cli.apply:apply",
+        "Set labels, goal and parameters of a swarm file.",
+        FILES,
+        "swarmctl apply swarm.yaml",
+    ),
+    "patterns": LazyVerb(
+        "swarmd.cli.patterns:patterns",
+        "List patterns and their parameters.",
+        OWN,
+        "swarmctl patterns show attraction",
+    ),
+    "plugin": LazyVerb(
         "swarmd.cli.plugin:plugin",
         "Write, check and reload patterns of your own, and push them to robots.",
+        OWN,
+        "swarmctl plugin new swirl",
+    ),
+    "mission": LazyVerb(
+        "swarmd.cli.patterns:mission",
+        "Check a mission before robots run it.",
+        OWN,
+        "swarmctl mission check patrol.yaml",
+    ),
+    "record": _row("record", RECORD, "start --all"),
+    "replay": LazyVerb(
+        "swarmd.cli.replay:replay",
+        "Repeat a recorded run without a robot, and compare its commands.",
+        RECORD,
+        "swarmctl replay tb3-01.mcap",
+    ),
+    "calibrate": LazyVerb(
+        "swarmd.cli.calibrate:calibrate",
+        "Measure brakes, delays and scales of a robot by a few short drives.",
+        RECORD,
+        "swarmctl calibrate tb3-01 --floor 2.5",
+    ),
+    "keys": LazyVerb(
+        "swarmd.cli.keys:keys",
+        "Make, hand out, renew and revoke the keys of a swarm.",
+        HERE,
+        "swarmctl keys init meadow --robots 'tb3-[01-07]'",
+    ),
+    "context": LazyVerb(
+        "swarmd.cli.context:context",
+        "Keep network options by name, and use one set of them.",
+        HERE,
+        "swarmctl context use lab",
+    ),
+    "completion": LazyVerb(
+        "swarmd.cli.completion:completion",
+        "Print the script that completes lines with Tab in bash, zsh or fish.",
+        HERE,
+        "swarmctl completion bash",
     ),
 }
+"""The verbs that come with swarmd, as `swarmctl --help` shows them."""
 
 
 class Verbs(LazyGroup):
     """The verbs: first those of the core, then those of plugins."""
 
-    def summaries(self) -> list[tuple[str, str]]:
-        """Each verb with its line for --help; reads the metadata of installed packages."""
+    def all_verbs(self) -> Mapping[str, LazyVerb]:
+        """All verbs by name; reads the metadata of installed packages."""
         from swarmd import plugins
 
         points = plugins.command_names().items()
-        found = [(name, plugins.command_summary(one)) for name, one in points if name not in VERBS]
-        return [*super().summaries(), *found]
+        found = {name: LazyVerb("", plugins.command_summary(one), PLUGINS) for name, one in points}
+        return {**VERBS, **{name: one for name, one in found.items() if name not in VERBS}}
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name, imported; None if it is unknown."""

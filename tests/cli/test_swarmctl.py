@@ -14,6 +14,7 @@ import pytest
 
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
+from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import unique_swarm
 from tests.support.swarmctl import fork_command
@@ -68,8 +69,19 @@ def test_help_lists_all_verbs(tmp_path: Path) -> None:
     done = fork_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for verb in (*VERBS, "sim", "demo", "exp"):
-        assert f"\n  {verb} " in done.stdout
+        assert done.stdout.count(f"\n  {verb} ") == 1
+    assert {row.name for row in verbs.VERBS.values() if row.help} <= VERBS.keys()
+    for section in {one.section for one in VERBS.values()}:
+        assert done.stdout.count(f"\n{section}:\n") == 1
     assert "Comes with" not in done.stdout
+
+
+def test_a_verb_names_the_options_of_the_network_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli(cli, ["stop", "--help"], "swarmctl", exit_code_of) == 0
+    said = capsys.readouterr().out
+    assert "--swarm, --config, --profile" in said
+    assert "may be repeated" not in said
+    assert "--timeout DURATION" in said
 
 
 @pytest.mark.parametrize("verb", VERBS)
