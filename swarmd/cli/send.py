@@ -144,13 +144,14 @@ def unreachable(operator: Operator, sent: str = "") -> Failure:
 
 def _instead(operator: Operator) -> str:
     """What is heard in place of a swarm in which no robot was reached."""
-    swarm, found = operator.settings.swarm, operator.swarms()
+    swarm, profile, found = operator.settings.swarm, operator.settings.profile, operator.swarms()
     if swarm in found:
         keys = "has no keys for it (--identity)" if operator.identity is None else "has other keys"
         return f"; there is a swarm of that name, and this swarmctl {keys} or another profile"
     if found:
         return f"; there are the swarms: {', '.join(found)} (see --swarm)"
-    return f", nor any other swarm {_where(operator)}; start swarmd, or see --profile"
+    start = "swarmd, or `swarmctl sim up` for a simulated swarm" if profile == "dev" else "swarmd"
+    return f", nor any other swarm {_where(operator)}; start {start}; or see --profile"
 
 
 def warn_of_gaps(view: MembersView, missing: Iterable[str]) -> None:
