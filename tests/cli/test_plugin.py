@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,12 +18,14 @@ from swarmd.cli.plugin_check import (
     Point,
     check_file,
     describe_patterns,
+    used_by,
 )
 from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.pattern_host.plugin_inspector import LOADING, MIRRORED, readable_beside
 from swarmd.plugins import pattern_names
 from swarmd.testing.pattern_contract import PatternContract
+from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -292,6 +295,16 @@ def test_a_side_effect_is_reported_wherever_it_happens(
     assert (NO_OUTPUT in found) == bool(said)
     assert said in found.get(NO_OUTPUT, "")
     assert effect in found[NO_SIDE_EFFECTS]
+
+
+def test_a_process_that_waits_for_its_processor_is_at_work_and_a_sleeping_one_is_not() -> None:
+    begun, is_at_work = used_by(os.getpid())
+    assert is_at_work
+    sum(range(3_000_000))
+    assert used_by(os.getpid())[0] > begun
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as child:
+        wait_until(lambda: not used_by(child.pid)[1], "cat waits for its input")
+    assert used_by(child.pid) == (0.0, False)
 
 
 def test_reload_wants_a_pattern_and_targets(capsys: pytest.CaptureFixture[str]) -> None:
