@@ -28,7 +28,7 @@ import numpy as np
 
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.host_messages import Layers
-from swarmd.core.keys import check_id, is_id
+from swarmd.core.keys import is_id
 from swarmd.core.processes import die_with_parent, limit_growth
 from swarmd.core.values import Platform, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
@@ -49,7 +49,14 @@ from swarmd.mission.validate import (
 )
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
-from swarmd.plugins import MISSION, is_mission, is_same_file, pattern_names, places_of
+from swarmd.plugins import (
+    MISSION,
+    check_module_name,
+    is_mission,
+    is_same_file,
+    pattern_names,
+    places_of,
+)
 from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform, platform_names
 
@@ -57,6 +64,7 @@ if TYPE_CHECKING:
     from swarmd.testing.pattern_contract import PatternContract
 
 LOADING = "the file holds one pattern"
+IMPORTS = "it imports arithmetic alone"
 MIRRORED = "mirrored scans give mirrored commands"
 NOT_CLAIMED = "is_symmetric is not claimed"
 MAX_GROWTH = 1024 * 1024 * 1024
@@ -217,7 +225,7 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
     loaded: list[type[Pattern[Any]]] = []
 
     def load() -> None:
-        check_id(path.stem, "the file's name, which is the pattern's,")
+        check_module_name(path.stem)
         loaded.append(PatternLoader({path.stem: (str(path), True)})(path.stem))
 
     answer.send(begin=LOADING)
@@ -225,6 +233,14 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
     answer.send(result=LOADING, **fault)
     if not loaded:
         return
+    from swarmd.testing.no_side_effects import forbidden_imports
+
+    found = [
+        f"imports {name} ({path.name}:{line})"
+        for line, name in forbidden_imports(path.read_bytes())
+    ]
+    answer.send(begin=IMPORTS)
+    answer.send(result=IMPORTS, **({"fault": "; ".join(found)} if found else {}))
     for point, check in _contract_tests(loaded[0], path.parent):
         if point in done:
             continue
