@@ -10,6 +10,7 @@ unless it is called `test_*.py`. So is a mission: a `<plugin_dir>/<name>.yaml` w
 from __future__ import annotations
 
 import ast
+import keyword
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -79,8 +80,28 @@ def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
     found: dict[str, Origin] = {}
     for name, origin in origins:
         first = found.get(name)
-        found[name] = origin if first is None else replace(first, rival=origin.source)
+        if first is None:
+            found[name] = origin
+        elif not is_same_file(first.value, origin.value):
+            found[name] = replace(first, rival=origin.source)
     return dict(sorted(found.items()))
+
+
+def is_same_file(one: str, other: str) -> bool:
+    """True if both are files of one content: a copy of a mission is no other mission."""
+    with suppress(OSError):
+        return Path(one).read_bytes() == Path(other).read_bytes()
+    return False
+
+
+def check_module_name(name: str) -> None:
+    """PluginError if no file of a pattern can have this name: it is a Python module."""
+    is_free = not keyword.iskeyword(name) and not name.startswith("test_")
+    if not (is_id(name) and name.isidentifier() and is_free):
+        raise PluginError(
+            f"a pattern's file is a Python module, and {name!r} is no name: expected 1 to 63 of"
+            " a-z, 0-9 and _, the first a letter, no word of Python's, no test_"
+        )
 
 
 def find_pattern(name: str, plugin_dir: Path | None) -> Origin:

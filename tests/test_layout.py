@@ -16,6 +16,7 @@ import pytest
 
 from studies import kernel_mutants
 from swarmd.core import kernels
+from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
 
 ROOT = Path(__file__).resolve().parent.parent
 LINKED = ("patterns", "drivers", "sim", "config")
@@ -25,11 +26,7 @@ SETUPTOOLS = PROJECT["tool"]["setuptools"]
 
 FORBIDDEN = {
     "swarmd": ("swarmd.patterns", "swarmd.drivers", "swarmd.sim", "mujoco", "matplotlib"),
-    "patterns": (
-        *("swarmd.drivers", "swarmd.sim", "swarmd.network", "swarmd.daemon", "swarmd.cli"),
-        *("zenoh", "asyncio", "time", "mujoco", "os", "io", "pathlib", "socket", "threading"),
-        *("subprocess", "shutil", "tempfile"),
-    ),
+    "patterns": FORBIDDEN_IMPORTS,
     "drivers": ("swarmd.patterns", "swarmd.sim", "mujoco"),
     "sim": ("swarmd.patterns", "swarmd.drivers", "zenoh"),
     "config": CODE,

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from swarmd.view.scene import Scene
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl demo --pattern dispersion -n 7")
 @fleet_options
 @click.option(
     "--pattern",

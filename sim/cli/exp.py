@@ -63,7 +63,7 @@ _timeout = click.option(
 )
 
 
-@click.group(cls=VerbGroup)
+@click.group(cls=VerbGroup, epilog="Example: swarmctl exp run aggregation --seeds 10")
 def exp() -> None:
     """Run scenarios over many seeds; statistics, comparisons and plots."""
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 CHECK_PERIOD = 1.0  # s between two checks of the processes
 
 
-@click.group(cls=VerbGroup)
+@click.group(cls=VerbGroup, epilog="Example: swarmctl sim up -n 7")
 def sim() -> None:
     """Keep a simulated swarm running, commanded with the other verbs."""
 

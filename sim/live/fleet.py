@@ -107,9 +107,13 @@ class Child:
     log: Path
 
     def how_it_ended(self) -> str:
-        """How it ended, with the last line and the path of its log."""
-        how = how_it_ended(self.process.poll())
-        return f"{self.name} {how}: {_last_line(self.log)} (log: {self.log})"
+        """How it ended, and the path of its log; with its last line unless a signal ended it.
+
+        A process that was killed could write no line about that.
+        """
+        code = self.process.poll()
+        line = "" if code is not None and code < 0 else f": {_last_line(self.log)}"
+        return f"{self.name} {how_it_ended(code)}{line} (log: {self.log})"
 
 
 class Fleet:

@@ -353,8 +353,8 @@ class _Gallery:
 
     def _path(self, name: str, variant: str = "") -> Path:
         run = next(run for run in self._runs if run.variant.name == variant or not variant)
-        stem = run.id.rpartition("_s")[0] if variant else ""
-        safe = re.sub(r"[^\w.,=+-]+", "_", name)
+        stem = re.sub("[,=]", "-", run.id.rpartition("_s")[0]) if variant else ""
+        safe = re.sub(r"[^\w.+-]+", "_", name)  # LaTeX and make take no commas and equals signs
         return self._out / f"{f'{stem}_' if stem else ''}{safe}{self._look.suffix}"
 
 

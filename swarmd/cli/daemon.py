@@ -13,7 +13,7 @@ from typing import NoReturn
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import FILE, PROFILES, LazyGroup
+from swarmd.cli.options import FILE, PROFILES, LazyGroup, LazyVerb
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
@@ -25,9 +25,11 @@ MIN_DESCRIPTORS, WANTED_DESCRIPTORS = 128, 4096
 
 # Subcommands, which a daemon must not import: its start takes 0.2 s of CPU.
 VERBS = {
-    "install": ("swarmd.cli.install:install", "Take a bundle: this machine becomes its robot."),
-    "service": ("swarmd.cli.service:service", "Run the daemon as a service of systemd."),
-    "stop-base": ("swarmd.cli.stop_base:stop_base", "Command zero to the base, and exit."),
+    "install": LazyVerb(
+        "swarmd.cli.install:install", "Take a bundle: this machine becomes its robot."
+    ),
+    "service": LazyVerb("swarmd.cli.service:service", "Run the daemon as a service of systemd."),
+    "stop-base": LazyVerb("swarmd.cli.stop_base:stop_base", "Command zero to the base, and exit."),
 }
 _EPILOG = """\b
 Exit codes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -53,8 +53,7 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
             missing = [name for name in view.missing if name in names]
             print_json("Events", {"events": found, "missing": missing})
         else:
-            for line in lines:
-                _print(line)
+            _print(lines)
             if not lines:
                 last = "" if since is None else f" of the last {seconds(since)}"
                 warn(f"no event{last} is known; each robot keeps its last {MAX_EVENTS}")
@@ -79,6 +78,8 @@ def _follow(operator: Operator, feed: EventFeed, targets: Targets, *, is_json: b
     watch = SwarmWatch(operator, on_status=news.put, on_view=news.put)
     watch.start()
     early: list[EventLine] | None = []
+    held: list[EventLine] = []
+    due = 0.0
     try:
         while True:
             one = _next(news)
@@ -91,9 +92,16 @@ def _follow(operator: Operator, feed: EventFeed, targets: Targets, *, is_json: b
                 if not one.members:
                     warn("no robot is heard yet")
                 lines, early = sorted(early), None
-            for line in lines:
-                if targets.matching([line.robot]):
-                    (_print_record if is_json else _print)(line)
+            lines = [line for line in lines if targets.matching([line.robot])]
+            if is_json:
+                for line in lines:
+                    print_line("Event", _record(line))
+                continue
+            due = due if held else now + PERIOD  # what others tell of the same comes meanwhile
+            held += lines
+            if now >= due:
+                _print(held)
+                held = []
     finally:
         watch.close()
 
@@ -112,14 +120,16 @@ def _lines_of(feed: EventFeed, one: Status | MembersView | None, now: float) -> 
     return feed.on_status(one, now) if isinstance(one, Status) else feed.on_view(one, now)
 
 
-def _print(line: EventLine) -> None:
-    at = _time(line)
-    shown = f"{at:%H:%M:%S}" if at.date() == datetime.now().date() else f"{at:%m-%d %H:%M:%S}"
-    click.echo(printable(f"{shown}  {line.robot.ljust(NAME_WIDTH)}  {line.text}"))
+def _print(lines: Iterable[EventLine]) -> None:
+    from swarmd.view.event_feed import together
 
-
-def _print_record(line: EventLine) -> None:
-    print_line("Event", _record(line))
+    for line, robots in together(lines):
+        at = _time(line)
+        shown = f"{at:%H:%M:%S}" if at.date() == datetime.now().date() else f"{at:%m-%d %H:%M:%S}"
+        name, text = line.robot, line.text
+        if len(robots) > 1:
+            name, text = f"{len(robots)} robots", f"{text}: {', '.join(sorted(robots))}"
+        click.echo(printable(f"{shown}  {name.ljust(NAME_WIDTH)}  {text}"))
 
 
 def _record(line: EventLine) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def undo(options: CommonOptions) -> None:
         if before.lease is not None:
             text = f"nothing to undo: {before.text} had a run lease, which undo cannot renew"
             raise Failure(text, NO_TARGET)
-        goal = next_goal(operator, view, **content_of(before))
+        goal = next_goal(operator, view, **content_of(before), undoes=present.id)
         run, stand = set_apart(view, present, before)
         warn(f"sends {describe_goal(goal)}, in place of {present.text}")
         outcomes = []

@@ -32,8 +32,8 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
+from swarmd.core.names import check_distinct, expand_names, select_names
 from swarmd.security.identity import Identity, choose_identity
-from swarmd.security.names import check_distinct, expand_names, select_names
 from swarmd.security.roster import Role
 from swarmd.texts.keys import UNSET_CLOCK, day, end_of_certificate, life
 from swarmd.texts.values import NOTHING

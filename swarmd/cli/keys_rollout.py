@@ -15,11 +15,11 @@ from swarmd.cli.output import warn
 from swarmd.cli.send import report, time_left
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.messages import Reply
+from swarmd.core.names import expand_names, select_names
 from swarmd.core.verbs import RosterRequest
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.outcome import Outcome
 from swarmd.security.identity import RosterFile, as_of, find_identity, load_identity, write_roster
-from swarmd.security.names import expand_names, select_names
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import take_certificate
 from swarmd.texts.keys import day

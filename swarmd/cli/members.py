@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING
 
 import click
@@ -31,22 +32,19 @@ if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
     from swarmd.security.identity import Identity
 
-HEADER = (
-    *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "VERSION"),
-    *("SEEN", "REPORT"),
-)
-WIDE = ("LABELS", "GOAL")
+HEADER = ("NAME", "STATE", "REASON", "PATTERN", "PROTECTION", "SEEN", "REPORT")
+WIDE = ("GEN", "SCAN", "LOOP99", "VERSION", "LABELS", "GOAL")
 _NOW = 1.0  # figures that are newer than this are `now`, in s
-_MAX_REPORT = 60
 
 
 @click.group(cls=VerbGroup, invoke_without_command=True)
-@click.option("-w", "--wide", is_flag=True, help="Show labels and goals, too.")
+@click.option("-w", "--wide", is_flag=True, help="Show all columns, whole reports, too.")
 @common_options
 def members(options: CommonOptions, wide: bool) -> None:
     """Print the robots of the swarm and their states.
 
-    Failed robots stay listed until they return or `members forget NAME` removes them.
+    Failed robots stay listed until they return or `members forget NAME` removes them. REPORT is cut
+    to the width of the terminal.
     """
     if click.get_current_context().invoked_subcommand is not None:
         return
@@ -54,12 +52,16 @@ def members(options: CommonOptions, wide: bool) -> None:
         view = known_members(options, operator)
         notes = (*health(view), *_secured(operator.identity), *operator.trust_notes())
         if options.is_json:
-            rows = [to_builtins(member) for member in view.members.values()]
+            found = [to_builtins(member) for member in view.members.values()]
             content = {"roster": sorted(view.roster), "missing": list(view.missing)}
-            print_json("Members", {"members": rows, **content, "notes": list(notes)})
+            print_json("Members", {"members": found, **content, "notes": list(notes)})
         else:
-            found = [(row(one), wide_cells(one) if wide else ()) for one in view.members.values()]
-            print_table((*HEADER, *(WIDE if wide else ())), [(*one, *more) for one, more in found])
+            seen = view.members.values()
+            if wide:
+                rows = [(*row(one)[:-1], *wide_cells(one), row(one)[-1]) for one in seen]
+                print_table((*HEADER[:-1], *WIDE, HEADER[-1]), rows)
+            else:
+                print_table(HEADER, [*map(row, seen)], width=get_terminal_size().columns)
             for note in notes:
                 click.echo(printable(f"# {note}"))
         click.get_current_context().exit(exit_code_of(view, view.expected))
@@ -99,11 +101,7 @@ def row(member: SeenMember) -> tuple[str, ...]:
             status.state,
             status.reason or NOTHING,
             status.pattern or NOTHING,
-            str(status.generation),
             activity(status.decision),
-            f"{status.health.scan_rate:.1f} Hz",
-            seconds(status.health.loop_p99),
-            status.version or NOTHING,
             _seen(member),
             _report(status.report if status.state is State.RUNNING else {}),
         )
@@ -116,22 +114,28 @@ def row(member: SeenMember) -> tuple[str, ...]:
         states.get(member.contact, member.contact.value),
         (header.reason if header else None) or NOTHING,
         (header.pattern if header else None) or NOTHING,
-        *(NOTHING,) * 4,
-        member.version or NOTHING,
+        NOTHING,
         _seen(member),
         NOTHING,
     )
 
 
-def wide_cells(member: SeenMember) -> tuple[str, str]:
-    """The labels of a member, and its own goal with what it does about it."""
+def wide_cells(member: SeenMember) -> tuple[str, ...]:
+    """The cells of a member below WIDE; the goal with what it does about it."""
     status = member.status
-    if status is None:
-        return NOTHING, NOTHING
+    if status is None or member.contact is not Contact.ANSWERED:
+        return *(NOTHING,) * 3, member.version or NOTHING, NOTHING, NOTHING
     goal = status.goal
     own = goal.own if goal is not None else None
     text = NOTHING if own is None or goal is None else f"{own.goal.text} ({goal.state})"
-    return " ".join(status.labels) or NOTHING, text
+    return (
+        str(status.generation),
+        f"{status.health.scan_rate:.1f} Hz",
+        seconds(status.health.loop_p99),
+        status.version or NOTHING,
+        " ".join(status.labels) or NOTHING,
+        text,
+    )
 
 
 def health(view: MembersView) -> Iterator[str]:
@@ -211,9 +215,8 @@ def incompatible(statuses: Iterable[Status]) -> Iterator[str]:
 
 
 def _report(report: Mapping[str, Scalar]) -> str:
-    """The report of the pattern, cut to the width of its column."""
-    text = ", ".join(f"{name} {number(value)}" for name, value in report.items()) or NOTHING
-    return text if len(text) <= _MAX_REPORT else f"{text[: _MAX_REPORT - 3]}..."
+    """The report of the pattern."""
+    return ", ".join(f"{name} {number(value)}" for name, value in report.items()) or NOTHING
 
 
 def _seen(member: SeenMember) -> str:

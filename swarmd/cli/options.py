@@ -8,9 +8,11 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
 
 import click
 
@@ -68,39 +70,53 @@ class Duration(click.ParamType[float]):
         return seconds
 
 
+class NetworkOption(click.Option):
+    """An option of the network: `swarmctl --help` explains them, and a verb names them."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """The option with its meaning; of a verb all of them in one row, that of the first."""
+        if ctx.parent is None:
+            return super().get_help_record(ctx)
+        options = [one for one in ctx.command.params if isinstance(one, NetworkOption)]
+        if self is not options[0]:
+            return None
+        return ", ".join(one.opts[0] for one in options), "The network; see `swarmctl --help`."
+
+
+_network_option = partial(click.option, cls=NetworkOption)
 _NETWORK_OPTIONS = (
-    click.option(
+    _network_option(
         "--swarm",
         metavar="NAME",
         help="The swarm's name [$SWARM, or default].",
         shell_complete=completion.swarms,
     ),
-    click.option(
+    _network_option(
         "--config",
         type=FILE,
         metavar="FILE",
         help="swarm.yaml with swarm, profile, interface and seeds [$SWARM_CONFIG].",
     ),
-    click.option(
+    _network_option(
         "--profile",
         type=PROFILES,
         help="dev: robots on this machine; field: robots on --interface; routed: by Zenoh routers.",
     ),
-    click.option("--interface", metavar="NAME", help="The network interface, such as wlan0."),
-    click.option(
+    _network_option("--interface", metavar="NAME", help="The network interface, such as wlan0."),
+    _network_option(
         "--seed",
         "seeds",
         multiple=True,
         metavar="ENDPOINT",
         help="A robot to dial, such as tcp/10.0.0.5:7440; may be repeated.",
     ),
-    click.option(
+    _network_option(
         "--identity",
         type=FOLDER,
         metavar="FOLDER",
         help="Your identity [that of this user or machine for the swarm].",
     ),
-    click.option("--insecure", is_flag=True, help="For a swarm without keys."),
+    _network_option("--insecure", is_flag=True, help="For a swarm without keys."),
 )
 output_option = click.option("-o", "--output", type=FORMS, help="Form of the answer [table].")
 _LOCAL_OPTIONS = (
@@ -142,43 +158,58 @@ class VerbGroup(click.Group):
             formatter.write_dl(rows)
 
 
-class LazyGroup(VerbGroup):
-    """A group whose verbs are imported when they are used.
+class LazyVerb(NamedTuple):
+    """A verb that is imported when it is used.
 
-    `verbs`: name -> `module:function`, and the line for --help, which must not import the verbs.
+    `place`: `module:function`. `text`: its line for --help, which must not import it, and stands
+    under `section`. `example`: a line that the help of the verb ends with.
     """
 
-    def __init__(self, *args: Any, verbs: Mapping[str, tuple[str, str]], **more: Any) -> None:
+    place: str
+    text: str
+    section: str = "Verbs"
+    example: str = ""
+
+
+class LazyGroup(VerbGroup):
+    """A group whose verbs are imported when they are used."""
+
+    def __init__(self, *args: Any, verbs: Mapping[str, LazyVerb], **more: Any) -> None:
         super().__init__(*args, **more)
         self.verbs = verbs
 
-    def summaries(self) -> list[tuple[str, str]]:
-        """Each verb with its line for --help."""
-        return [(name, text) for name, (_, text) in self.verbs.items()]
+    def all_verbs(self) -> Mapping[str, LazyVerb]:
+        """All verbs by name, those of a section together."""
+        return self.verbs
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """All verbs."""
-        return [name for name, _ in self.summaries()]
+        return list(self.all_verbs())
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name, imported; None if it is unknown."""
         if cmd_name not in self.verbs:
             return None
-        module, _, attribute = self.verbs[cmd_name][0].partition(":")
-        return cast(click.Command, getattr(import_module(module), attribute))
+        verb = self.verbs[cmd_name]
+        module, _, attribute = verb.place.partition(":")
+        command = cast(click.Command, getattr(import_module(module), attribute))
+        if verb.example:
+            command.epilog = f"\b\nExample:\n  {verb.example}"
+        return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write a line for each verb."""
-        with formatter.section("Verbs"):
-            formatter.write_dl(self.summaries())
+        """Write a line for each verb, by sections."""
+        for section, some in groupby(self.all_verbs().items(), lambda item: item[1].section):
+            with formatter.section(section):
+                formatter.write_dl([(name.ljust(10), verb.text) for name, verb in some])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Offer verbs and options."""
         from click.shell_completion import CompletionItem
 
-        rows = self.summaries()
+        rows = self.all_verbs().items()
         found = [
-            CompletionItem(name, help=text) for name, text in rows if name.startswith(incomplete)
+            CompletionItem(name, help=one.text) for name, one in rows if name.startswith(incomplete)
         ]
         return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
 

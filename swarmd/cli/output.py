@@ -49,9 +49,21 @@ def fields(one: object, *names: str) -> dict[str, Any]:
     return {name: getattr(one, name) for name in names}
 
 
-def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set."""
+def print_table(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, width: int | None = None
+) -> None:
+    """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set.
+
+    The last column is cut so that a line has at most `width` characters, as far as that is enough.
+    """
     is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
+    if width is not None:
+        used = [max(map(len, column)) + 2 for column in zip(header, *rows, strict=True)][:-1]
+        room = max(width - sum(used), len(header[-1]))
+        rows = [
+            row if len(row[-1]) <= room else (*row[:-1], f"{row[-1][: room - 3]}...")
+            for row in rows
+        ]
     for line in table_lines(header, rows, is_coloured=is_coloured):
         click.echo(line, color=is_coloured)
 

@@ -11,7 +11,7 @@ import click
 from swarmd.cli import completion
 from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, print_section, print_table, warn
-from swarmd.cli.plugin_check import Record, check_mission, describe_patterns
+from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
 from swarmd.texts.values import NOTHING, number, printable
 
@@ -43,8 +43,8 @@ def patterns(options: CommonOptions) -> None:
 @_platform
 @local_options
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
-    """Print all patterns, a line each."""
-    rows = describe_patterns((), plugin_dir, platform)
+    """Print all patterns, a line each. `--timeout` is for each pattern [15s]."""
+    rows = describe_patterns((), plugin_dir, platform, options.timeout or DESCRIBE_TIMEOUT)
     if options.is_json:
         print_json("Patterns", {"patterns": rows})
         return
@@ -68,7 +68,8 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
 @local_options
 def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, platform: str) -> None:
     """Print what a pattern needs and sends, and its parameters with their bounds."""
-    (row,) = describe_patterns((name,), plugin_dir, platform)
+    timeout = options.timeout or DESCRIBE_TIMEOUT
+    (row,) = describe_patterns((name,), plugin_dir, platform, timeout)
     if "error" in row:
         raise PluginError(row["error"])
     if options.is_json:

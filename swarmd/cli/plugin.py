@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import keyword
+import shlex
 import sys
 from collections import Counter
 from importlib.resources import files
@@ -25,9 +25,10 @@ from swarmd.cli.output import print_json
 from swarmd.cli.plugin_push import list_pushed, push, remove
 from swarmd.cli.send import send_to
 from swarmd.cli.targets import Targets, takes_targets
+from swarmd.core.errors import PluginError
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
-from swarmd.plugins import installed_patterns
+from swarmd.plugins import check_module_name, installed_patterns
 from swarmd.texts.values import printable
 
 # A trial on a robot may take 10 s, and loading again 3 s more.
@@ -57,9 +58,11 @@ def plugin() -> None:
 def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
     written = write_plugin(name, folder, kind)
+    python = shlex.quote(sys.executable)
+    get = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
     steps = [
         (f"swarmctl plugin check {written[0]}", "the contract of all patterns"),
-        (f"pytest {written[1]}", "the same, and tests of its own"),
+        (f"{get}{python} -m pytest {written[1]}", "the same, and tests of its own"),
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
     if options.is_json:
@@ -156,13 +159,10 @@ def write_plugin(name: str, folder: Path, kind: str) -> tuple[Path, Path]:
 
 
 def _check_name(name: str) -> None:
-    is_test = name.startswith("test_")
-    if is_id(name) and name.isidentifier() and not keyword.iskeyword(name) and not is_test:
-        return
-    wanted = "expected 1 to 63 of a-z, 0-9 and _, the first a letter, no word of Python's, no test_"
-    raise click.UsageError(
-        f"a pattern's file is a Python module, and {name!r} is no name: {wanted}"
-    )
+    try:
+        check_module_name(name)
+    except PluginError as error:
+        raise click.UsageError(str(error)) from error
 
 
 def _check_free(name: str) -> None:

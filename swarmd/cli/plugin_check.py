@@ -28,13 +28,15 @@ from swarmd.security.identity import SYSTEM_FOLDER, user_folder
 
 Record = dict[str, Any]
 DESCRIBE_TIMEOUT = 15.0
-"""Seconds for one pattern; the first brings numpy, perhaps from a cold disk."""
+"""Seconds for one pattern; the first brings numpy. A child that works has them of its processor."""
 
 MISSION_TIMEOUT = 30.0
 """Seconds for a mission: the child imports every pattern that it names."""
 
 STACK_TIMEOUT = 3.0
 """Seconds within which a child that hangs writes its stack; a busy machine delays it."""
+
+WORK_PERIOD = 0.5  # s between two looks at a child that works for longer than its limit
 
 NO_OUTPUT = "it prints nothing"
 NO_SIDE_EFFECTS = "it opens and starts nothing"
@@ -182,7 +184,7 @@ def _inspect(
         place = ""
         hangs = False
         try:
-            for line in _lines(child.stdout, timeout):
+            for line in _lines(child.stdout, timeout, child.pid):
                 row = _record_of(line)
                 if "end" in row:
                     return
@@ -201,7 +203,7 @@ def _inspect(
         if hangs and begun is not None:  # else the child does not take the signal yet
             child.send_signal(signal.SIGUSR1)
             with contextlib.suppress(TimeoutError):
-                for line in _lines(child.stdout, STACK_TIMEOUT):
+                for line in _lines(child.stdout, STACK_TIMEOUT, child.pid):
                     place = place or _place_of(line, folder)
                     if place:
                         break
@@ -211,21 +213,42 @@ def _inspect(
         yield {**begun, "lost": begun["begin"], "how": how + place, "hangs": hangs}
 
 
-def _lines(stream: IO[bytes], timeout: float) -> Iterator[bytes]:
-    """Whole lines until the end of the stream; TimeoutError if none comes for `timeout` s."""
+def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
+    """Whole lines until the end of the stream; TimeoutError if none comes for `timeout` s.
+
+    A process that a busy machine or a cold disk delays has more time: it works, and has used less
+    than `timeout` s of its processor.
+    """
     buffer = b""
-    deadline = time.monotonic() + timeout
+    deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
     with selectors.DefaultSelector() as selector:
         selector.register(stream, selectors.EVENT_READ)
-        while selector.select(max(0.0, deadline - time.monotonic())):
+        while True:
+            if not selector.select(max(0.0, deadline - time.monotonic())):
+                used, is_at_work = used_by(pid)
+                if not is_at_work or used >= until:
+                    raise TimeoutError
+                deadline += WORK_PERIOD
+                continue
             piece = os.read(stream.fileno(), 65536)
             if not piece:
                 return
             *whole, buffer = (buffer + piece).split(b"\n")
             if whole:
-                deadline = time.monotonic() + timeout
+                deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
             yield from whole
-    raise TimeoutError
+
+
+def used_by(pid: int) -> tuple[float, bool]:
+    """The processor time of a process in s, and whether it runs or waits for a processor or disk.
+
+    (0.0, False) if it has ended.
+    """
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0, False
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"), fields[0] in "RD"
 
 
 def _record_of(line: bytes) -> Record:

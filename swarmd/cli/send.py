@@ -28,8 +28,8 @@ from swarmd.cli.targets import (
     unlabelled,
 )
 from swarmd.core.errors import unknown
-from swarmd.core.messages import Refusal
-from swarmd.network.exit_codes import UNREACHABLE, USAGE, code_of_answers
+from swarmd.core.messages import Code, Refusal
+from swarmd.network.exit_codes import UNREACHABLE, code_of_answers
 from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import NOTHING, seconds
 
@@ -144,13 +144,14 @@ def unreachable(operator: Operator, sent: str = "") -> Failure:
 
 def _instead(operator: Operator) -> str:
     """What is heard in place of a swarm in which no robot was reached."""
-    swarm, found = operator.settings.swarm, operator.swarms()
+    swarm, profile, found = operator.settings.swarm, operator.settings.profile, operator.swarms()
     if swarm in found:
         keys = "has no keys for it (--identity)" if operator.identity is None else "has other keys"
         return f"; there is a swarm of that name, and this swarmctl {keys} or another profile"
     if found:
         return f"; there are the swarms: {', '.join(found)} (see --swarm)"
-    return f", nor any other swarm {_where(operator)}; start swarmd, or see --profile"
+    start = "swarmd, or `swarmctl sim up` for a simulated swarm" if profile == "dev" else "swarmd"
+    return f", nor any other swarm {_where(operator)}; start {start}; or see --profile"
 
 
 def warn_of_gaps(view: MembersView, missing: Iterable[str]) -> None:
@@ -268,7 +269,7 @@ def report(
 
 
 def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | None = None) -> None:
-    """Print the outcome of a request. Failure if all robots refused a mistake in it."""
+    """Print the outcome of a request, and the mistake in it if robots refused one."""
     for line in outcome.warnings:
         warn(f"warning: {line}")
     if outcome.unlabelled:
@@ -279,32 +280,50 @@ def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | No
         warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
     for name in outcome.duplicates:
         warn(f"warning: {name} answered twice: two daemons have this id; stop one of them")
+    error = _mistake(outcome)
     try:
-        _print(options, outcome, notes or {})
+        if options.is_json:
+            print_json("Outcome", {**_as_json(outcome), "error": error, **(notes or {})})
+        else:
+            if rows := _rows(outcome):
+                print_table(("NAME", "ANSWER", "TEXT"), rows)
+            click.echo(outcome.line)
+        if options.is_json or sys.stdout is None:
+            warn(outcome.line)
     except OSError:  # what was applied must not be lost with the answer
         warn(outcome.line)
         raise
-    if outcome.mistake:
-        refusal = next(iter(outcome.replies.values())).refusal
-        name = click.get_current_context().params.get("pattern", "NAME")
-        see = f" (see {_HELP[refusal]})".replace("NAME", name) if refusal in _HELP else ""
-        raise Failure(f"{outcome.mistake}{see}", USAGE)
+    if error:
+        warn(f"error: {error}")
 
 
-def _print(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any]) -> None:
-    if options.is_json:
-        print_json("Outcome", {**_as_json(outcome), **notes})
-    else:
-        rows = [
-            (name, reply.code.value, reply.text or NOTHING)
-            for name, reply in outcome.replies.items()
-        ]
-        rows += [(name, "no answer", _silence(name, outcome)) for name in outcome.missing]
-        if rows:
-            print_table(("NAME", "ANSWER", "TEXT"), sorted(rows))
-        click.echo(outcome.line)
-    if options.is_json or sys.stdout is None:
-        warn(outcome.line)
+def _mistake(outcome: Outcome) -> str | None:
+    """The mistake of the operator that robots refused, and where to look it up."""
+    if not outcome.mistake:
+        return None
+    refusal = next(iter(outcome.replies.values())).refusal
+    name = click.get_current_context().params.get("pattern", "NAME")
+    see = f" (see {_HELP[refusal]})".replace("NAME", name) if refusal in _HELP else ""
+    return f"{outcome.mistake}{see}"
+
+
+def _rows(outcome: Outcome) -> list[tuple[str, str, str]]:
+    """A row for each robot that applied it; each reason of others once, with their names."""
+    by_reason: dict[tuple[str, str], list[str]] = {}
+    rows = []
+    for name, reply in outcome.replies.items():
+        if reply.code is Code.APPLIED:
+            rows.append((name, reply.code.value, reply.text or NOTHING))
+        elif not outcome.mistake:  # the error says that
+            by_reason.setdefault((reply.code.value, reply.text), []).append(name)
+    for name in outcome.missing:
+        by_reason.setdefault(("no answer", _silence(name, outcome)), []).append(name)
+    for (answer, text), names in by_reason.items():
+        if len(names) == 1:
+            rows.append((names[0], answer, text or NOTHING))
+        else:
+            rows.append((f"{len(names)} robots", answer, f"{text or NOTHING}: {', '.join(names)}"))
+    return sorted(rows)
 
 
 def _silence(name: str, outcome: Outcome) -> str:

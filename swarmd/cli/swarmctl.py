@@ -6,80 +6,152 @@ that name, and for `--help`: reading the metadata of installed packages takes 40
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
 
 import click
 
-from swarmd.cli.options import CommonOptions, LazyGroup, common_options
-from swarmd.cli.output import warn
+from swarmd.cli.options import CommonOptions, LazyGroup, LazyVerb, common_options, output_option
+from swarmd.cli.output import print_json, warn
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 from swarmd.network.exit_codes import EXIT_CODES_HELP
 
-_ELSEWHERE = {
-    "stop": "stop_and_reset",
-    "estop": "stop_and_reset",
-    "reset": "stop_and_reset",
-    "resume": "goal",
-}
-"""The files of `cli/` that contain several verbs of robots."""
-# Verb -> its function, and its line for --help, which must not import the verbs.
+LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
+OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
+PLUGINS = "Simulate, and verbs of other plugins"
+
+
+def _row(name: str, section: str, example: str, file: str = "") -> LazyVerb:
+    """A verb of robots; its line is that of the table of verbs. `file`: if not that of its name."""
+    place = f"swarmd.cli.{file or name}:{name}"
+    return LazyVerb(place, verbs.VERBS[name].help, section, f"swarmctl {name} {example}".rstrip())
+
+
+# Those of a section stand together.
 VERBS = {
-    **{
-        row.name: (f"swarmd.cli.{_ELSEWHERE.get(row.name, row.name)}:{row.name}", row.help)
-        for row in verbs.VERBS.values()
-        if row.help
-    },
-    "describe": (
+    "members": _row("members", LOOK, "--wide"),
+    "describe": LazyVerb(
         "swarmd.cli.members:describe",
         "Show one robot in detail, and why it does not move.",
+        LOOK,
+        "swarmctl describe tb3-03",
     ),
-    "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
-    "mission": ("swarmd.cli.patterns:mission", "Check a mission before robots run it."),
-    "undo": ("swarmd.cli.goal:undo", "Set the goal before the present one again."),
-    "wait": ("swarmd.cli.wait:wait", "Wait until robots are as they are wanted."),
-    "diff": ("swarmd.cli.apply:diff", "Show what a swarm file would change."),
-    "apply": ("swarmd.cli.apply:apply", "Set labels, goal and parameters of a swarm file."),
-    "calibrate": (
-        "swarmd.cli.calibrate:calibrate",
-        "Measure brakes, delays and scales of a robot by a few short drives.",
+    "goal": _row("goal", LOOK, ""),
+    "events": LazyVerb(
+        "swarmd.cli.events:events",
+        "Print what happened to robots, and follow it.",
+        LOOK,
+        "swarmctl events -f",
     ),
-    "view": ("swarmd.cli.view:view", "Show a living swarm: map, list, details and commands."),
-    "top": ("swarmd.cli.top:top", "Show the robots by load."),
-    "events": ("swarmd.cli.events:events", "Print what happened to robots, and follow it."),
-    "replay": (
-        "swarmd.cli.replay:replay",
-        "Repeat a recorded run without a robot, and compare its commands.",
+    "view": LazyVerb(
+        "swarmd.cli.view:view",
+        "Show a living swarm: map, list, details and commands.",
+        LOOK,
+        "swarmctl view --web",
     ),
-    "context": (
-        "swarmd.cli.context:context",
-        "Keep network options by name, and use one set of them.",
+    "top": LazyVerb("swarmd.cli.top:top", "Show the robots by load.", LOOK, "swarmctl top"),
+    "doctor": _row("doctor", LOOK, "--all"),
+    "links": _row("links", LOOK, ""),
+    "logs": _row("logs", LOOK, "tb3-03 -f"),
+    "audit": _row("audit", LOOK, "--since 1h"),
+    "run": _row("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s"),
+    "stop": _row("stop", MOVE, "", "stop_and_reset"),
+    "estop": _row("estop", MOVE, "--reason 'a person in the arena'", "stop_and_reset"),
+    "reset": _row("reset", MOVE, "--all", "stop_and_reset"),
+    "param": _row("param", MOVE, "set --all speed=0.2"),
+    "resume": _row("resume", MOVE, "tb3-07", "goal"),
+    "undo": LazyVerb(
+        "swarmd.cli.goal:undo",
+        "Set the goal before the present one again.",
+        MOVE,
+        "swarmctl undo",
     ),
-    "completion": (
-        "swarmd.cli.completion:completion",
-        "Print the script that completes lines with Tab in bash, zsh or fish.",
+    "wait": LazyVerb(
+        "swarmd.cli.wait:wait",
+        "Wait until robots are as they are wanted.",
+        MOVE,
+        "swarmctl wait --all --for state=running --timeout 30s",
     ),
-    "keys": ("swarmd.cli.keys:keys", "Make, hand out, renew and revoke the keys of a swarm."),
-    "plugin": (
+    "label": _row("label", MOVE, "tb3-01 tb3-02 +red"),
+    "diff": LazyVerb(
+        "swarmd.cli.apply:diff",
+        "Show what a swarm file would change.",
+        FILES,
+        "swarmctl diff swarm.yaml",
+    ),
+    "apply": LazyVerb(
+        "swarmd.cli.apply:apply",
+        "Set labels, goal and parameters of a swarm file.",
+        FILES,
+        "swarmctl apply swarm.yaml",
+    ),
+    "patterns": LazyVerb(
+        "swarmd.cli.patterns:patterns",
+        "List patterns and their parameters.",
+        OWN,
+        "swarmctl patterns show attraction",
+    ),
+    "plugin": LazyVerb(
         "swarmd.cli.plugin:plugin",
         "Write, check and reload patterns of your own, and push them to robots.",
+        OWN,
+        "swarmctl plugin new swirl",
+    ),
+    "mission": LazyVerb(
+        "swarmd.cli.patterns:mission",
+        "Check a mission before robots run it.",
+        OWN,
+        "swarmctl mission check patrol.yaml",
+    ),
+    "record": _row("record", RECORD, "start --all"),
+    "replay": LazyVerb(
+        "swarmd.cli.replay:replay",
+        "Repeat a recorded run without a robot, and compare its commands.",
+        RECORD,
+        "swarmctl replay tb3-01.mcap",
+    ),
+    "calibrate": LazyVerb(
+        "swarmd.cli.calibrate:calibrate",
+        "Measure brakes, delays and scales of a robot by a few short drives.",
+        RECORD,
+        "swarmctl calibrate tb3-01 --floor 2.5",
+    ),
+    "keys": LazyVerb(
+        "swarmd.cli.keys:keys",
+        "Make, hand out, renew and revoke the keys of a swarm.",
+        HERE,
+        "swarmctl keys init meadow --robots 'tb3-[01-07]'",
+    ),
+    "context": LazyVerb(
+        "swarmd.cli.context:context",
+        "Keep network options by name, and use one set of them.",
+        HERE,
+        "swarmctl context use lab",
+    ),
+    "completion": LazyVerb(
+        "swarmd.cli.completion:completion",
+        "Print the script that completes lines with Tab in bash, zsh or fish.",
+        HERE,
+        "swarmctl completion bash",
     ),
 }
+"""The verbs that come with swarmd, as `swarmctl --help` shows them."""
 
 
 class Verbs(LazyGroup):
     """The verbs: first those of the core, then those of plugins."""
 
-    def summaries(self) -> list[tuple[str, str]]:
-        """Each verb with its line for --help; reads the metadata of installed packages."""
+    def all_verbs(self) -> Mapping[str, LazyVerb]:
+        """All verbs by name; reads the metadata of installed packages."""
         from swarmd import plugins
 
         points = plugins.command_names().items()
-        found = [(name, plugins.command_summary(one)) for name, one in points if name not in VERBS]
-        return [*super().summaries(), *found]
+        found = {name: LazyVerb("", plugins.command_summary(one), PLUGINS) for name, one in points}
+        return {**VERBS, **{name: one for name, one in found.items() if name not in VERBS}}
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name, imported; None if it is unknown."""
@@ -95,9 +167,18 @@ class Verbs(LazyGroup):
             raise click.ClickException(str(error)) from error
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb; if a plugin lacks a library, the error has the command to install it."""
+        """Run the verb; if a plugin lacks a library, the error has the command to install it.
+
+        A mistake in the line of a stop must not pass for a stop: the error says so first.
+        """
         try:
             return super().invoke(ctx)
+        except click.UsageError as error:
+            row = verbs.VERBS.get(ctx.invoked_subcommand or "")
+            if row is None or not row.is_datagram:
+                raise
+            text = f"nothing was sent and no robot stops: {error.format_message()}"
+            raise click.UsageError(text, error.ctx) from error
         except ModuleNotFoundError as error:
             verb, missing = ctx.invoked_subcommand, error.name
             if verb is None or verb in VERBS or not missing or missing.startswith("swarmd"):
@@ -118,7 +199,8 @@ class Verbs(LazyGroup):
 def cli(options: CommonOptions) -> None:
     """Command a swarm of robots from any machine in its network.
 
-    Targets are robot names, globs such as 'tb3-*' (quoted), or --all, less --exclude GLOB.
+    Targets are robot names, globs such as 'tb3-*' and ranges such as 'tb3-[01-07]' (quoted), or
+    --all, less --exclude GLOB.
     """
 
 
@@ -159,25 +241,26 @@ def run_cli(
 ) -> int:
     """Run a command and return its exit code; an error is one line on stderr.
 
-    While a shell completes a line, nothing is written on stderr: it would be drawn into that line.
+    With `-o json` it is a document on stdout, too: no other one was printed before. While a shell
+    completes a line, nothing is written on stderr: it would be drawn into that line.
     """
+    words = sys.argv[1:] if args is None else args
     if os.environ.get(f"_{name.upper()}_COMPLETE"):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
     except click.Abort:
-        click.echo("interrupted", err=True)
-        return 130
+        return _fail("interrupted", 130, words)
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
         return error.exit_code
     except click.UsageError as error:
         where = error.ctx.command_path if error.ctx is not None else name
-        return _fail(f"{error.format_message()} (see {where} --help)", error.exit_code)
+        return _fail(f"{error.format_message()} (see {where} --help)", error.exit_code, words)
     except click.ClickException as error:
-        return _fail(error.format_message(), error.exit_code)
+        return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
-        return _fail(str(error), code_of(error))
+        return _fail(str(error), code_of(error), words)
     except BrokenPipeError:  # the reader, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
@@ -186,7 +269,7 @@ def run_cli(
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
         why = error.strerror or str(error) or type(error).__name__
-        return _fail(why if error.filename is None else f"{error.filename}: {why}", 1)
+        return _fail(why if error.filename is None else f"{error.filename}: {why}", 1, words)
 
 
 def exit_code_of(error: SwarmError) -> int:
@@ -196,6 +279,17 @@ def exit_code_of(error: SwarmError) -> int:
     return 6 if isinstance(error, NetworkError) else 1
 
 
-def _fail(text: str, code: int) -> int:
-    warn(f"error: {' '.join(text.split())}")
+def _fail(text: str, code: int, words: Sequence[str]) -> int:
+    text = " ".join(text.split())
+    warn(f"error: {text}")
+    # The words, since the line may have ended before its options were read.
+    if _form.make_context("", list(words), resilient_parsing=True).params["output"] == "json":
+        with contextlib.suppress(OSError):
+            print_json("Error", {"error": text, "exit_code": code})
     return code
+
+
+@click.command(context_settings={"ignore_unknown_options": True, "allow_extra_args": True})
+@output_option
+def _form(output: str | None) -> None:
+    """Read the form of the answer from any line."""

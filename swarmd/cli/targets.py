@@ -7,7 +7,6 @@ must answer. Labels are known by statuses alone.
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -17,8 +16,9 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import Failure
-from swarmd.core.errors import unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
+from swarmd.core.names import expand_globs
 from swarmd.network.exit_codes import NO_TARGET, USAGE
 
 if TYPE_CHECKING:
@@ -32,8 +32,6 @@ STOP_LOOK = 1.0
 
 The stop is sent to robots that have not answered by then, too.
 """
-
-_GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +94,11 @@ def read_targets(
     *,
     is_required: bool,
 ) -> Targets:
-    """The targets of a verb; UsageError if a word is no name or glob, or if they are missing."""
-    for glob in (*names, *exclude):
-        if not _GLOB.fullmatch(glob):
-            raise click.UsageError(
-                f"{glob!r} is no robot name; expected a-z, 0-9, _ and -, with * ? [..] as wildcards"
-            )
+    """The targets of a verb; UsageError if a word is wrong or missing.
+
+    Ranges are expanded, so that robots see names and globs alone.
+    """
+    names, exclude = _expanded(names), _expanded(exclude)
     for label in labels:
         if not is_id(label):
             raise click.UsageError(f"{label!r} is no label; expected a-z, 0-9, _ and -")
@@ -112,6 +109,13 @@ def read_targets(
             f"{verb} needs targets; add robot names, a glob such as 'tb3-*', -l LABEL, or --all"
         )
     return Targets(names, exclude, labels)
+
+
+def _expanded(words: Iterable[str]) -> tuple[str, ...]:
+    try:
+        return tuple(dict.fromkeys(name for word in words for name in expand_globs(word)))
+    except ConfigError as error:
+        raise click.UsageError(str(error)) from error
 
 
 def target_options(function: Function) -> Function:

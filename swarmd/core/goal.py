@@ -33,7 +33,8 @@ class Goal(Record, frozen=True, kw_only=True):
     `id`: of the request that set it. `pattern` None: the robots stand. `seconds` and `conditions`
     end a run, as those of `RunRequest`. `on_join`: what a robot does that finds this goal later:
     `offer` shows it, `run` runs it while the goal is younger than `valid` seconds. `lease`: seconds
-    without its operator after which the run ends. `signature`: of the bytes of the goal without it.
+    without its operator after which the run ends. `undoes`: the id of the goal that this one takes
+    back, so that no robot is to do it any more. `signature`: of the bytes of the goal without it.
     """
 
     id: Name
@@ -44,6 +45,7 @@ class Goal(Record, frozen=True, kw_only=True):
     on_join: Literal["offer", "run"] = "offer"
     valid: Validity | None = None
     lease: Annotated[float, Meta(ge=1.0, le=3600.0)] | None = None
+    undoes: Name | None = None
     signature: Annotated[bytes, Meta(max_length=64)] = b""
 
     @property
@@ -121,7 +123,9 @@ def encode_goal(goal: Goal) -> bytes:
     """The bytes of a goal. CodecError if they exceed MAX_GOAL."""
     content = _encoder.encode(goal)
     if len(content) > MAX_GOAL:
-        raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}: use fewer targets")
+        raise CodecError(
+            f"a goal of {len(content)} bytes; at most {MAX_GOAL}: use fewer targets, or a glob"
+        )
     return content
 
 

@@ -14,7 +14,7 @@ EXIT_CODES_HELP = """\b
 Exit codes:
   0  all targeted robots applied it
   1  none applied it, and at least one failed
-  2  usage, or no such pattern or parameter: nothing moved
+  2  usage, or all that answered know no such pattern or parameter: none moved
   3  partial: some robots applied it, some did not; of a look: some did not answer
   4  no robot was targeted
   5  none applied it or failed, and at least one did not answer in time

@@ -28,7 +28,7 @@ import numpy as np
 
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.host_messages import Layers
-from swarmd.core.keys import check_id, is_id
+from swarmd.core.keys import is_id
 from swarmd.core.processes import die_with_parent, limit_growth
 from swarmd.core.values import Platform, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
@@ -49,7 +49,14 @@ from swarmd.mission.validate import (
 )
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
-from swarmd.plugins import MISSION, Origin, is_mission, pattern_names, places_of
+from swarmd.plugins import (
+    MISSION,
+    check_module_name,
+    is_mission,
+    is_same_file,
+    pattern_names,
+    places_of,
+)
 from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform, platform_names
 
@@ -57,6 +64,7 @@ if TYPE_CHECKING:
     from swarmd.testing.pattern_contract import PatternContract
 
 LOADING = "the file holds one pattern"
+IMPORTS = "it imports arithmetic alone"
 MIRRORED = "mirrored scans give mirrored commands"
 NOT_CLAIMED = "is_symmetric is not claimed"
 MAX_GROWTH = 1024 * 1024 * 1024
@@ -217,7 +225,7 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
     loaded: list[type[Pattern[Any]]] = []
 
     def load() -> None:
-        check_id(path.stem, "the file's name, which is the pattern's,")
+        check_module_name(path.stem)
         loaded.append(PatternLoader({path.stem: (str(path), True)})(path.stem))
 
     answer.send(begin=LOADING)
@@ -225,6 +233,14 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
     answer.send(result=LOADING, **fault)
     if not loaded:
         return
+    from swarmd.testing.no_side_effects import forbidden_imports
+
+    found = [
+        f"imports {name} ({path.name}:{line})"
+        for line, name in forbidden_imports(path.read_bytes())
+    ]
+    answer.send(begin=IMPORTS)
+    answer.send(result=IMPORTS, **({"fault": "; ".join(found)} if found else {}))
     for point, check in _contract_tests(loaded[0], path.parent):
         if point in done:
             continue
@@ -387,8 +403,10 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     elif document.description and not is_mission(path):
         text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
         document.faults.append(fault_at(("mission",), text))
-    elif found is not None and not _is_same(path, found):
-        other = found.source if _is_file(path, found.rival) else found.rival or found.source
+    elif found is not None and (found.rival or not is_same_file(str(path), found.value)):
+        other = (
+            found.source if is_same_file(str(path), found.rival) else found.rival or found.source
+        )
         text = f"has the name of another pattern ({other}); rename one"
         document.faults.append(fault_at(("mission",), text))
     find = PatternLoader({**places_of(origins), path.stem: (str(path.resolve()), True)})
@@ -396,16 +414,6 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     if not document.faults:
         _check_whole(document, platform, find)
     return fault_lines(path, document.faults)
-
-
-def _is_same(path: Path, origin: Origin) -> bool:
-    """Whether the pattern of that name is this file, and nothing else."""
-    files = [origin.value, *([origin.rival] if origin.rival else [])]
-    return all(_is_file(path, file) for file in files)
-
-
-def _is_file(path: Path, name: str) -> bool:
-    return Path(name).resolve() == path.resolve()
 
 
 def _check_parts(document: Document, platform: Platform, find: Find) -> None:

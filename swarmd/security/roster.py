@@ -15,10 +15,10 @@ from msgspec import Meta, Struct
 
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
+from swarmd.core.names import MAX_NAMES
 from swarmd.security.content_signature import SIGNATURE_BYTES, Purpose, is_signed_by
 
 PUBLIC_KEY_BYTES = 64
-MAX_NAMES = 2048
 MAX_ROSTER = 256 * 1024
 
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]

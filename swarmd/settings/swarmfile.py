@@ -5,7 +5,6 @@ Imports no numpy: swarmctl reads swarm.yaml too, for the network settings of the
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +14,8 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import BoundedScalar, Name, ParamValues, Word
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.goal import Validity
-from swarmd.core.keys import check_id, is_id
+from swarmd.core.keys import check_id
+from swarmd.core.names import expand_globs
 from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
 from swarmd.kit.touch_config import TouchGrants
@@ -27,7 +27,6 @@ from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
-_GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _LIMITS = FileLimits()
 PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
 PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
@@ -57,7 +56,7 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     - `pattern`: null: they stand.
     - `params`: its parameters.
-    - `targets`: names, globs and labels (`label:red`) of robots; empty: all.
+    - `targets`: names, ranges, globs and labels (`label:red`) of robots; empty: all.
     - `seconds`, `until`: the run ends after that time, or with the first condition that is met.
     - `on_join`: what robots do that join later: `offer` waits for `swarmctl resume`, `run` runs it
       while the goal is younger than `valid` seconds.
@@ -77,7 +76,7 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return {
             "pattern": self.pattern,
             "params": self.params,
-            "targets": tuple(self.targets),
+            "targets": tuple(name for one in self.targets for name in _targets(one)),
             "seconds": self.seconds,
             "conditions": tuple(self.until),
             "on_join": self.on_join,
@@ -253,10 +252,17 @@ def _check_goal(goal: GoalSection) -> Iterator[Fault]:
     if (goal.on_join == "run") != (goal.valid is not None):
         yield fault_at(("goal",), "has one of `on_join: run` and `valid`; expected both or neither")
     for index, target in enumerate(goal.targets):
-        name = target.removeprefix(LABEL)
-        if not (is_id(name) or (name == target and _GLOB.fullmatch(name))):
-            text = f"is {target!r}; expected a robot, a glob such as tb3-*, or label:red"
+        try:
+            _targets(target)
+        except ConfigError as error:
+            text = f"is {target!r}; expected robots, a glob such as tb3-*, or label:red: {error}"
             yield fault_at(("goal", "targets", index), text)
+
+
+def _targets(word: str) -> tuple[str, ...]:
+    """The targets of a goal that a word stands for. ConfigError if it is none."""
+    label = word.removeprefix(LABEL)
+    return (LABEL + check_id(label, "the label"),) if label != word else expand_globs(word)
 
 
 def _check_robot(keys: Keys, name: str, roster: list[str]) -> Iterator[Fault]:

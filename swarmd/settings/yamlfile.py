@@ -31,7 +31,7 @@ def read(path: Path) -> Data:
     try:
         data = yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:
-        raise ConfigError(f"{name}{_yaml_fault(error)}") from error
+        raise ConfigError(f"{name}{_yaml_fault(error, text)}") from error
     except (ValueError, RecursionError) as error:  # an impossible date, a thousand brackets
         raise ConfigError(f"{name}: is not YAML that can be read: {error}") from error
     if data is None:
@@ -167,7 +167,37 @@ _StrictLoader.add_implicit_resolver(
 )
 
 
-def _yaml_fault(error: yaml.YAMLError) -> str:
-    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-        return f":{error.problem_mark.line + 1}: {error.problem or 'is not YAML'}"
-    return f": is not YAML: {' '.join(str(error).split())}"
+def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
+    """The line, what is wrong there, and what to do, as far as the line shows it."""
+    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
+        return f": is not YAML: {' '.join(str(error).split())}"
+    begin = error.context_mark
+    if begin is not None and any(one in (error.context or "") for one in ("quoted", "flow")):
+        what = "quote" if "quoted" in str(error.context) else "bracket"
+        return f":{begin.line + 1}: the {what} that begins here is not closed; close it"
+    lines = content.decode(errors="replace").splitlines()[: error.problem_mark.line + 1]
+    problem = error.problem or "is not YAML"
+    if "expected" in problem or "allowed" in problem or "token" in problem or "tab" in problem:
+        problem = _fault_of_indent(lines) or problem
+    return f":{error.problem_mark.line + 1}: {problem}"
+
+
+def _fault_of_indent(lines: list[str]) -> str:
+    """What is wrong at the beginning of the last of these lines, in which YAML found a fault."""
+    *above, line = lines or [""]
+    if "\t" in line[: len(line) - len(line.lstrip())]:
+        return "the line begins with a tab; indent it with spaces"
+    levels = [0]
+    for one in above:
+        if one.strip() and not one.lstrip().startswith("#"):
+            levels = [n for n in levels if n < _indent(one)] + [_indent(one)]
+    if _indent(line) not in levels:
+        wanted = " or ".join(map(str, levels))
+        return f"the line is indented by {_indent(line)} spaces; expected {wanted}, as lines above"
+    if line.count(": ") > 1:
+        return "the line has a second `: `; put the value in quotes"
+    return ""
+
+
+def _indent(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))

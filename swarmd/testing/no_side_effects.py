@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import builtins
 import contextlib
 import io
@@ -34,7 +35,27 @@ AUDIT_EVENTS = (
     *("os.scandir", "shutil.copyfile", "shutil.rmtree", "tempfile.mkstemp", "urllib.Request"),
 )
 """Audit events (PEP 578) that no code of a pattern may cause; `plugin check` reports them."""
+FORBIDDEN_IMPORTS = (
+    *("swarmd.drivers", "swarmd.sim", "swarmd.network", "swarmd.daemon", "swarmd.cli"),
+    *("zenoh", "asyncio", "time", "mujoco", "os", "io", "pathlib", "socket", "threading"),
+    *("subprocess", "shutil", "tempfile"),
+)
+"""Modules that a pattern does not import, with all that is in them."""
 _CHANCE = "; chance comes from self.context.rng"
+
+
+def forbidden_imports(source: bytes) -> Iterator[tuple[int, str]]:
+    """The line and the module of each import of FORBIDDEN_IMPORTS, within functions, too."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [one.name for one in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{one.name}" for one in node.names]
+        else:
+            continue
+        for name in names:
+            if any(f"{name}.".startswith(f"{one}.") for one in FORBIDDEN_IMPORTS):
+                yield node.lineno, name
 
 
 @contextlib.contextmanager

@@ -13,15 +13,17 @@ In your own tests, run by pytest::
 from __future__ import annotations
 
 import math
+import pickle
 import signal
+import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from types import FrameType
-from typing import Any, ClassVar
+from types import FrameType, FunctionType, ModuleType
+from typing import Any, ClassVar, NoReturn
 
 import msgspec
 import numpy as np
@@ -106,11 +108,8 @@ class Subject:
 
     def story(self, pattern: Pattern[Any], scans: Sequence[Scan | None]) -> Iterator[Inputs]:
         """Inputs for these scans: 10 Hz, with every sensor that the pattern needs."""
-        readings = {
-            need.removeprefix("reading:"): 1.0
-            for need in pattern.needs
-            if need.startswith("reading:")
-        }
+        named = (need.partition("reading:")[2] for need in pattern.needs)
+        readings = _Readings({name: 1.0 for name in named if name})
         for index in range(2 * len(scans)):
             scan = scans[index // 2]
             yield Inputs(
@@ -129,6 +128,13 @@ class Subject:
         if name == _NAME:
             return self.kind
         return _loader(self.plugin_dir)(name)
+
+
+class _Readings(dict[str, float]):
+    """The readings that a pattern needs; the error for another one names the remedy."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise KeyError(f"the reading {name!r} is not in `needs`; add 'reading:{name}' to it")
 
 
 _platform = cache(load_platform)  # asked for by each test of each pattern
@@ -216,6 +222,14 @@ class PatternContract:
     def test_the_same_seed_gives_the_same_run(self, subject: Subject) -> None:
         """Nothing but inputs and `context.rng` changes a run."""
         _check_repeatable(subject, busy_scans(subject.platform, 60))
+
+    def test_memory_is_kept_in_self(self, subject: Subject) -> None:
+        """A run changes no value of the module or of a class, which robots of a process share."""
+        before = _shared_values(subject.kind)
+        subject.run(busy_scans(subject.platform, 20))
+        after = _shared_values(subject.kind)
+        changed = ", ".join(name for name, value in after.items() if value != before.get(name))
+        assert not changed, f"a run changes {changed} of the module; keep memory in self"
 
     def test_inputs_are_left_alone(self, subject: Subject) -> None:
         """A step writes to no array that it was given."""
@@ -355,3 +369,22 @@ def _check_same(
         for name in here.__struct_fields__:
             is_same = repr(getattr(here, name)) == repr(getattr(there, name))
             assert is_same, f"{text}, first in the {name} of step {step}{hint}"
+
+
+def _shared_values(kind: type[Pattern[Any]]) -> dict[str, bytes]:
+    """The values of a pattern's module and of its classes, as far as they have an encoding."""
+    module = sys.modules[kind.__module__]
+    owners = [("", vars(module))] + [
+        (f"{name}.", dict(vars(one)))
+        for name, one in vars(module).items()
+        if isinstance(one, type) and one.__module__ == module.__name__
+    ]
+    found = {}
+    for place, values in owners:
+        for name, value in values.items():
+            if name.startswith("__") or isinstance(value, ModuleType | FunctionType | type):
+                continue
+            # What has no encoding, such as a descriptor, is no memory.
+            with suppress(TypeError, AttributeError, pickle.PicklingError):
+                found[f"{place}{name}"] = pickle.dumps(value)
+    return found

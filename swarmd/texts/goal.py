@@ -45,7 +45,9 @@ class Difference:
 def differences(view: MembersView, names: Iterable[str]) -> list[Difference]:
     """The line of each robot in `names`."""
     known = goals_of(view)
-    return [_difference(name, view.members.get(name), known) for name in names]
+    undone = {one.goal.undoes for one in known.values()}
+    wanted = {digest: one for digest, one in known.items() if one.goal.id not in undone}
+    return [_difference(name, view.members.get(name), wanted, undone) for name in names]
 
 
 def goals_of(view: MembersView) -> dict[str, KnownGoal]:
@@ -74,7 +76,7 @@ def present_goals(view: MembersView) -> tuple[Goal | None, Goal | None]:
 
 def content_of(goal: Goal) -> dict[str, Any]:
     """The fields of a goal that another one takes over."""
-    own = ("generation", "issuer", "id", "signature")
+    own = ("generation", "issuer", "id", "undoes", "signature")
     return {name: value for name, value in asdict(goal).items() if name not in own}
 
 
@@ -124,7 +126,9 @@ def targets_text(goal: Goal) -> str:
     return ", ".join(words) or "all robots"
 
 
-def _difference(name: str, member: SeenMember | None, known: dict[str, KnownGoal]) -> Difference:
+def _difference(
+    name: str, member: SeenMember | None, known: dict[str, KnownGoal], undone: set[str | None]
+) -> Difference:
     status = None if member is None else member.status
     if member is None or status is None or member.contact is not Contact.ANSWERED:
         # Labels are not known: the goal of a robot that is gone may be one by name alone.
@@ -133,6 +137,11 @@ def _difference(name: str, member: SeenMember | None, known: dict[str, KnownGoal
         return Difference(name, None if wanted is None else wanted.goal, there, absence(member))
     wanted = goal_for(name, status.labels, known.values())
     actual = status.state.value if status.pattern is None else f"{status.state} {status.pattern}"
+    own = None if status.goal is None or status.goal.own is None else status.goal.own.goal
+    if own is not None and own.id in undone and (wanted is None or wanted.goal.order < own.order):
+        runs = f"runs {status.pattern}: " if status.state is State.RUNNING else ""
+        text = f"{runs}{own.text} was undone"
+        return Difference(name, None, actual, text if runs else "", text)
     if wanted is None:
         latest = next(reversed(known.values()), None)
         note = f"no target of {latest.goal.text}" if latest else ""

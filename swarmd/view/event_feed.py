@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 from swarmd.core.messages import (
     MAX_EVENTS,
@@ -18,6 +20,9 @@ from swarmd.network.operator.members_view import MembersView, SeenMember
 
 RATE, BURST = 2.0, 20.0
 """Lines of one robot per second, and at once; others are counted."""
+TOGETHER = 1.0
+"""What robots tell within so many s, numbers aside, is one line for all of them."""
+_NUMBER = re.compile(r"(-?\d+(?:\.\d+)?)")
 _NO_HOLD = (None, Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION)
 
 
@@ -123,6 +128,33 @@ class EventFeed:
         if len(passed) < len(lines):
             self._left_out[name] = self._left_out.get(name, 0) + len(lines) - len(passed)
         return passed
+
+
+def together(lines: Iterable[EventLine]) -> list[tuple[EventLine, tuple[str, ...]]]:
+    """The lines with their robots; what several robots tell within TOGETHER is one line.
+
+    Numbers that differ among the robots are `..`, such as the port of a request.
+    """
+    groups: dict[tuple[str, str], list[list[EventLine]]] = {}
+    ordered: list[list[EventLine]] = []
+    for line in sorted(lines):
+        of_key = groups.setdefault((line.kind, _NUMBER.sub("#", line.text)), [])
+        last = of_key[-1] if of_key else None
+        if last is None or line.at - last[0].at > TOGETHER or line.robot in {o.robot for o in last}:
+            of_key.append([line])
+            ordered.append(of_key[-1])
+        else:
+            last.append(line)
+    return [
+        (replace(some[0], text=_common(one.text for one in some)), tuple(one.robot for one in some))
+        for some in ordered
+    ]
+
+
+def _common(texts: Iterable[str]) -> str:
+    """The text of several that differ in numbers alone."""
+    pieces = zip(*map(_NUMBER.split, texts), strict=True)
+    return "".join(same[0] if len({*same}) == 1 else ".." for same in pieces)
 
 
 def _new(

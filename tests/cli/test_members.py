@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.cli.members import HEADER, health, row, wide_cells
+from swarmd.cli.members import HEADER, WIDE, health, row, wide_cells
+from swarmd.cli.output import print_table
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
@@ -17,7 +18,8 @@ from tests.support.statuses import make_member
 
 
 def line(member: SeenMember) -> dict[str, str]:
-    return dict(zip(HEADER, row(member), strict=True))
+    cells = zip((*HEADER, *WIDE), (*row(member), *wide_cells(member)), strict=True)
+    return dict(cells)
 
 
 def test_shows_a_running_robot() -> None:
@@ -26,21 +28,31 @@ def test_shows_a_running_robot() -> None:
         "STATE": "running",
         "REASON": "-",
         "PATTERN": "drive",
-        "GEN": "42",
         "PROTECTION": "active",
+        "SEEN": "now",
+        "REPORT": "opinion 2",
+        "GEN": "42",
         "SCAN": "5.0 Hz",
         "LOOP99": "4 ms",
         "VERSION": "1.2.3",
-        "SEEN": "now",
-        "REPORT": "opinion 2",
+        "LABELS": "red",
+        "GOAL": "-",
     }
 
 
-def test_shows_the_report_of_the_pattern_cut_to_its_column() -> None:
+def test_shows_the_report_of_the_pattern() -> None:
     assert line(make_member(report={}))["REPORT"] == "-"
     report = {"phase": "disperse", "opinion": 2, "distance": 1.4000000001}
     assert line(make_member(report=report))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
-    assert len(line(make_member(report={"text": "long " * 30}))["REPORT"]) == 60
+
+
+def test_the_last_column_is_cut_to_the_width(capsys: pytest.CaptureFixture[str]) -> None:
+    long = make_member("tb3-01", pattern="attraction", report={"text": "long " * 30})
+    print_table(HEADER, [row(long), row(make_member("tb3-02"))], width=80)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) == 80
+    assert lines[1].endswith("...")
+    assert lines[2].endswith("  opinion 2")
 
 
 @pytest.mark.parametrize(
@@ -158,8 +170,8 @@ def test_warns_that_anyone_on_an_open_network_can_drive() -> None:
 def test_wide_shows_labels_and_goals_and_a_note_names_offers() -> None:
     goal = make_goal(7, "flocking")
     offered = member_with("r2", goal_status(goal, state=GoalState.OFFERED), labels=("red", "fast"))
-    assert wide_cells(offered) == ("red fast", "goal 7 of anna: flocking (offered)")
-    assert wide_cells(make_member("r1", Presence.FAILED)) == ("-", "-")
+    assert wide_cells(offered)[-2:] == ("red fast", "goal 7 of anna: flocking (offered)")
+    assert wide_cells(make_member("r1", Presence.FAILED))[-2:] == ("-", "-")
     running = member_with("r1", goal_status(goal))
     notes = [note for note in health(view_of(running, offered)) if "offered" in note]
     assert len(notes) == 1

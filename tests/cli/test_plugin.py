@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,12 +18,14 @@ from swarmd.cli.plugin_check import (
     Point,
     check_file,
     describe_patterns,
+    used_by,
 )
 from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
-from swarmd.pattern_host.plugin_inspector import LOADING, MIRRORED, readable_beside
+from swarmd.pattern_host.plugin_inspector import IMPORTS, LOADING, MIRRORED, readable_beside
 from swarmd.plugins import pattern_names
 from swarmd.testing.pattern_contract import PatternContract
+from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -75,7 +78,9 @@ def checked(folder: Path, timeout: float = 60.0, **lines: Any) -> dict[str, Poin
 
 
 def faults(points: dict[str, Point]) -> dict[str, str]:
-    return {name: point.text for name, point in points.items() if point.result == "fault"}
+    """Those of each point; imports have a test of their own."""
+    rows = {name: point.text for name, point in points.items() if point.result == "fault"}
+    return {name: text for name, text in rows.items() if name != IMPORTS}
 
 
 def test_a_new_plugin_of_each_kind_passes_as_it_is(
@@ -85,11 +90,13 @@ def test_a_new_plugin_of_each_kind_passes_as_it_is(
     for kind in kinds:
         assert swarmctl("plugin", "new", f"my_{kind}", "--dir", str(folder), "--kind", kind) == 0
         file = folder / f"my_{kind}.py"
-        assert f"swarmctl plugin check {file}" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert f"swarmctl plugin check {file}" in said
+        assert f"{sys.executable} -m pytest {folder / f'test_my_{kind}.py'}" in said
         assert swarmctl("plugin", "check", str(file)) == 0
         *lines, last = capsys.readouterr().out.splitlines()
-        assert [line[:4] for line in lines] == ["ok  "] * (3 + len(POINTS))
-        assert last.startswith(str(3 + len(POINTS)))
+        assert [line[:4] for line in lines] == ["ok  "] * (4 + len(POINTS))
+        assert last.startswith(str(4 + len(POINTS)))
         assert f"my_{kind}" in pattern_names(folder, {})
     files = {f"{before}my_{kind}.py" for before in ("", "test_") for kind in kinds}
     assert {path.name for path in folder.iterdir()} == files
@@ -149,7 +156,7 @@ def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     answer = json.loads(capsys.readouterr().out)
     assert (answer["kind"], answer["is_well"]) == ("Check", False)
     points = {point["point"]: point for point in answer["points"]}
-    assert list(points) == [LOADING, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
+    assert list(points) == [LOADING, IMPORTS, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
     assert points[STEPS]["text"].endswith("ZeroDivisionError: division by zero (own.py:14)")
     assert points[NO_OUTPUT] == {"point": NO_OUTPUT, "result": "fault", "text": "hello"}
     assert points[MIRRORED]["text"] == "is_symmetric is not claimed"
@@ -161,14 +168,6 @@ def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ({"body": "return None"}, STEPS, "drive gave None"),
         ({"body": "import os; os._exit(3)"}, STEPS, "os._exit"),
         ({"body": "return Twist(self.params.speed)"}, STEPS, "is `params_type` missing"),
-        (
-            {
-                "top": "import numpy as np\nRNG = np.random.default_rng()",
-                "body": "return Twist(0.1 * RNG.random() - 0.05)",
-            },
-            "the same seed gives the same run",
-            "two runs with one seed differ",
-        ),
         ({"declared": "needs = frozenset({'messages'})"}, STEPS, "no input 'messages'"),
         (
             {
@@ -248,15 +247,67 @@ def test_a_file_that_cannot_be_loaded_is_not_checked_further(
     assert fault in faults(points)[LOADING]
 
 
-def test_a_file_name_that_is_no_id_is_a_fault(tmp_path: Path) -> None:
-    path = written(tmp_path).rename(tmp_path / "My-Own.py")
-    assert "'My-Own'" in next(check_file(path, 60.0)).text
+@pytest.mark.parametrize("name", ["My-Own", "my-own", "test_own", "lambda"])
+def test_a_file_name_that_is_no_module_is_a_fault(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path).rename(tmp_path / f"{name}.py")
+    point = next(check_file(path, 60.0))
+    assert (point.result, repr(name) in point.text) == ("fault", True)
+
+
+@pytest.mark.parametrize(
+    ("lines", "modules"),
+    [
+        ({"top": "import math, cmath\nimport numpy as np\nfrom collections import deque"}, []),
+        ({"top": "import os"}, ["os (own.py:3)"]),
+        (
+            {"top": "from os.path import join", "body": "import socket, swarmd.sim.world"},
+            ["os.path.join (own.py:3)", "socket (own.py:14)", "swarmd.sim.world (own.py:14)"],
+        ),
+        ({"top": "from swarmd import sim"}, ["swarmd.sim (own.py:3)"]),
+    ],
+)
+def test_imports_of_what_a_pattern_may_not_use_are_named(
+    tmp_path: Path, lines: dict[str, Any], modules: list[str]
+) -> None:
+    point = checked(tmp_path, **lines)[IMPORTS]
+    assert point.text == "; ".join(f"imports {one}" for one in modules)
+
+
+@pytest.mark.parametrize(
+    ("lines", "changed"),
+    [
+        ({"top": "SEEN = []", "body": "SEEN.append(1)"}, "SEEN"),
+        (
+            {
+                "top": "import numpy as np\nRNG = np.random.default_rng()",
+                "body": "return Twist(0.1 * RNG.random() - 0.05)",
+            },
+            "RNG",
+        ),
+        ({"top": "COUNT = 0", "body": "global COUNT; COUNT += 1"}, "COUNT"),
+        ({"declared": "seen = {}", "body": "self.seen[len(self.seen)] = 1"}, "Own.seen"),
+    ],
+)
+def test_memory_outside_of_self_is_named(
+    tmp_path: Path, lines: dict[str, Any], changed: str
+) -> None:
+    found = faults(checked(tmp_path, **lines))["memory is kept in self"]
+    assert f"a run changes {changed} of the module" in found
+
+
+def test_a_reading_that_needs_does_not_name_is_an_error_with_the_remedy(tmp_path: Path) -> None:
+    lines: dict[str, Any] = {
+        "declared": "needs = frozenset({'reading:temprature'})",
+        "body": "inputs.readings['temperature']",
+    }
+    (found,) = faults(checked(tmp_path, **lines)).values()
+    assert "'temperature' is not in `needs`" in found
 
 
 def test_a_crash_fails_its_point_and_the_others_are_checked(tmp_path: Path) -> None:
     crash = "import ctypes; ctypes.string_at(0)"
     points = checked(tmp_path, body=f"if not len(inputs.scan.ranges): {crash}")
-    assert list(points) == [LOADING, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
+    assert list(points) == [LOADING, IMPORTS, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
     (found,) = faults(points).items()
     assert found[0] == "odd scans give sane commands"
     assert "SIGSEGV (own.py:14)" in found[1]
@@ -292,6 +343,16 @@ def test_a_side_effect_is_reported_wherever_it_happens(
     assert (NO_OUTPUT in found) == bool(said)
     assert said in found.get(NO_OUTPUT, "")
     assert effect in found[NO_SIDE_EFFECTS]
+
+
+def test_a_process_that_waits_for_its_processor_is_at_work_and_a_sleeping_one_is_not() -> None:
+    begun, is_at_work = used_by(os.getpid())
+    assert is_at_work
+    sum(range(3_000_000))
+    assert used_by(os.getpid())[0] > begun
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as child:
+        wait_until(lambda: not used_by(child.pid)[1], "cat waits for its input")
+    assert used_by(child.pid) == (0.0, False)
 
 
 def test_reload_wants_a_pattern_and_targets(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
+from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import unique_swarm
 from tests.support.swarmctl import fork_command
@@ -68,8 +69,19 @@ def test_help_lists_all_verbs(tmp_path: Path) -> None:
     done = fork_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for verb in (*VERBS, "sim", "demo", "exp"):
-        assert f"\n  {verb} " in done.stdout
+        assert done.stdout.count(f"\n  {verb} ") == 1
+    assert {row.name for row in verbs.VERBS.values() if row.help} <= VERBS.keys()
+    for section in {one.section for one in VERBS.values()}:
+        assert done.stdout.count(f"\n{section}:\n") == 1
     assert "Comes with" not in done.stdout
+
+
+def test_a_verb_names_the_options_of_the_network_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_cli(cli, ["stop", "--help"], "swarmctl", exit_code_of) == 0
+    said = capsys.readouterr().out
+    assert "--swarm, --config, --profile" in said
+    assert "may be repeated" not in said
+    assert "--timeout DURATION" in said
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -130,6 +142,41 @@ def test_a_wrong_option_is_one_line_and_exit_2(
     assert captured.err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("args", "code"),
+    [
+        (["members", "-o", "json", "--swrm"], 2),
+        (["-o", "json", "mebers"], 2),
+        (["run", "drive", "R1", "-ojson"], 2),
+        (["keys", "list", "--swarm", "no_such", "--output=json"], 2),
+        (
+            [
+                "--swarm",
+                "lab",
+                *["--profile", "field", "--interface", "wlan77", "members", "-o", "json"],
+            ],
+            6,
+        ),
+    ],
+)
+def test_an_error_is_one_document_in_json(
+    capsys: pytest.CaptureFixture[str], args: list[str], code: int
+) -> None:
+    assert run_cli(cli, args, "swarmctl", exit_code_of) == code
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert (found["kind"], found["exit_code"]) == ("Error", code)
+    assert captured.err == f"error: {found['error']}\n"
+
+
+@pytest.mark.parametrize("words", ["estop --al", "estop --reason", "stop R1", "estop -l"])
+def test_a_mistake_in_a_stop_says_first_that_no_robot_stops(
+    capsys: pytest.CaptureFixture[str], words: str
+) -> None:
+    assert run_cli(cli, words.split(), "swarmctl", exit_code_of) == 2
+    assert capsys.readouterr().err.startswith("error: nothing was sent and no robot stops: ")
+
+
 @pytest.mark.integration
 @pytest.mark.parametrize(
     "args",
@@ -150,6 +197,7 @@ def test_without_a_daemon_verbs_end_with_6_and_write_nothing(
     done = fork_command("swarmctl", *args, cwd=tmp_path, SWARM=swarm)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (6, "", 1), done
     assert f"'{swarm}'" in done.stderr
+    assert "`swarmctl sim up`" in done.stderr
     assert list(tmp_path.iterdir()) == []
 
 

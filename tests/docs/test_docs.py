@@ -126,6 +126,21 @@ def test_commands_are_as_swarmctl_takes_them(page: Path, monkeypatch: pytest.Mon
     assert wrong == []
 
 
+@pytest.mark.parametrize("verb", cli.list_commands(click.Context(cli)))
+def test_each_verb_has_an_example_as_swarmctl_takes_it(
+    verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        click.Path, "convert", lambda path, value, *_: path.coerce_path_result(value)
+    )
+    with click.Context(cli) as ctx:
+        command = cli.get_command(ctx, verb)
+        assert command is not None
+        _, _, example = (command.epilog or "").rpartition("swarmctl ")
+        assert example.split()[0] == verb
+        _parse(cli, ctx, shlex.split(example))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
     for words in commands(page, "swarmd"):

@@ -202,7 +202,7 @@ class VirtualOperator(Node):
         present, before = present_goals(view)
         if present is None or before is None or before.lease is not None:
             return None
-        goal = self._next_goal(view, **content_of(before))
+        goal = self._next_goal(view, **content_of(before), undoes=present.id)
         if goal is None:
             return None
         run, stand = set_apart(view, present, before)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
+from swarmd.core.errors import PluginError
 from swarmd.pattern_host.plugin_inspector import check_mission
+from swarmd.plugins import find_pattern
 from swarmd.settings.settings import load_platform
 from tests.support.swarmctl import swarmctl
 
@@ -21,6 +24,18 @@ WAFFLE = load_platform("waffle_pi")
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_a_shipped_mission_has_no_faults(path: Path) -> None:
     assert check_mission(path, WAFFLE, None) == []
+
+
+def test_a_copy_of_a_shipped_mission_is_no_other_pattern_until_it_differs(tmp_path: Path) -> None:
+    (path,) = (Path(shutil.copy(one, tmp_path)) for one in SHIPPED[:1])
+    assert check_mission(path, WAFFLE, None) == []
+    assert check_mission(path, WAFFLE, tmp_path) == []
+    assert find_pattern(path.stem, tmp_path).is_file
+    path.write_text(f"{path.read_text()}# changed\n")
+    (fault,) = check_mission(path, WAFFLE, tmp_path)
+    assert "another pattern" in fault
+    with pytest.raises(PluginError, match=path.stem):
+        find_pattern(path.stem, tmp_path)
 
 
 @pytest.mark.parametrize("text", SHOWN)

@@ -59,6 +59,11 @@ def test_another_goal_is_set_for_its_targets() -> None:
     assert plan.moves
 
 
+def test_a_range_in_a_goal_is_that_of_the_command_line() -> None:
+    goal = GoalSection(pattern="flocking", targets=["r[1-3]", "x-*", "label:red"])
+    assert goal.content["targets"] == ("r1", "r2", "r3", "x-*", "label:red")
+
+
 def test_targets_are_those_of_the_labels_to_come() -> None:
     file = SwarmFile(labels={"red": ["r2"]}, goal=GoalSection(pattern="a", targets=["label:red"]))
     assert plan_of(file, view_of(robot("r1", ("red",)), robot("r2", ()))).targets == ("r2",)

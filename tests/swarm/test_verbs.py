@@ -134,7 +134,7 @@ def test_doctor_works_without_a_robot() -> None:
 
 
 def test_run_ends_with_a_count(swarm: Swarm) -> None:
-    done = swarm.ctl("run", "drive", "r1", "r[23]", "-p", "speed=0.1", "--for", "60s")
+    done = swarm.ctl("run", "drive", "r1", "r[2-3]", "-p", "speed=0.1", "--for", "60s")
     assert (*done.outcome, done.err) == (0, "3 targeted, 3 applied", "")
     assert swarm.status("r2").params["speed"] == Param(value=0.1, source="request")
     answer = swarm.ctl("run", "drive", "--all", "--exclude", "r3", "-o", "json").json

@@ -128,6 +128,22 @@ def test_undo_sets_apart_who_runs_and_who_stands() -> None:
     assert set_apart(view, STAND, blue) == (["r2"], [])
 
 
+def test_an_undone_goal_is_desired_no_more() -> None:
+    blue = make_goal(8, "flocking", targets=("r2",))
+    again = make_goal(9, targets=("r1",), undoes=blue.id)
+    first = member_with("r1", goal_status(again))
+    ended = goal_status(blue, state=GoalState.ENDED, reason="stopped by bob")
+    found = line(member_with("r2", ended, state=State.STOPPED, reason=Reason.OPERATOR), first)
+    assert (found.goal, found.desired, found.is_as_desired) == (None, "-", True)
+    assert "was undone" in found.note
+    missed = line(member_with("r2", goal_status(blue)), first)
+    assert (missed.is_as_desired, missed.desired) == (False, "-")
+    later = make_goal(10, targets=("r2",))
+    assert (
+        line(member_with("r2", ended), first, member_with("r3", goal_status(later))).goal == later
+    )
+
+
 def test_the_content_of_a_goal_makes_an_equal_one() -> None:
     again = make_goal(10, **{k: v for k, v in content_of(RED).items() if k != "pattern"})
     assert content_of(again) == {**content_of(RED), "pattern": "drive"}

@@ -16,7 +16,7 @@ from swarmd.core.messages import (
     Status,
 )
 from swarmd.network.operator.members_view import MembersView
-from swarmd.view.event_feed import BURST, EventFeed, EventLine
+from swarmd.view.event_feed import BURST, EventFeed, EventLine, together
 from tests.support.statuses import make_member, status
 
 START = 1000.0
@@ -123,6 +123,26 @@ def test_robots_of_the_roster_that_were_not_seen_are_named_and_later_ones_join()
         "a"
     ]
     assert texts(feed.on_status(having(0), START + 1.0)) == ["joined"]
+
+
+def test_what_robots_tell_at_once_is_one_line_and_their_figures_are_left_out() -> None:
+    def line(at: float, robot: str, text: str) -> EventLine:
+        return EventLine(at, robot, "event", text)
+
+    ports = (45054, 45054, 39916)
+    names = ("r3", "r1", "r2")
+    rows = [line(START + i / 10, name, "estopped by bob") for i, name in enumerate(names)]
+    rows += [
+        line(START + 0.3 + i / 10, name, f"estop, by bob from 10.0.0.2:{port}: applied")
+        for i, (name, port) in enumerate(zip(names, ports, strict=True))
+    ]
+    rows += [line(START + 0.5, "r1", "estopped by bob"), line(START + 2.0, "r2", "estopped by bob")]
+    assert [(one.text, robots) for one, robots in together(rows)] == [
+        ("estopped by bob", names),
+        ("estop, by bob from 10.0.0.2:..: applied", names),
+        ("estopped by bob", ("r1",)),
+        ("estopped by bob", ("r2",)),
+    ]
 
 
 def test_a_flood_of_one_robot_is_counted_and_leaves_the_others_alone() -> None:

@@ -79,16 +79,16 @@ class Outcome(Struct, frozen=True):
 
     @property
     def mistake(self) -> str:
-        """The text with which every robot refused the same mistake of the operator; else empty.
+        """The text with which all that answered refused one mistake of the operator; else empty.
 
-        Only the robots know which patterns they have, and which parameters those take.
+        Only the robots know which patterns they have, and which parameters those take. A robot that
+        does not answer makes a mistake no less one.
         """
         replies = self.replies.values()
         texts = {reply.text for reply in replies}
         is_mistake = all(reply.refusal in MISTAKES for reply in replies)
-        if self.targeted and len(self.refused) == self.targeted and is_mistake and len(texts) == 1:
-            return texts.pop()
-        return ""
+        is_refused = len(self.refused) == len(replies)
+        return texts.pop() if is_refused and is_mistake and len(texts) == 1 else ""
 
     @property
     def exit_code(self) -> int:

@@ -164,7 +164,7 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
             again = swarmctl("sim", "up", "-n", "2")
             (daemon,) = named("tb3-02", tmp_path)
             os.kill(daemon, signal.SIGKILL)
-            assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL: ")
+            assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL (log: ")
             wait_until(lambda: count_alive() == 1, "tb3-02 is listed as failed")
             restart = [sys.executable, "-m", "swarmd.cli.daemon", "--config", config]
             with subprocess.Popen(restart, stderr=subprocess.DEVNULL) as second:

@@ -145,5 +145,5 @@ def test_a_daemon_that_ends_ends_the_wait(tmp_path: Path) -> None:
     spec = make_spec(tmp_path)
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         os.kill(fleet.pids["tb3-01"], signal.SIGKILL)
-        with pytest.raises(SwarmError, match=r"tb3-01.*SIGKILL.*tb3-01\.log"):
+        with pytest.raises(SwarmError, match=r"tb3-01 was killed by SIGKILL \(log: .*tb3-01\.log"):
             await_robots(operator, fleet)

@@ -20,7 +20,7 @@ OF_A_VARIANT = {
     *("typical_trajectories.png", "typical_start_and_end.png"),
     *("least_typical_trajectories.png", "least_typical_start_and_end.png"),
 }
-BOTH = {f"law={law}_{name}" for law in ("settling", "paper") for name in OF_A_VARIANT}
+BOTH = {f"law-{law}_{name}" for law in ("settling", "paper") for name in OF_A_VARIANT}
 
 
 def names(paths: list[Path]) -> set[str]:
@@ -38,7 +38,7 @@ def test_all_is_drawn_and_a_damaged_and_a_missing_trace_are_one_line_each(
     (traces / "law=paper_s0000.npz").write_bytes(b"PK\x03\x04 no longer a trace")
     (traces / "law=paper_s0001.npz").unlink()
     made = draw_experiment(experiment, tmp_path / "out")
-    left = {f"law=paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
+    left = {f"law-paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
     assert BOTH - names(made) == left  # one run of that variant is left, the typical one
     assert {"intervals.png", "over_time_mean_distance_to_centroid.png"} <= names(made)
     assert len(names(made)) == len(made)
@@ -58,7 +58,7 @@ def test_one_run_has_no_worst_and_a_metric_of_one_value_is_not_drawn_and_named(
     made = draw_experiment(experiment, seeds=[1], metrics=metrics, look=Look(suffix=".svg"))
     assert {path.parent for path in made} == {experiment / "plots"}
     assert names(made) == {
-        f"law={law}_{name}.svg"
+        f"law-{law}_{name}.svg"
         for law in ("settling", "paper")
         for name in ("runs", "typical_trajectories", "typical_start_and_end")
     } | {"intervals.svg", "over_time_minimum_gap.svg"}
@@ -76,13 +76,13 @@ def test_pictures_name_scenario_variant_seed_and_value(
     with (experiment / "runs.csv").open() as file:
         gaps = {row["run"]: float(row["minimum_gap"]) for row in csv.DictReader(file)}
     worst = min(("law=paper_s0000", "law=paper_s0002"), key=gaps.__getitem__)
-    ways = texts["law=paper_worst_trajectories.svg"]
+    ways = texts["law-paper_worst_trajectories.svg"]
     assert f"gathering, law=paper, seed {int(worst[-4:])}" in ways
     assert f"worst run: minimum gap {gaps[worst]:.3g} m" in ways
     assert "target 0.25" in texts["over_time_minimum_gap.svg"]
     assert "m, target 0.25" in texts["intervals.svg"]
     assert "law=settling (n = 2)" in texts["intervals.svg"]
-    assert f"seed 2: {gaps['law=paper_s0002']:.3g} m" in texts["law=paper_runs.svg"]
+    assert f"seed 2: {gaps['law=paper_s0002']:.3g} m" in texts["law-paper_runs.svg"]
     assert warnings(caplog) == []
 
 
@@ -118,7 +118,7 @@ def test_an_experiment_without_finished_runs_is_one_clear_error(experiment: Path
 
 def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment: Path) -> None:
     made = names(draw_experiment(experiment, metrics=["box_contacts"], seeds=[0]))
-    assert {name.removeprefix("law=paper_") for name in made if "paper" in name} == {
+    assert {name.removeprefix("law-paper_") for name in made if "paper" in name} == {
         *("runs.png", "first_trajectories.png", "first_start_and_end.png")
     }
     assert "intervals.png" not in made

@@ -1,4 +1,7 @@
-"""Names written as ranges: `tb3-[01-40]`, `r[1-3,7]`, several separated by commas. Pure."""
+"""Names as users write them: ranges such as `tb3-[01-40]` and `r[1-3,7]`, globs, and commas. Pure.
+
+Keys, rosters and the targets of verbs are read here, so that a word means the same everywhere.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,12 @@ from itertools import product
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import check_id
-from swarmd.security.roster import MAX_NAMES
 
+MAX_NAMES = 2048
 _PARTS = re.compile(r"\[([^\[\]]*)\]")
 _COMMA = re.compile(r",(?![^\[]*\])")  # outside of brackets
 _NUMBERS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
+_GLOB = re.compile(r"[a-z0-9_*?-]{1,63}")
 _EXAMPLE = "tb3-[01-40]"
 
 
@@ -22,28 +26,29 @@ def expand_names(text: str) -> tuple[str, ...]:
 
     The width of a range's first number is the least width of all: `[01-40]` gives 01, 02, ... 40.
     """
-    names: dict[str, None] = {}
-    for word in _COMMA.split(text):
-        for name in _expanded(word.strip(), text):
-            check_id(name, f"a name of {text!r}")
-            if name in names:
-                raise ConfigError(f"{text!r} gives {name} twice; name it once")
-            names[name] = None
-            if len(names) > MAX_NAMES:
-                raise ConfigError(f"{text!r} gives more than {MAX_NAMES} names")
-    return tuple(names)
+    return tuple(check_id(name, f"a name of {text!r}") for name in _words(text))
+
+
+def expand_globs(text: str) -> tuple[str, ...]:
+    """As `expand_names`; `*` and `?` in a name stand for any characters, and for any one."""
+    words = _words(text)
+    for word in words:
+        if not _GLOB.fullmatch(word):
+            raise ConfigError(
+                f"{word!r} is no robot name; expected a-z, 0-9, _ and -, with * and ? for any"
+                f" characters, and numbers in brackets such as {_EXAMPLE}"
+            )
+    return words
 
 
 def select_names(words: tuple[str, ...], known: tuple[str, ...]) -> tuple[str, ...]:
     """The names that words, ranges and globs give, all of them without words. ConfigError."""
     chosen: dict[str, None] = {} if words else dict.fromkeys(known)
-    for word in words:
-        is_glob = "*" in word or "?" in word
-        found = [n for n in known if fnmatchcase(n, word)] if is_glob else expand_names(word)
-        for name in found or (word,):
-            if name not in known:
-                raise ConfigError(f"{unknown('name', name, known)}; see `swarmctl keys list`")
-            chosen[name] = None
+    for glob in (one for word in words for one in expand_globs(word)):
+        found = [name for name in known if fnmatchcase(name, glob)]
+        if not found:
+            raise ConfigError(f"{unknown('name', glob, known)}; see `swarmctl keys list`")
+        chosen |= dict.fromkeys(found)
     return tuple(chosen)
 
 
@@ -55,6 +60,18 @@ def check_distinct(*groups: Iterable[str]) -> None:
             if name in seen:
                 raise ConfigError(f"{name} is given two roles; each name has one")
             seen.add(name)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    names: dict[str, None] = {}
+    for word in _COMMA.split(text):
+        for name in _expanded(word.strip(), text):
+            if name in names:
+                raise ConfigError(f"{text!r} gives {name} twice; name it once")
+            names[name] = None
+            if len(names) > MAX_NAMES:
+                raise ConfigError(f"{text!r} gives more than {MAX_NAMES} names")
+    return tuple(names)
 
 
 def _expanded(word: str, text: str) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.security.names import check_distinct, expand_names, select_names
+from swarmd.core.names import check_distinct, expand_names, select_names
 
 
 @pytest.mark.parametrize(
