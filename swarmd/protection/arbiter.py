@@ -28,7 +28,7 @@ from swarmd.protection.decision import (
 )
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
-from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.recovery import NO_OTHERS, Clearance, Others, Recovery
 from swarmd.protection.tracks import Tracker
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ else:
     FollowingMonitor = load_kernel("swarmd.protection.following").FollowingMonitor
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
-_AVOIDING_PATIENCE = 2.0  # s of blocked motion before a robot that avoids recovers
 _STOPPED = ModeDecision(ZERO, is_active=False)
 _ZERO_TOLERANCE = 1e-9  # m/s or rad/s: what rounding leaves of a zero command
 _NO_POINTS = np.empty((0, 2))
@@ -132,8 +131,7 @@ class Protection:
         self._recovery: Recovery | None = None
         is_avoiding = platform.protection.get("avoidance", "none") == "orca"
         if clearance is not None:
-            patience = (_AVOIDING_PATIENCE,) if is_avoiding else ()
-            self._recovery = Recovery(clearance, platform.limits, seed, *patience)
+            self._recovery = Recovery(clearance, platform.limits, seed)
         self._avoidance: Avoidance | None = None
         if clearance is not None and is_avoiding:
             self._avoidance = Avoidance(clearance, platform.limits)
@@ -213,8 +211,15 @@ class Protection:
                 self._avoidance.reset()
             return self._decision(wanted, _STOPPED, hold, context)
         if recovery is not None and permit.may_recover:
-            passing = self._passing(wanted, context)
-            judged = recovery.replacement(passing, self._allowed, context, self._points)
+            passing, others = self._passing(wanted, context)
+
+            def allows(twist: Twist) -> Twist:
+                one, touch = self._limits.clip(twist), permit.touch
+                return self._arbiter.decide(one, context, command=self._safe, touch=touch).twist
+
+            judged = recovery.replacement(
+                passing, self._allowed, context, self._points, others, allows
+            )
         is_recovering = recovery is not None and recovery.is_active
         case = wanted, judged, judged is wanted, is_recovering, permit.touch
         if context is self._context and case == self._case:
@@ -240,16 +245,17 @@ class Protection:
         self._context, self._case = context, case
         return last
 
-    def _passing(self, wanted: Twist, context: DecisionContext) -> Twist:
+    def _passing(self, wanted: Twist, context: DecisionContext) -> tuple[Twist, Others]:
         """The command that leads past others; `wanted` if nothing is in its way."""
         avoidance, recovery = self._avoidance, self._recovery
         if avoidance is None or recovery is None:
-            return wanted
-        if recovery.is_active:
+            return wanted, NO_OTHERS
+        if recovery.has_taken_over:
             avoidance.avoiding = None
-            return wanted
+            return wanted, NO_OTHERS
         around = self._tracker.surroundings(context)
-        return avoidance.command(wanted, self._allowed, context.now, around)
+        passing = avoidance.command(wanted, self._allowed, context.now, around)
+        return passing, Others(wanted, avoidance.are_near, avoidance.avoiding is not None)
 
     def _points(self) -> Array:
         """(k, 2) returns of the scan within the lookahead, and of the ring, base frame, m."""
