@@ -10,6 +10,7 @@ gives it to others, compiled or interpreted.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import NO_PERMIT, Avoided, Decision, DecisionContext, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
-from swarmd.protection.recovery import Recovery
+from swarmd.protection.recovery import NO_OTHERS, Others, Recovery
 from swarmd.protection.tracks import Tracker
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -36,7 +37,6 @@ else:
     from swarmd.core.cython_shadow import fabs
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
-_AVOIDING_PATIENCE = 2.0  # s of blocked motion before a robot that avoids recovers
 # m/s or rad/s: what rounding leaves of a zero command
 _ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
 _NO_POINTS = np.empty((0, 2))
@@ -100,8 +100,7 @@ class Protection:
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         is_avoiding = platform.protection.get("avoidance", "none") == "orca"
         if clearance is not None:
-            patience = (_AVOIDING_PATIENCE,) if is_avoiding else ()
-            self._recovery = Recovery(clearance, platform.limits, seed, *patience)
+            self._recovery = Recovery(clearance, platform.limits, seed)
         if clearance is not None and is_avoiding:
             self._avoidance = Avoidance(clearance, platform.limits)
             self._tracker = Tracker(platform)
@@ -185,8 +184,11 @@ class Protection:
             return self._decision(wanted, _zero, False, (), hold, context)
         if recovery is not None and permit.may_recover:
             self._may_recover = True
-            passing = self._passing(wanted, context)
-            judged = recovery.replacement(passing, self._allowed, context, self._points)
+            passing, others = self._passing(wanted, context)
+            allows = partial(self._safe_for, context, touch)
+            judged = recovery.replacement(
+                passing, self._allowed, context, self._points, others, allows
+            )
             self._is_recovering = recovery.is_active
         if context is self._context:
             case = wanted, judged, judged is wanted, self._is_recovering, touch
@@ -214,16 +216,21 @@ class Protection:
         self._case = wanted, judged, judged is wanted, self._is_recovering, touch
         return last
 
-    def _passing(self, wanted: Twist, context: DecisionContext) -> Twist:
+    def _safe_for(self, context, touch, requested):
+        """The command that the mode allows for a requested one."""
+        return self._arbiter.decide(self._limits.clip(requested), context, self._safe, touch).twist
+
+    def _passing(self, wanted: Twist, context: DecisionContext) -> tuple[Twist, Others]:
         """The command that leads past others; `wanted` if nothing is in its way."""
         avoidance, recovery = self._avoidance, self._recovery
         if avoidance is None or recovery is None:
-            return wanted
-        if recovery.is_active:
+            return wanted, NO_OTHERS
+        if recovery.has_taken_over:
             avoidance.avoiding = None
-            return wanted
+            return wanted, NO_OTHERS
         around = self._tracker.surroundings(context)
-        return avoidance.command(wanted, self._allowed, context.now, around)
+        passing = avoidance.command(wanted, self._allowed, context.now, around)
+        return passing, Others(wanted, avoidance.are_near, avoidance.avoiding is not None)
 
     def _points(self) -> Array:
         """(k, 2) returns of the scan within the lookahead, and of the ring, base frame, m."""

@@ -20,7 +20,9 @@ from collections.abc import Iterable
 from operator import itemgetter
 from typing import NamedTuple
 
-from swarmd.core.values import Limits, Twist
+import numpy as np
+
+from swarmd.core.values import Array, Limits, Twist
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
 
@@ -36,7 +38,10 @@ _MOST_SIDE = 1.4  # rad
 _HELD_UP = 0.3  # of the requested speed: with less it is held up
 _LEAST_SHARE = 0.1  # of the limit: a slower request is no request to drive
 _COMFORT = 0.1  # m beyond the clearance of a corridor, as an object that moves needs more room
+_PASSAGE_REACH = (-0.2, 0.35)  # m before the axle at which walls on both sides are a passage
+_PASSAGE_WIDTHS = 1.4  # times the clearance to each side, at most
 _LEAD = (0.05, 0.3)  # m, of the point ahead of the axle
+_NEAR = 1.0  # m: others beyond that do not explain that the robot is blocked
 _EPSILON = 1e-9
 
 
@@ -52,18 +57,20 @@ class Line(NamedTuple):
 class Avoidance:
     """Chooses a command that leads past the tracks.
 
-    `avoiding`: the track that the last request would have met first; None if it passed. Times are
-    in s and come with each call.
+    `avoiding`: the track that the last request would have met first; None if it passed. `are_near`:
+    whether there are tracks near the robot. Times are in s and come with each call.
     """
 
     def __init__(self, clearance: Clearance, limits: Limits) -> None:
         self._radius, self._limits = clearance.beside, limits
+        self._body = 2.0 * clearance.body  # m, its width
         self._is_holonomic = limits.lateral > 0.0
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD[1]
         self._lead = 0.0 if self._is_holonomic else min(max(lead, _LEAD[0]), _LEAD[1])
         self._least = _LEAST_SHARE * limits.linear
         self._side, self._at, self._held = _SIDE, -math.inf, 0.0
         self.avoiding: Track | None = None
+        self.are_near = False
 
     def reset(self) -> None:
         """Forget how long the robot has been held up."""
@@ -75,8 +82,12 @@ class Avoidance:
         `safe` is the present command.
         """
         self.avoiding = None
+        self.are_near = any(math.hypot(one.x, one.y) < _NEAR for one in around.tracks)
         speed = math.hypot(requested.linear, requested.lateral)
         if speed < self._least:
+            return requested
+        if not around.tracks or self._is_in_passage(around.walls):
+            self.are_near = False
             return requested
         x, y = self._velocity(requested)
         # Without its turn: others see the axle, and a turn that ends goes nowhere.
@@ -106,6 +117,15 @@ class Avoidance:
         chosen = nearest(lines, walls, cos * x - sin * y, sin * x + cos * y, most)
         self._held_up(now, (chosen[0] * x + chosen[1] * y) / (most * most))
         return self._twist(chosen, requested)
+
+    def _is_in_passage(self, walls: Array) -> bool:
+        """True between walls that leave no room to go aside, where recovery keeps the middle."""
+        (first, last), widest = _PASSAGE_REACH, _PASSAGE_WIDTHS * self._radius
+        x, y = walls[:, 0], walls[:, 1]
+        near = walls[(x > first) & (x < last) & (np.abs(y) < widest)]
+        across = near[near[:, 1] > 0.0][:, None] - near[near[:, 1] <= 0.0]
+        width = float(np.hypot(across[..., 0], across[..., 1]).min(initial=math.inf))
+        return self._body < width < 2.0 * widest
 
     def _held_up(self, now: float, share: float) -> None:
         """Note that the robot may move at this share of the requested speed."""

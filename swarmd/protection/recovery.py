@@ -8,7 +8,8 @@ the right side (after the vector field histogram, Borenstein and Koren 1991).
 In a door or a narrow corridor it keeps the robot on the middle line (pure pursuit, Coulter 1992)
 and asks for little more speed than protection allows; otherwise protection would turn the robot
 aside, because a turn can leave it more speed. Where two meet and neither can pass, each backs off
-for a random time that grows (Metcalfe and Boggs 1976); a robot that has gained ground waits.
+for a random time that grows (Metcalfe and Boggs 1976); a robot that has gained ground waits. A
+robot that can neither turn nor go on moves along the way that protection allows most.
 
 The creeping of a robot that touches something is in barrier.py (`CREEP_SPEED`).
 """
@@ -47,11 +48,17 @@ _PASSAGE_GAIN, _PASSAGE_TURN_RATE = 3.0, 0.8  # 1/s, rad/s
 _PASSAGE_REACH = (-0.15, 0.35)  # m before the axle at which the sides of a passage count
 _SPEED_UP, _SPEED_STEP = 1.3, 0.1  # of the allowed speed, and of the limit in addition
 _STOPPED_TIME = 1.0  # s without motion in a passage after which it counts as blocked
+_STALL_TIME = 5.0  # s within which a robot must move or turn by these, or it counts as blocked
+_STALL_WAY, _STALL_TURN = 0.04, 1.0  # m, rad
+_CREEP_TIME = 4.0  # s, the longest back-off at a creep
+_ESCAPE_TURNS = (0.0, 1.0, -1.0)  # rad/s
+_CROWD_PATIENCE = 2.0  # s of blocked motion before a robot beside others recovers
 _AXIS_BEARINGS = np.array((0.0, np.pi))
 _BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0))
 
 
 Points: TypeAlias = Callable[[], Array]
+Allows: TypeAlias = Callable[[Twist], Twist]
 
 
 class Clearance(NamedTuple):
@@ -65,6 +72,20 @@ class Clearance(NamedTuple):
     body: float = 0.0
 
 
+class Others(NamedTuple):
+    """What avoidance knows: whether moving objects are near, and whether one is led past.
+
+    `wanted` is the pattern's request if avoidance has replaced it.
+    """
+
+    wanted: Twist | None = None
+    are_near: bool = False
+    are_avoided: bool = False
+
+
+NO_OTHERS = Others()
+
+
 class Recovery:
     """States: follow (inactive), pass (a narrow passage), back (off), turn and go (to a corridor).
 
@@ -72,14 +93,8 @@ class Recovery:
     which a corridor is checked.
     """
 
-    def __init__(
-        self,
-        clearance: Clearance,
-        limits: Limits,
-        seed: str,
-        patience: float = _MOVE_BLOCKED_TIME,
-    ) -> None:
-        """`seed` seeds the random choices, `patience`: s of blocked motion before it begins.
+    def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
+        """`seed` seeds the random choices.
 
         `clearance` is the room, ahead and to each side, that a corridor needs so that protection
         allows nearly full speed.
@@ -95,14 +110,16 @@ class Recovery:
         self._side, self._side_until = -1.0, -math.inf
         self._bearing = self._yaw = self._speed = 0.0
         self._is_backing = False
+        self._escape: Twist | None = None
         self._attempts, self._back_time = 0, _BACK_OFF_TIME
-        self._patience = self._least_patience = patience
+        self._patience = _MOVE_BLOCKED_TIME
         self._last_block: tuple[float, Pose] | None = None
         self.reset()
 
     def reset(self) -> None:
         """Become inactive: the requested command passes."""
         self._state, self._request = "follow", ZERO
+        self._moved: tuple[float, Pose] | None = None
         self._since = self._began = -math.inf
         self._blocked_since: float | None = None
 
@@ -111,48 +128,65 @@ class Recovery:
         """True while recovery replaces the requested command."""
         return self._state != "follow"
 
+    @property
+    def has_taken_over(self) -> bool:
+        """True while the command does not depend on the requested one."""
+        return self._state not in {"follow", "pass"}
+
     def replacement(
-        self, requested: Twist, safe: Twist, context: DecisionContext, points: Points
+        self,
+        requested: Twist,
+        safe: Twist,
+        context: DecisionContext,
+        points: Points,
+        others: Others = NO_OTHERS,
+        allows: Allows | None = None,
     ) -> Twist:
         """The command to request instead; `requested` itself while nothing blocks it.
 
         `safe` is the last safe command, `points` returns the scan as points (k, 2) in the base
-        frame in m.
+        frame in m, `allows` the safe command for a requested one.
         """
-        now = context.now
-        is_idle = not (self._is_moving(requested) or self._is_turning(requested))
-        is_under_way = self._state not in {"follow", "pass"}
-        if is_idle or (is_under_way and now - self._began > _MAX_RECOVERY_TIME + self._back_time):
+        now, wanted = context.now, others.wanted or requested
+        is_idle = not (self._is_moving(wanted) or self._is_turning(wanted))
+        since = now - self._began
+        if is_idle or (self.has_taken_over and since > _MAX_RECOVERY_TIME + self._back_time):
             self.reset()
             return requested
-        is_blocked = self._is_blocked(safe, now)
-        if self._state in {"follow", "pass"}:
-            if not is_blocked:
-                self._request = self._through_passage(requested, safe, points)
+        patience = _CROWD_PATIENCE if others.are_near else self._patience
+        is_blocked = self._is_blocked(safe, now, patience)
+        if not self.has_taken_over:
+            if not is_blocked and not self._is_stalled(context):
+                if others.are_avoided:
+                    self._leave_passage()
+                    self._request = requested
+                else:
+                    self._request = self._through_passage(requested, safe, points)
                 return self._request
             if self._waits(context, points()):
                 return self._request
-            self._start(requested, context, points())
+            self._start(wanted, context, points())
             is_blocked = False
-        self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
-        self._request = self._recover(context, points, is_blocked)
+        self._speed = max(self._speed, math.hypot(wanted.linear, wanted.lateral))
+        self._request = self._recover(safe, context, points, is_blocked, allows)
         return self._request
 
     def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
         """Back off if moving was blocked; plan at once if turning was."""
         self._began, self._speed = context.now, 0.5 * self._limits.linear
+        self._moved = None
         if self._is_moving(requested):
             self._back_off(points, context.now)
         else:
             self._plan(0.0, context, points)
 
-    def _is_blocked(self, safe: Twist, now: float) -> bool:
+    def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """True once the safe command has been far below the last request for some time."""
         request = self._request
         is_moving = self._is_moving(request)
         share = 1.0
-        if self._state == "pass":
-            share = 1.0 if safe.linear >= 0.25 * self._least_linear else 0.0
+        if self._state == "pass" or self._creeps(safe):
+            share = 1.0 if abs(safe.linear) >= 0.25 * self._least_linear else 0.0
         elif is_moving or self._is_turning(request):
             share = self._product(safe, request) / self._product(request, request)
         if share >= _BLOCKED_SHARE:
@@ -161,9 +195,31 @@ class Recovery:
         if self._blocked_since is None:
             self._blocked_since = now
         if self._state == "pass":
-            return now - self._blocked_since >= max(_STOPPED_TIME, self._patience)
-        least = self._patience if self._state == "follow" else _MOVE_BLOCKED_TIME
+            return now - self._blocked_since >= max(_STOPPED_TIME, patience)
+        least = patience if self._state == "follow" else _MOVE_BLOCKED_TIME
         return now - self._blocked_since >= (least if is_moving else _TURN_BLOCKED_TIME)
+
+    def _creeps(self, safe: Twist) -> bool:
+        """True if a robot that backs off may only creep, as it must until it is out of contact."""
+        asked = self._request.linear
+        allowed = safe.linear if asked > 0.0 else -safe.linear
+        return self._state == "back" and 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
+
+    def _is_stalled(self, context: DecisionContext) -> bool:
+        """True if the robot has neither moved nor turned for some time, whatever was allowed.
+
+        It may rock to and fro, or get a request near zero from avoidance.
+        """
+        if context.odometry is None:
+            return False
+        now, pose = context.now, context.odometry.pose
+        if self._moved is not None:
+            since, place = self._moved
+            way = math.hypot(pose.x - place.x, pose.y - place.y)
+            if way <= _STALL_WAY and abs(pose.yaw - place.yaw) <= _STALL_TURN:
+                return now - since > _STALL_TIME
+        self._moved = now, pose
+        return False
 
     def _product(self, a: Twist, b: Twist) -> float:
         """The inner product of two twists in m2/s2, with turns scaled by the ratio of the limits.
@@ -183,13 +239,13 @@ class Recovery:
         is_beside = np.abs(_BEARINGS) <= 0.5 * np.pi
         is_enclosed = self._free_lengths(points, _BEARINGS[is_beside]).max() < self.lookahead
         before, self._last_block = self._last_block, None if pose is None else (now, pose)
-        patience, self._patience = self._patience, self._least_patience
+        patience, self._patience = self._patience, _MOVE_BLOCKED_TIME
         if not is_enclosed or before is None or pose is None or now - before[0] > _ROUND_TIME:
             self._attempts, self._back_time = 0, _BACK_OFF_TIME
             return False
         dx, dy = pose.x - before[1].x, pose.y - before[1].y
         gain = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
-        if gain > _MIN_GAIN and patience == self._least_patience:
+        if gain > _MIN_GAIN and patience == _MOVE_BLOCKED_TIME:
             self._patience = self._rng.uniform(*_PATIENCE)
             return True
         self._attempts += 1
@@ -217,12 +273,21 @@ class Recovery:
         turn = max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
         return Twist(min(requested.linear, allowed), turn)
 
-    def _recover(self, context: DecisionContext, points: Points, is_blocked: bool) -> Twist:
+    def _recover(
+        self,
+        safe: Twist,
+        context: DecisionContext,
+        points: Points,
+        is_blocked: bool,
+        allows: Allows | None,
+    ) -> Twist:
         """Change the state if necessary; the command of the present state."""
         now = context.now
+        back_time = _CREEP_TIME if self._creeps(safe) else self._back_time
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
-        elif self._state == "back" and (is_blocked or now - self._since >= self._back_time):
+            self._escape = None if allows is None else self._fastest_escape(allows)
+        elif self._state == "back" and (is_blocked or now - self._since >= back_time):
             self._plan(0.0, context, points())
         elif self._state == "go" and is_blocked:
             self._plan(self._bearing - self._turned_since_plan(context), context, points())
@@ -240,6 +305,8 @@ class Recovery:
     def _backing(self, points: Points) -> Twist:
         """The command that backs off, along the middle line of a narrow passage."""
         speed = 0.5 * self._speed
+        if self._escape is not None:
+            return self._escape
         if not self._is_backing:
             return Twist(speed)
         if self._back_time <= _BACK_OFF_TIME:
@@ -288,8 +355,19 @@ class Recovery:
     def _back_off(self, points: Array, now: float) -> None:
         """Move forward or backward, to the side with more room."""
         ahead, behind = self._free_lengths(points, _AXIS_BEARINGS)
-        self._is_backing = bool(behind > ahead)
+        self._is_backing, self._escape = bool(behind > ahead), None
         self._enter("back", now)
+
+    def _fastest_escape(self, allows: Allows) -> Twist | None:
+        """Of six ways to move, the one that protection lets go fastest; None if it allows none."""
+        speed, fastest, found = 0.5 * self._speed, 0.0, None
+        for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
+            for turn in _ESCAPE_TURNS:
+                one = Twist(sign * speed, turn)
+                allowed = sign * allows(one).linear
+                if allowed > fastest + 0.01 * speed:
+                    fastest, found = allowed, one
+        return found
 
     def _plan(self, heading: float, context: DecisionContext, points: Array) -> None:
         """Choose the free corridor nearest to `heading`, a bearing in rad in the base frame."""

@@ -7,6 +7,9 @@ part of a wall moves with what hides it. Each object has a filter with constant 
 and data association", 1988) in the frame of the odometry. The time of a cluster is that of its own
 rays, which a rotating sensor measures one after the other.
 
+A place that others tell is an object, too: a lidar may look over them. Its error counts three times
+that of a seen one.
+
 Tracks choose a way and never make a gap smaller: protection does not read them.
 """
 
@@ -71,7 +74,7 @@ class Surroundings(NamedTuple):
 
 
 class _Cluster(NamedTuple):
-    """An object of one scan in the frame of the odometry, m, and s.
+    """An object of one scan, or a told one, in the frame of the odometry, m, and s.
 
     The mean return `x`, `y`, the direction `dx`, `dy` from the lidar, half of the visible width,
     the range, and the number of ends (0 to 2) that no nearer object hides.
@@ -85,6 +88,7 @@ class _Cluster(NamedTuple):
     range: float
     ends: int
     at: float
+    is_told: bool = False
 
 
 class _Filter:
@@ -187,6 +191,7 @@ class Tracker:
         at = self._history[-1].stamp + context.odometry_age - newest - context.scan_delay
         pose = self._pose(at)
         clusters, ranges, bearings, walls = self._clusters(scan, pose, at)
+        clusters += self._told(context)
         for one in self._filters:
             one.predict(at)
         is_used = self._associate(clusters)
@@ -258,6 +263,17 @@ class Tracker:
                 )
             later = earlier
         return later.pose
+
+    def _told(self, context: DecisionContext) -> list[_Cluster]:
+        """The obstacles that others tell of; a told radius contains the error."""
+        found, now = [], self._history[-1].stamp + (context.odometry_age or 0.0)
+        for one in context.told:
+            pose = self._pose(now - one.age)
+            cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+            x, y = pose.x + cos * one.x - sin * one.y, pose.y + sin * one.x + cos * one.y
+            way = math.hypot(one.x, one.y)
+            found.append(_Cluster(x, y, 0.0, 0.0, one.radius, way, 1, now - one.age, True))
+        return found
 
     def _clusters(
         self, scan: Scan, pose: Pose, at: float
@@ -369,7 +385,8 @@ class Tracker:
     def _is_part(self, cluster: _Cluster) -> bool:
         """True if a cluster is a part of an object that another part has shown."""
         return any(
-            math.hypot(one.x - cluster.x, one.y - cluster.y) < one.radius + _PART
+            math.hypot(one.x - cluster.x, one.y - cluster.y)
+            < (max(one.radius, cluster.half) if cluster.is_told else one.radius) + _PART
             for one in self._filters
         )
 

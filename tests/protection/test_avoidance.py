@@ -18,7 +18,7 @@ from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
 from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
-from tests.support.filter_sim import FilterSim, pole, under_barrier
+from tests.support.filter_sim import FilterSim, box, pole, under_barrier
 
 BURGER = under_barrier(load_platform("burger"))
 AVOIDING = replace(BURGER, protection={**BURGER.protection, "avoidance": "orca"})
@@ -88,13 +88,24 @@ def test_a_robot_beside_a_wall_goes_aside_less() -> None:
 
 def test_a_robot_drives_along_a_wall_at_the_gap_that_protection_allows() -> None:
     walls = np.stack((np.linspace(-0.5, 1.5, 40), np.full(40, -0.125)), axis=1)
+    assert made().command(AHEAD, AHEAD, 0.0, Surroundings((track(2.0, 1.0),), walls)) is AHEAD
+
+
+def test_a_wall_ahead_slows_a_robot_that_is_not_alone() -> None:
+    walls = np.stack((np.full(40, 0.25), np.linspace(-1.0, 1.0, 40)), axis=1)
+    chosen = made().command(AHEAD, AHEAD, 0.0, Surroundings((track(2.0, 1.0),), walls))
+    assert chosen.linear < 0.15
     assert made().command(AHEAD, AHEAD, 0.0, Surroundings((), walls)) is AHEAD
 
 
-def test_a_wall_ahead_slows_the_robot() -> None:
-    walls = np.stack((np.full(40, 0.25), np.linspace(-1.0, 1.0, 40)), axis=1)
-    chosen = made().command(AHEAD, AHEAD, 0.0, Surroundings((), walls))
-    assert chosen.linear < 0.15
+def test_between_walls_nothing_is_led_past() -> None:
+    along = np.linspace(-0.5, 1.5, 40)
+    walls = np.concatenate([np.stack((along, np.full(40, y)), axis=1) for y in (-0.2, 0.2)])
+    avoidance, found = made(), track(0.7, 0.0, -0.2)
+    assert avoidance.command(AHEAD, AHEAD, 0.0, Surroundings((found,), walls)) is AHEAD
+    assert not avoidance.are_near
+    assert avoidance.command(AHEAD, AHEAD, 0.1, Surroundings((found,), walls[:40])) is not AHEAD
+    assert avoidance.are_near
 
 
 @settings(max_examples=examples(200))
@@ -157,3 +168,13 @@ def test_a_decision_says_what_is_avoided_and_keeps_the_margin() -> None:
     assert avoided[0].distance == pytest.approx(0.9, abs=0.2)
     assert not any(decision.is_recovering for _, decision in ride.decisions)
     assert ride.min_gap > 0.05
+
+
+@pytest.mark.parametrize(("is_alone", "least", "most"), [(True, 0.0, 0.1), (False, 4.0, 5.0)])
+def test_a_robot_beside_an_object_recovers_later(is_alone: bool, least: float, most: float) -> None:
+    begin = []
+    for platform in (BURGER, AVOIDING):
+        shapes = [box(0.1, 4.0, Pose(0.6)), *([] if is_alone else [pole(0.1, Pose(0.0, 0.7))])]
+        ride = FilterSim(platform, shapes).run(AHEAD, 8.0, Permit(may_recover=True))
+        begin.append(next(time for time, decision in ride.decisions if decision.is_recovering))
+    assert least <= begin[1] - begin[0] <= most

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Limits, Platform, Pose, Twist
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Twist
 from swarmd.protection.decision import DecisionContext, Permit
-from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.recovery import NO_OTHERS, Clearance, Others, Recovery
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 
@@ -51,6 +52,71 @@ def test_a_turn_that_protection_allows_is_not_blocked(safe: Twist, is_active: bo
         context = DecisionContext(now, 0.0)
         recovery.replacement(Twist(0.03, 2.84), safe, context, lambda: np.array([[0.3, 0.0]]))
     assert recovery.is_active == is_active
+
+
+SIDES = np.array([[0.05, 0.17], [0.05, -0.17]])
+
+
+def asked(
+    seconds: float,
+    *,
+    others: Others = NO_OTHERS,
+    request: Twist = AHEAD,
+    points: Array = SIDES,
+    safe: Callable[[Twist], Twist] = lambda twist: ZERO,
+    turning: float = 0.0,
+) -> list[tuple[bool, Twist]]:
+    """Whether recovery is active, and its command, at each tick of a robot that does not move."""
+    recovery = Recovery(Clearance(0.5, 0.2, 0.09), Limits(0.22, 2.84), "seed")
+    twist, found = request, []
+    for tick in range(round(seconds / TICK)):
+        odometry = Odometry(tick * TICK, Pose(0.0, 0.0, turning * tick * TICK), ZERO)
+        context = DecisionContext(tick * TICK, 0.0, odometry, 0.0)
+        twist = recovery.replacement(request, safe(twist), context, lambda: points, others, safe)
+        found.append((recovery.has_taken_over, twist))
+    return found
+
+
+def first(found: list[tuple[bool, Twist]]) -> float:
+    """The time in s at which recovery takes over; inf: never."""
+    return next((tick * TICK for tick, (is_active, _) in enumerate(found) if is_active), math.inf)
+
+
+WALL_AHEAD = np.array([[0.25, 0.0]])
+
+
+@pytest.mark.parametrize(("are_near", "after"), [(False, 0.1), (True, 2.0)])
+def test_a_robot_beside_others_waits_before_it_recovers(are_near: bool, after: float) -> None:
+    found = asked(4.0, others=Others(AHEAD, are_near), points=WALL_AHEAD)
+    assert first(found) == pytest.approx(after, abs=2.0 * TICK)
+
+
+@pytest.mark.parametrize(("turning", "after"), [(0.0, 5.0), (0.5, math.inf)])
+def test_a_robot_that_stays_where_it_is_recovers(turning: float, after: float) -> None:
+    # Avoidance asks for nothing, and protection allows all.
+    found = asked(8.0, others=Others(AHEAD), request=ZERO, safe=lambda one: one, turning=turning)
+    assert first(found) == pytest.approx(after, abs=2.0 * TICK)
+
+
+@pytest.mark.parametrize("are_avoided", [False, True])
+def test_the_room_between_others_is_no_passage(are_avoided: bool) -> None:
+    others = Others(AHEAD, are_near=True, are_avoided=are_avoided)
+    twist = asked(0.5, others=others, safe=lambda one: Twist(0.6 * one.linear))[-1][1]
+    assert (twist == AHEAD) == are_avoided
+
+
+def test_a_robot_that_creeps_out_of_contact_goes_on() -> None:
+    found = asked(4.0, points=WALL_AHEAD, safe=lambda one: Twist(max(-0.01, min(one.linear, 0.0))))
+    assert all(twist.linear < 0.0 for is_active, twist in found[10:] if is_active)
+
+
+def test_a_robot_that_cannot_turn_moves_as_protection_allows() -> None:
+    def safe(twist: Twist) -> Twist:
+        return twist if twist.linear < 0.0 and twist.angular > 0.0 else ZERO
+
+    angles = np.radians(np.arange(-130.0, 131.0, 5.0))  # all but the back
+    found = asked(4.0, points=0.3 * np.stack((np.cos(angles), np.sin(angles)), axis=1), safe=safe)
+    assert any(twist.linear < 0.0 and twist.angular > 0.0 for _, twist in found)
 
 
 def still(platform: Platform) -> Platform:

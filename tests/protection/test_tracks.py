@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.protection.tracks import Surroundings, Tracker
 from swarmd.settings.platforms import load_platform
 
@@ -54,14 +54,24 @@ class Watch:
         self.rate, self.noise, self.lost = rate, noise, lost
         self.rng = np.random.default_rng(1)
         self.now, self.scans, self.ticks, self.wall = 0.0, 0, 0, WALL
+        self.told: Way | None = None  # of a disc that others tell of
+        self.told_rate = 10.0
 
-    def pose(self) -> Pose:
+    def pose(self, at: float | None = None) -> Pose:
         """The pose after driving straight ahead or turning on the spot."""
-        return Pose(self.own.linear * self.now, 0.0, self.own.angular * self.now)
+        now = self.now if at is None else at
+        return Pose(self.own.linear * now, 0.0, self.own.angular * now)
 
     def context(self) -> DecisionContext:
         """That of a decision now, with an odometry that has just arrived."""
-        return DecisionContext(self.now, 0.0, self.odometry(), 0.0)
+        told: tuple[ToldObstacle, ...] = ()
+        if self.told is not None:
+            at = math.floor(self.now * self.told_rate) / self.told_rate - 0.1
+            (x, y), pose = self.told(at), self.pose(at)
+            cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+            dx, dy = x - pose.x, y - pose.y
+            told = (ToldObstacle(cos * dx + sin * dy, cos * dy - sin * dx, 0.2, self.now - at),)
+        return DecisionContext(self.now, 0.0, self.odometry(), 0.0, told=told)
 
     def odometry(self) -> Odometry:
         """The true motion."""
@@ -169,3 +179,33 @@ def test_two_objects_in_an_open_field_are_two_tracks() -> None:
     watch = Watch(discs)
     watch.wall = -100.0
     assert len(watch.run(1.0).tracks) == 2
+
+
+@pytest.mark.parametrize("told_rate", [2.0, 10.0])
+@pytest.mark.parametrize("own", [ZERO, Twist(0.1), Twist(0.0, 0.5)])
+def test_an_object_that_is_told_and_not_seen_is_tracked(own: Twist, told_rate: float) -> None:
+    watch = Watch([], own=own, rate=10.0)
+    watch.told, watch.told_rate = crossing, told_rate
+    (track,) = watch.run(3.0).tracks
+    pose, (x, y) = watch.pose(), crossing(watch.now)
+    dx, dy = x - pose.x, y - pose.y
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    place = cos * dx + sin * dy, cos * dy - sin * dx
+    assert (track.x, track.y) == pytest.approx(place, abs=0.04)
+    assert math.hypot(track.vx, track.vy) == pytest.approx(0.2, abs=0.04)
+    assert track.radius == pytest.approx(0.2)
+
+
+def test_an_object_that_is_told_and_seen_is_one_track() -> None:
+    watch = Watch([(crossing, 0.1)])
+    watch.told = lambda t: (1.0, crossing(t)[1] + 0.18)
+    (track,) = watch.run(3.0).tracks
+    assert track.radius < 0.15
+
+
+def test_an_object_that_is_told_no_longer_is_forgotten() -> None:
+    watch = Watch([])
+    watch.told = crossing
+    assert len(watch.run(2.0).tracks) == 1
+    watch.told = None
+    assert watch.run(2.0).tracks == ()
