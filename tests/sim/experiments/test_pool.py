@@ -19,7 +19,9 @@ from swarmd.sim.experiments.pool import (
     run_job,
     run_jobs,
 )
-from swarmd.sim.scenarios.scenariofile import load_scenario
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.lockstep.processes import RunProcess
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from tests.support.processes import children
 
 END = "groups.all.parameters.end"
@@ -118,8 +120,11 @@ def test_a_process_of_a_run_that_fails_is_named(duo: Path, end: str, words: str)
     faulty = Job(
         "s0", {**plain, "groups": {"first": plain["groups"]["all"], "last": last}}, 0, None
     )
+    process, last_row = RunProcess(0, 3), 2
+    Lockstep(scenario_of(faulty.effective), 0, process)
+    [at] = [index for index, rows in enumerate(process.rows_of) if last_row in rows]
     found = {r.run: r for r in results(run_jobs([faulty, job(duo, 1)], 1, timeout=3.0, cores=3))}
-    assert found["s0"].reason.startswith("process 3 of the 3 of this run")
+    assert found["s0"].reason.startswith(f"process {at + 1} of the 3 of this run")
     assert words in found["s0"].reason
     assert found["s1"].metrics is not None
     assert set(children(os.getpid())) == before
