@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from shutil import get_terminal_size
 from typing import TYPE_CHECKING
 
 import click
@@ -12,7 +11,7 @@ from msgspec import to_builtins
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, Failure, VerbGroup, common_options
-from swarmd.cli.output import print_json, print_section, print_table
+from swarmd.cli.output import print_json, print_section, print_table, terminal_width
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.cli.targets import check_known
 from swarmd.core import codec
@@ -61,7 +60,7 @@ def members(options: CommonOptions, wide: bool) -> None:
                 rows = [(*row(one)[:-1], *wide_cells(one), row(one)[-1]) for one in seen]
                 print_table((*HEADER[:-1], *WIDE, HEADER[-1]), rows)
             else:
-                print_table(HEADER, [*map(row, seen)], width=get_terminal_size().columns)
+                print_table(HEADER, [*map(row, seen)], width=terminal_width())
             for note in notes:
                 click.echo(printable(f"# {note}"))
         click.get_current_context().exit(exit_code_of(view, view.expected))

@@ -68,6 +68,13 @@ def print_table(
         click.echo(line, color=is_coloured)
 
 
+def terminal_width() -> int:
+    """$COLUMNS, or the columns of the terminal; 80 without one. shutil's takes 4 ms to import."""
+    with contextlib.suppress(OSError, ValueError):
+        return int(os.environ.get("COLUMNS") or os.get_terminal_size().columns)
+    return 80
+
+
 def table_lines(
     header: Sequence[str], rows: Sequence[Sequence[str]], *, is_coloured: bool = False
 ) -> list[str]:

@@ -25,121 +25,55 @@ OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
 PLUGINS = "Simulate, and verbs of other plugins"
 
 
-def _row(name: str, section: str, example: str, file: str = "") -> LazyVerb:
-    """A verb of robots; its line is that of the table of verbs. `file`: if not that of its name."""
-    place = f"swarmd.cli.{file or name}:{name}"
-    return LazyVerb(place, verbs.VERBS[name].help, section, f"swarmctl {name} {example}".rstrip())
+def _verb(
+    name: str, section: str, example: str = "", text: str = "", file: str = ""
+) -> tuple[str, LazyVerb]:
+    """A verb by its name. `text`: if not of the table of verbs; `file`: if not that of its name."""
+    place, example = f"swarmd.cli.{file or name}:{name}", f"swarmctl {name} {example}".rstrip()
+    return name, LazyVerb(place, text or verbs.VERBS[name].help, section, example)
 
 
-# Those of a section stand together.
-VERBS = {
-    "members": _row("members", LOOK, "--wide"),
-    "describe": LazyVerb(
-        "swarmd.cli.members:describe",
-        "Show one robot in detail, and why it does not move.",
-        LOOK,
-        "swarmctl describe tb3-03",
-    ),
-    "goal": _row("goal", LOOK, ""),
-    "events": LazyVerb(
-        "swarmd.cli.events:events",
-        "Print what happened to robots, and follow it.",
-        LOOK,
-        "swarmctl events -f",
-    ),
-    "view": LazyVerb(
-        "swarmd.cli.view:view",
-        "Show a living swarm: map, list, details and commands.",
-        LOOK,
-        "swarmctl view --web",
-    ),
-    "top": LazyVerb("swarmd.cli.top:top", "Show the robots by load.", LOOK, "swarmctl top"),
-    "doctor": _row("doctor", LOOK, "--all"),
-    "links": _row("links", LOOK, ""),
-    "logs": _row("logs", LOOK, "tb3-03 -f"),
-    "audit": _row("audit", LOOK, "--since 1h"),
-    "run": _row("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s"),
-    "stop": _row("stop", MOVE, "", "stop_and_reset"),
-    "estop": _row("estop", MOVE, "--reason 'a person in the arena'", "stop_and_reset"),
-    "reset": _row("reset", MOVE, "--all", "stop_and_reset"),
-    "param": _row("param", MOVE, "set --all speed=0.2"),
-    "resume": _row("resume", MOVE, "tb3-07", "goal"),
-    "undo": LazyVerb(
-        "swarmd.cli.goal:undo",
-        "Set the goal before the present one again.",
-        MOVE,
-        "swarmctl undo",
-    ),
-    "wait": LazyVerb(
-        "swarmd.cli.wait:wait",
-        "Wait until robots are as they are wanted.",
-        MOVE,
-        "swarmctl wait --all --for state=running --timeout 30s",
-    ),
-    "label": _row("label", MOVE, "tb3-01 tb3-02 +red"),
-    "diff": LazyVerb(
-        "swarmd.cli.apply:diff",
-        "Show what a swarm file would change.",
-        FILES,
-        "swarmctl diff swarm.yaml",
-    ),
-    "apply": LazyVerb(
-        "swarmd.cli.apply:apply",
-        "Set labels, goal and parameters of a swarm file.",
-        FILES,
-        "swarmctl apply swarm.yaml",
-    ),
-    "patterns": LazyVerb(
-        "swarmd.cli.patterns:patterns",
-        "List patterns and their parameters.",
-        OWN,
-        "swarmctl patterns show attraction",
-    ),
-    "plugin": LazyVerb(
-        "swarmd.cli.plugin:plugin",
-        "Write, check and reload patterns of your own, and push them to robots.",
-        OWN,
-        "swarmctl plugin new swirl",
-    ),
-    "mission": LazyVerb(
-        "swarmd.cli.patterns:mission",
-        "Check a mission before robots run it.",
-        OWN,
-        "swarmctl mission check patrol.yaml",
-    ),
-    "record": _row("record", RECORD, "start --all"),
-    "replay": LazyVerb(
-        "swarmd.cli.replay:replay",
-        "Repeat a recorded run without a robot, and compare its commands.",
-        RECORD,
-        "swarmctl replay tb3-01.mcap",
-    ),
-    "calibrate": LazyVerb(
-        "swarmd.cli.calibrate:calibrate",
-        "Measure brakes, delays and scales of a robot by a few short drives.",
-        RECORD,
-        "swarmctl calibrate tb3-01 --floor 2.5",
-    ),
-    "keys": LazyVerb(
-        "swarmd.cli.keys:keys",
-        "Make, hand out, renew and revoke the keys of a swarm.",
-        HERE,
-        "swarmctl keys init meadow --robots 'tb3-[01-07]'",
-    ),
-    "context": LazyVerb(
-        "swarmd.cli.context:context",
-        "Keep network options by name, and use one set of them.",
-        HERE,
-        "swarmctl context use lab",
-    ),
-    "completion": LazyVerb(
-        "swarmd.cli.completion:completion",
-        "Print the script that completes lines with Tab in bash, zsh or fish.",
-        HERE,
-        "swarmctl completion bash",
-    ),
-}
-"""The verbs that come with swarmd, as `swarmctl --help` shows them."""
+# fmt: off
+VERBS = dict((
+    _verb("members", LOOK, "--wide"),
+    _verb("describe", LOOK, "tb3-03",
+          "Show one robot in detail, and why it does not move.", "members"),
+    _verb("goal", LOOK),
+    _verb("events", LOOK, "-f", "Print what happened to robots, and follow it."),
+    _verb("view", LOOK, "--web", "Show a living swarm: map, list, details and commands."),
+    _verb("top", LOOK, "", "Show the robots by load."),
+    _verb("doctor", LOOK, "--all"),
+    _verb("links", LOOK),
+    _verb("logs", LOOK, "tb3-03 -f"),
+    _verb("audit", LOOK, "--since 1h"),
+    _verb("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s"),
+    _verb("stop", MOVE, file="stop_and_reset"),
+    _verb("estop", MOVE, "--reason 'a person in the arena'", file="stop_and_reset"),
+    _verb("reset", MOVE, "--all", file="stop_and_reset"),
+    _verb("param", MOVE, "set --all speed=0.2"),
+    _verb("resume", MOVE, "tb3-07", file="goal"),
+    _verb("undo", MOVE, "", "Set the goal before the present one again.", "goal"),
+    _verb("wait", MOVE, "--all --for state=running", "Wait until robots are as they are wanted."),
+    _verb("label", MOVE, "tb3-01 tb3-02 +red"),
+    _verb("diff", FILES, "swarm.yaml", "Show what a swarm file would change.", "apply"),
+    _verb("apply", FILES, "swarm.yaml", "Set labels, goal and parameters of a swarm file."),
+    _verb("patterns", OWN, "show attraction", "List patterns and their parameters."),
+    _verb("plugin", OWN, "new swirl",
+          "Write, check and reload patterns of your own, and push them to robots."),
+    _verb("mission", OWN, "check patrol.yaml", "Check a mission before robots run it.", "patterns"),
+    _verb("record", RECORD, "start --all"),
+    _verb("replay", RECORD, "tb3-01.mcap",
+          "Repeat a recorded run without a robot, and compare its commands."),
+    _verb("calibrate", RECORD, "tb3-01 --floor 2.5",
+          "Measure brakes, delays and scales of a robot by a few short drives."),
+    _verb("keys", HERE, "init meadow --robots 'tb3-[01-07]'",
+          "Make, hand out, renew and revoke the keys of a swarm."),
+    _verb("context", HERE, "use lab", "Keep network options by name, and use one set of them."),
+    _verb("completion", HERE, "bash",
+          "Print the script that completes lines with Tab in bash, zsh or fish."),
+))
+# fmt: on
+"""The verbs that come with swarmd, as `swarmctl --help` shows them: those of a section together."""
 
 
 class Verbs(LazyGroup):

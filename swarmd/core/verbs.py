@@ -2,7 +2,8 @@
 
 The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether
 the robot compares its epoch, the line of the audit log and the line of `swarmctl --help`. A new
-verb is a struct and a row here, a method `on_<verb>` of its handler, and a file of `cli/`.
+verb is a struct and a row here, a method `on_<verb>` of its handler, a file of `cli/`, and a line
+in `VERBS` of `cli/swarmctl.py`.
 
 Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
 """

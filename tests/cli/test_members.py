@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from swarmd.cli.members import HEADER, WIDE, health, row, wide_cells
-from swarmd.cli.output import print_table
+from swarmd.cli.output import print_table, terminal_width
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
@@ -44,6 +47,16 @@ def test_shows_the_report_of_the_pattern() -> None:
     assert line(make_member(report={}))["REPORT"] == "-"
     report = {"phase": "disperse", "opinion": 2, "distance": 1.4000000001}
     assert line(make_member(report=report))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
+
+
+@pytest.mark.parametrize(("columns", "width"), [("120", 120), ("", 80), ("wide", 80)])
+def test_the_width_is_that_of_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, columns: str, width: int
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    with Path("/dev/null").open() as nothing:
+        monkeypatch.setattr("os.get_terminal_size", partial(os.get_terminal_size, nothing.fileno()))
+        assert terminal_width() == width
 
 
 def test_the_last_column_is_cut_to_the_width(capsys: pytest.CaptureFixture[str]) -> None:

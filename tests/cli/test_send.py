@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
+from typing import Any, cast
 
 import click
 import pytest
 
 from swarmd.cli.options import CommonOptions
-from swarmd.cli.send import show
+from swarmd.cli.send import show, unreachable
 from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.network.exit_codes import UNREACHABLE
 from swarmd.network.operator.outcome import Outcome
+from swarmd.network.settings import NetworkSettings
 
 
 def refused(robot: str, text: str, refusal: Refusal = Refusal.ESTOPPED) -> Reply:
@@ -50,3 +54,11 @@ def test_a_mistake_is_said_once_and_the_count_has_the_robots(
     assert "r3" in said.out
     show_it(outcome(*known), "json")
     assert "no parameter 'sped'" in json.loads(capsys.readouterr().out)["error"]
+
+
+@pytest.mark.parametrize(("found", "is_named"), [((), True), (("lab",), False)])
+def test_where_no_swarm_answers_sim_up_is_named(found: tuple[str, ...], is_named: bool) -> None:
+    settings = NetworkSettings(swarm="meadow")
+    operator = SimpleNamespace(settings=settings, identity=None, swarms=lambda: found)
+    error = unreachable(cast(Any, operator))
+    assert ("`swarmctl sim up`" in error.message, error.exit_code) == (is_named, UNREACHABLE)
