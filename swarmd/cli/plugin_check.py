@@ -228,7 +228,7 @@ def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
                 used, is_at_work = used_by(pid)
                 if not is_at_work or used >= until:
                     raise TimeoutError
-                deadline += WORK_PERIOD
+                deadline += min(WORK_PERIOD, timeout)
                 continue
             piece = os.read(stream.fileno(), 65536)
             if not piece:

@@ -156,7 +156,7 @@ class Recovery:
         patience = _CROWD_PATIENCE if others.are_near else self._patience
         is_blocked = self._is_blocked(safe, now, patience)
         if not self.has_taken_over:
-            if not is_blocked and not self._is_stalled(context):
+            if not is_blocked and not self._is_stalled(context, points):
                 if others.are_avoided:
                     self._leave_passage()
                     self._request = requested
@@ -205,10 +205,11 @@ class Recovery:
         allowed = safe.linear if asked > 0.0 else -safe.linear
         return self._state == "back" and 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
 
-    def _is_stalled(self, context: DecisionContext) -> bool:
+    def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
         """True if the robot has neither moved nor turned for some time, whatever was allowed.
 
-        It may rock to and fro, or get a request near zero from avoidance.
+        It may rock to and fro, or get a request near zero from avoidance. A base that does not move
+        with nothing near is not blocked.
         """
         if context.odometry is None:
             return False
@@ -216,7 +217,8 @@ class Recovery:
         if self._moved is not None:
             since, place = self._moved
             way = math.hypot(pose.x - place.x, pose.y - place.y)
-            if way <= _STALL_WAY and abs(pose.yaw - place.yaw) <= _STALL_TURN:
+            is_there = way <= _STALL_WAY and abs(pose.yaw - place.yaw) <= _STALL_TURN
+            if is_there and (now - since <= _STALL_TIME or len(points())):
                 return now - since > _STALL_TIME
         self._moved = now, pose
         return False
