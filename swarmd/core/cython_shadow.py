@@ -75,7 +75,8 @@ class _Declared:
 
 
 double = float = _Type(0.0)
-bint = int = longlong = Py_ssize_t = uchar = _Type(0)
+int = longlong = Py_ssize_t = uchar = _Type(0)
+bint = _Type(False)
 const = _Const()
 
 

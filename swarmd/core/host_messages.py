@@ -126,8 +126,8 @@ class Stepped(Struct, frozen=True, eq=False, array_like=True, tag="stepped"):
 
     generation: int
     outputs: Outputs
-    scan_seq: int
-    dropped: int = 0
+    scan_seq: Annotated[int, Meta(ge=-1, le=2**53)]
+    dropped: Annotated[int, Meta(ge=0, le=10_000)] = 0
 
 
 class ParamsSet(Struct, frozen=True, eq=False, array_like=True, tag="params"):

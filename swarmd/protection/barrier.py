@@ -1009,6 +1009,8 @@ class Barrier:
         """
         count: cython.Py_ssize_t = len(ranges)
         unseen: cython.Py_ssize_t = len(hidden)
+        if count > len(self._bearings):
+            raise IndexError(f"{count} ranges, but {len(self._bearings)} rays")
         directions: cython.p_double = _first(self._directions, 2 * count)
         has_ages: cython.bint = len(ages) > 0
         if has_ages and len(ages) != count:

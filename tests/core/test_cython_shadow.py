@@ -11,6 +11,7 @@ from swarmd.core import cython_shadow as cython
 
 DECLARED = {
     "count": cython.Py_ssize_t,
+    "is_due": cython.bint,
     "way": cython.double[::1],
     "places": cython.double[2],
     "name": object,
@@ -22,6 +23,7 @@ Counter = cython.cclass(type("Counter", (), {"__annotations__": DECLARED, "seen"
 def test_attributes_of_an_extension_type_begin_at_zero() -> None:
     one, other = Counter(), Counter()
     assert (one.count, one.way, one.places, one.name, one.seen) == (0, None, [0.0, 0.0], None, 0.0)
+    assert one.is_due is False
     one.places[0] = 1.0
     assert other.places == [0.0, 0.0]
 

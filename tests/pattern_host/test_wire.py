@@ -146,6 +146,14 @@ def test_a_number_out_of_bounds_is_refused(
 
 
 @pytest.mark.parametrize(
+    "event", [Stepped(3, Outputs(), 1 << 63), Stepped(3, Outputs(), 1, 1 << 63)]
+)
+def test_a_count_that_no_scan_has_is_refused(event: Stepped) -> None:
+    with pytest.raises(CodecError):
+        decode_event(encode_event(event))
+
+
+@pytest.mark.parametrize(
     "outputs",
     [
         Outputs(report={"seen": [1]}),  # type: ignore[dict-item]  # the host is not trusted

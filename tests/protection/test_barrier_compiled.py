@@ -131,10 +131,16 @@ def test_ranges_may_be_of_any_number_type(module: Any, kind: type) -> None:
 
 
 @paths
-def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way(module: Any) -> None:
+@pytest.mark.parametrize("before", [1, 3])
+def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way(
+    module: Any, before: int
+) -> None:
+    """The rays of the scan before, of which there were `before`, do not count."""
     barrier, geometry = module.Barrier(BURGER), ScanGeometry(BURGER.scan)
     context, bearings = DecisionContext(1.0, 0.0), np.zeros(1)
     scan = Scan(1, 1.0, np.array([0.2]), bearings, 0.1, 3.5)
+    rays = {"ranges": np.full(before, 0.2), "bearings": np.zeros(before)}
+    barrier.observe(replace(scan, **rays), geometry, context)
     barrier.observe(scan, geometry, context)
     for ranges, ages in ((np.full(2, np.inf), None), (np.array([np.inf]), np.zeros(2))):
         with pytest.raises(IndexError):

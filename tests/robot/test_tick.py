@@ -71,6 +71,16 @@ def test_a_run_is_the_same_compiled_and_interpreted() -> None:
     assert steps > 100
 
 
+def test_attributes_begin_as_the_same_values_compiled_and_interpreted() -> None:
+    """A host reads a bool of the wire where it expects one, and no number."""
+    for name in ("PatternRun", "InputTimes", "DutyCycle"):
+        one, other = (getattr(module, name)() for module in (tick, KERNEL))
+        words = [word for word in dir(one) if not word.startswith("__")]
+        words = [word for word in words if not callable(getattr(other, word, print))]
+        begun = [[repr(getattr(each, word)) for word in words] for each in (one, other)]
+        assert begun[0] == begun[1]
+
+
 def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
     times, found = (tick.InputTimes(), KERNEL.InputTimes()), set[Reason | None]()
     chance = Random(1)
