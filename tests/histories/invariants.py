@@ -16,8 +16,8 @@
    swarm-wide latches. A robot is estopped exactly if it holds a latch. A robot runs its own goal,
    or was asked for a run without one after it came.
 5. *No run ends without a cause*: its end has a reason, and a line among the robot's events. A
-   stop ends no run that began later than it was issued, and makes no goal to stand that follows a
-   goal which was set later. (Of two goals, the greater one ends the run of the other.)
+   stop ends no run that was asked for after it was issued, and makes no goal to stand that follows
+   a goal which was set later. (Of two goals, the greater one ends the run of the other.)
 6. *No latch is lost.* A latch goes with a reset that names it, or with the disk. *None comes
    back*: what was reset is held again only by the operator's own copy of the emergency stop, or by
    an older disk.
@@ -243,8 +243,8 @@ class Invariants:
             )
 
     def _wanted(self, cause: Cause) -> float:
-        """When an operator wanted a run: of a robot that joins, when the goal was set."""
-        return self._issued[cause.goal_id] if cause.request is None else cause.at
+        """When an operator asked for a run: of a robot that joins, when the goal was set."""
+        return self._issued[cause.goal_id if cause.request is None else cause.request.id]
 
     def _check_end(self, daemon: VirtualDaemon) -> None:
         reason = daemon.robot.status(self._swarm.now).reason

@@ -39,6 +39,17 @@ def test_histories_break_no_rule(first: int) -> None:
         check(seed)
 
 
+def test_a_run_that_arrives_after_a_later_stop_may_be_ended_by_it() -> None:
+    """The operator repeats both: the request of the run passes the cut first."""
+    history = (
+        step(0.0, "run", by="anna", valid=60.0),
+        step(0.05, "split", groups=(("anna", "r3"), ("bob", "r4"), ("r1", "r2"))),
+        step(5.61, "stop", by="anna"),
+        step(2.32, "heal"),
+    )
+    assert fault_of(2, history, 3158) is None
+
+
 def test_a_history_repeats() -> None:
     """The same seed gives the same events, so that what is printed repeats a failure."""
     lines = []
