@@ -332,3 +332,29 @@ def test_a_client_tries_again_where_nothing_answers(
 
     asyncio.run(asyncio.wait_for(story(), CAP))
     assert attempts == 2
+
+
+def test_a_client_ends_though_its_connection_is_refused_at_the_same_moment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def run() -> None:
+        loop = asyncio.get_running_loop()
+        tried = loop.create_future()
+        refused = loop.create_future()
+
+        def connect(*_: object) -> asyncio.Future[None]:
+            if not tried.done():
+                tried.set_result(None)
+            return refused
+
+        monkeypatch.setattr(loop, "sock_connect", connect)
+        client = RobotClient(read_endpoint(free_endpoint(), ""), Hello("s", "a"), print)
+        task = asyncio.create_task(client.run())
+        await tried
+        refused.set_exception(ConnectionRefusedError)
+        task.cancel()
+        done, _ = await asyncio.wait({task}, timeout=CAP)
+        assert done
+        assert task.cancelled()
+
+    asyncio.run(run())

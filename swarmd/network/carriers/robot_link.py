@@ -315,8 +315,9 @@ class RobotClient:
         while True:
             made = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
             try:
-                connecting = loop.sock_connect(made, (where.host, where.port))
-                await asyncio.wait_for(connecting, CONNECT_TIMEOUT)
+                # wait_for of Python 3.11 loses a cancellation that comes with a refusal.
+                async with asyncio.timeout(CONNECT_TIMEOUT):
+                    await loop.sock_connect(made, (where.host, where.port))
                 # Where nothing listens, a socket that was given that port connects to itself.
                 if made.getsockname() != made.getpeername():
                     await self._use(Connection(made), loop)
