@@ -361,7 +361,7 @@ class Recovery:
         self._enter("back", now)
 
     def _fastest_escape(self, allows: Allows) -> Twist | None:
-        """Of six ways to move, the one that protection lets go fastest; None if it allows none."""
+        """The fastest of six twists that protection allows; None if protection allows none."""
         speed, fastest, found = 0.5 * self._speed, 0.0, None
         for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
             for turn in _ESCAPE_TURNS:

@@ -1,8 +1,8 @@
 """The hot path of one robot: ages of its inputs, deadlines of its pattern, holds, ticks.
 
-A kernel (see `core/kernels.py`): `Sensors`, `PatternRun` and `Robot` extend these classes by all
-that happens less often than a tick. Times are in s on the robot's clock; inf and -inf stand for a
-time that does not come and for one that has not been.
+A kernel (see `core/kernels.py`): `Sensors` and `Robot` extend these classes by the work that is
+rarer than a tick. Times are in s on the robot's clock. A deadline that is not set is inf, the time
+of an input that has not arrived is -inf.
 """
 
 from __future__ import annotations
@@ -365,7 +365,7 @@ class InputTimes:
     def on_odometry(self, odometry, now: cython.double):
         """Take in a measured pose and twist.
 
-        A reading with an old stamp does not renew the age; one that is not valid is ignored.
+        A reading with an old stamp does not renew the age. The robot ignores an invalid reading.
         """
         is_new = self._history.take(odometry, now)
         if is_new is None:

@@ -25,9 +25,9 @@ from swarmd.core.values import Scan, ScanSpec
 TOLERANCE = 0.01
 """Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
 LONGEST_SHARED = 5.0
-"""Seconds: a scan that seems older has another clock,"""
+"""Seconds: a scan with a greater age by its stamp counts as stamped by another clock."""
 MAX_LEAD = -0.05
-"""as one that seems to come from the future."""
+"""Seconds: a scan with a lower age by its stamp counts as stamped by another clock."""
 
 
 def delay_by_stamps(

@@ -260,7 +260,7 @@ def _check_goal(goal: GoalSection) -> Iterator[Fault]:
 
 
 def _targets(word: str) -> tuple[str, ...]:
-    """The targets of a goal that a word stands for. ConfigError if it is none."""
+    """The targets of a goal that `word` names. ConfigError for an invalid name or label."""
     label = word.removeprefix(LABEL)
     return (LABEL + check_id(label, "the label"),) if label != word else expand_globs(word)
 

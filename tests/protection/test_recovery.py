@@ -98,6 +98,11 @@ def test_a_robot_that_stays_where_it_is_recovers(turning: float, after: float) -
     assert first(found) == pytest.approx(after, abs=2.0 * TICK)
 
 
+def test_a_robot_that_stays_where_it_is_with_nothing_near_is_not_blocked() -> None:
+    found = asked(12.0, points=np.empty((0, 2)), safe=lambda one: one)
+    assert found == [(False, AHEAD)] * len(found)
+
+
 @pytest.mark.parametrize("are_avoided", [False, True])
 def test_the_room_between_others_is_no_passage(are_avoided: bool) -> None:
     others = Others(AHEAD, are_near=True, are_avoided=are_avoided)

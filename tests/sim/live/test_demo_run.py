@@ -136,7 +136,7 @@ LOST: Mapping[str, Code | None] = {"b": Code.FAILED, "c": None}
             Started(ROBOTS, ("b", "c"), {}),
             [ROBOTS, ("b", "c"), ("c",)],
         ),
-        # but not one that runs without an answer,
+        # but a robot that runs is not, although its answer is missing,
         (
             [{"a": Code.APPLIED, "b": Code.APPLIED, "c": None}, {}],
             "c",
