@@ -135,11 +135,16 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
                     await asyncio.sleep(0.01)
                 start = heard.odometries[-1].stamp
                 # Long enough for the frozen one's buffers to fill: 25 odometries, 5 scans a second.
-                while heard.odometries[-1].stamp - start < 4.0:
+                asking = None
+                while (
+                    asking is None or not asking.done()
+                ):  # its base moves while the world is asked
                     seq = heard.scans[-1].seq if heard.scans else -1
                     driver.send(Twist(0.0, 0.5), seq, -1)
                     await asyncio.sleep(0.01)
-                state = (await asyncio.to_thread(view.ask, "poses")).state
+                    if asking is None and heard.odometries[-1].stamp - start >= 4.0:
+                        asking = asyncio.create_task(asyncio.to_thread(view.ask, "poses"))
+                state = asking.result().state
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         assert state.commanded == (False, True)
