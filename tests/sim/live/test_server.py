@@ -138,7 +138,7 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
                 asking = None
                 while (
                     asking is None or not asking.done()
-                ):  # its base moves while the world is asked
+                ):  # asked while it drives
                     seq = heard.scans[-1].seq if heard.scans else -1
                     driver.send(Twist(0.0, 0.5), seq, -1)
                     await asyncio.sleep(0.01)
