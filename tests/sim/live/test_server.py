@@ -136,9 +136,7 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
                 start = heard.odometries[-1].stamp
                 # Long enough for the frozen one's buffers to fill: 25 odometries, 5 scans a second.
                 asking = None
-                while (
-                    asking is None or not asking.done()
-                ):  # asked while it drives
+                while asking is None or not asking.done():  # asked while it drives
                     seq = heard.scans[-1].seq if heard.scans else -1
                     driver.send(Twist(0.0, 0.5), seq, -1)
                     await asyncio.sleep(0.01)
