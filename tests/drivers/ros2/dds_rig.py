@@ -26,8 +26,9 @@ class DdsRobot(BridgedRobot):
     `namespace`, such as `/front`, is the node's. `at` is the bridge's, which precedes it.
     `published`: the type of each topic. `distro`: the bridge's setting; the robot is of Jazzy.
     `is_elsewhere`: the bridge is in another domain. `qos`: by topic, where it is not the usual one.
-    `actions` are the names of actions that the node serves. `stop` ends the node, `disconnect` the
-    bridge.
+    `actions` are the names of actions that the node serves. With `is_on` False the node begins with
+    `start`: a node that ends while the bridge starts may leave the bridge deaf to later nodes.
+    `stop` ends the node, `disconnect` the bridge.
     """
 
     def __init__(
@@ -41,6 +42,7 @@ class DdsRobot(BridgedRobot):
         is_elsewhere: bool = False,
         qos: Mapping[str, Qos] | None = None,
         actions: Sequence[str] = (),
+        is_on: bool = True,
     ) -> None:
         self.namespace, self.at = namespace, at
         self._published, self._qos, self._actions = published, qos or {}, actions
@@ -52,7 +54,8 @@ class DdsRobot(BridgedRobot):
         self.node: DdsNode | None = None
         super().__init__(is_stamped=is_stamped)
         self.endpoint = self.bridge.endpoint
-        self.start()
+        if is_on:
+            self.start()
 
     def name(self, topic: str) -> str:
         return f"{self.namespace}/{topic}"

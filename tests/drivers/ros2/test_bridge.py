@@ -184,8 +184,7 @@ def test_check_reports_the_cause(make: Callable[[], DdsRobot], wanted: dict[str,
 
 
 def test_check_of_a_robot_that_is_off_asks_to_start_it() -> None:
-    robot = DdsRobot()
-    robot.stop()
+    robot = DdsRobot(is_on=False)
     found = check(robot, seconds=2.0)
     assert "start the robot" in found["scan"].text
     assert "no node subscribes to /cmd_vel" in found["cmd_vel"].text

@@ -100,11 +100,10 @@ def test_what_records_commands_holds_nothing(name: str, is_first: bool) -> None:
         node.close()
 
 
-@story(DdsRobot, connected=False)
+@story(lambda: DdsRobot(is_on=False), connected=False)
 async def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten(
     harness: DriverHarness, robot: DdsRobot
 ) -> None:
-    robot.stop()
     speeds: list[str] = []
 
     def has_speed(speed: str) -> bool:

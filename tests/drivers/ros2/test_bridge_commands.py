@@ -161,8 +161,7 @@ def test_a_quality_that_the_first_node_of_a_topic_had_not_is_named(
     topic: str, first: Qos, later: Qos, subject: str
 ) -> None:
     """The bridge's route has the quality of the first node; nothing of the second one passes."""
-    robot = DdsRobot(qos={topic: later})
-    robot.stop()
+    robot = DdsRobot(qos={topic: later}, is_on=False)
     published = {f"/{topic}": dds.Odometry} if topic == "odom" else {}
     subscribed = {} if published else {f"/{topic}": dds.Twist}
     other = DdsNode(
