@@ -113,7 +113,7 @@ class History:
     def resume(self, by: str, targets: tuple[str, ...] = ()) -> None:
         self._begin(by, "resume", lambda one: one.resume(targets))
 
-    def label(self, by: str, targets: tuple[str, ...], labels: tuple[str, ...]) -> None:
+    def label(self, by: str, targets: tuple[str, ...] = (), labels: tuple[str, ...] = ()) -> None:
         self._begin(by, "label", lambda one: one.label(targets, labels))
 
     def push(self, by: str, pattern: str = "pushed", targets: tuple[str, ...] = ()) -> None:
