@@ -192,13 +192,13 @@ def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", platform_names())
-def test_the_page_on_safety_lists_how_far_each_platform_must_see(name: str) -> None:
+def test_the_page_on_sensing_lists_how_far_each_platform_must_see(name: str) -> None:
     platform = load_platform(name)
     barrier, needed = barrier_settings(platform), "-"
     if barrier is not None:
         needed = f"{BindingRange(platform, barrier, TICK).for_sensor():.2f} m"
     row = f"| `{name}` | {needed} | {platform.scan.range_max:.2f} m |"
-    assert row in (ROOT / "docs/safety.md").read_text()
+    assert row in (ROOT / "docs/evidence/sensing.md").read_text()
 
 
 def test_each_step_of_a_story_names_a_function() -> None:
