@@ -10,6 +10,7 @@ import shlex
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -37,6 +38,14 @@ NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
 STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def reference() -> dict[str, Any]:
+    """The names of docs/site/reference.py."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "docs" / "site")
+        return runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))
 
 
 def name_of(page: Path) -> str:
@@ -233,12 +242,37 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("reasons", ["`stale_scan`", "`estop`"]),
     ],
 )
-def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None:
+def test_the_generated_reference_is_complete(
+    part: str, rows: list[str], reference: dict[str, Any]
+) -> None:
     """Each part has a row, with further cells, of what it must list."""
-    parts = runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))["PARTS"]
-    lines = "\n\n".join(parts[part]()).splitlines()
+    lines = "\n\n".join(reference["PARTS"][part]()).splitlines()
     found = {match[1] for line in lines if (match := re.match(r"\| (`.+?`) \| .*\w", line))}
     assert set(rows) <= found
+
+
+def test_the_generated_parts_are_as_their_sources(reference: dict[str, Any]) -> None:
+    pages = reference["renewed"]()
+    assert {"api.md", "commands.md", "trouble.md"} <= {page.name for page in pages}
+    differ = [name_of(page) for page, text in pages.items() if page.read_text() != text]
+    assert not differ, f"`make reference` renews {', '.join(differ)}"
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "text"),
+    [
+        ("api", "### Scan", "class Scan("),
+        ("api", "### MovementPattern", "class MovementPattern(Pattern[P])"),
+        ("experiments", "### simulate", "seeds: int | Iterable[int]=20,"),
+        ("testing", "### PatternContract", "class PatternContract"),
+    ],
+)
+def test_a_page_of_docstrings_names_classes_and_functions(
+    page: str, heading: str, text: str
+) -> None:
+    lines = (ROOT / "docs" / "reference" / f"{page}.md").read_text()
+    assert f"{heading}\n\n```python\n" in lines
+    assert text in lines
 
 
 def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:
