@@ -8,6 +8,7 @@ CONTENTS = {
         "docs/tutorial/3-statistics",
         "docs/tutorial/4-votes",
         "docs/tutorial/5-protection",
+        "docs/tutorial/teachers",
     ],
     "Patterns": [
         "docs/patterns/README",

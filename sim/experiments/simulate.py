@@ -75,7 +75,7 @@ def simulate(
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
     `set` and `sweep` are by dotted key of the scenario's file: `{"groups.tb3.count": 5}`, and
-    `{"groups.tb3.parameters.spacing": [0.6, 0.8]}`; runs are made for every combination. With `jobs` above 1
+    `{"groups.tb3.parameters.spacing": [0.6, 0.8]}`; every combination is run. With `jobs` above 1
     as many worker processes do the runs, from scripts and notebooks alike; with 1, this process
     does them. The results are the same, bit by bit. In worker processes, a run without progress
     for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call

@@ -14,6 +14,7 @@ from typing import Any
 
 import click
 import pytest
+import yaml
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
@@ -22,6 +23,7 @@ from swarmd.plugins import DRIVERS
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.sim.experiments.lessons import Lesson, load_lessons
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
@@ -273,6 +275,30 @@ def test_a_page_of_docstrings_names_classes_and_functions(
     lines = (ROOT / "docs" / "reference" / f"{page}.md").read_text()
     assert f"{heading}\n\n```python\n" in lines
     assert text in lines
+
+
+@pytest.mark.parametrize(("number", "lesson"), load_lessons().items())
+def test_the_page_of_a_lesson_has_the_targets_by_which_a_class_is_marked(
+    number: str, lesson: Lesson
+) -> None:
+    """`class check` makes the runs of a lesson with a pattern, so that it does not count them."""
+    (page,) = (ROOT / "docs" / "tutorial").glob(f"{number}-*.md")
+    checks = [words[2:] for words in commands(page) if words[:2] == ["exp", "check"]]
+    asked = {place: [one for one in texts if not lesson.pattern or not one.startswith(RUNS)]
+             for place, *texts in checks}  # fmt: skip
+    assert lesson.targets == asked
+
+
+@pytest.mark.parametrize("number", ["2", "5"])
+def test_a_class_is_marked_by_the_scenario_of_the_page(number: str, tmp_path: Path) -> None:
+    (page,) = (ROOT / "docs" / "tutorial").glob(f"{number}-*.md")
+    (text,) = [text for name, text in files(page).items() if name.endswith(".yaml")]
+    wanted = yaml.safe_load(text)
+    (group,) = wanted["groups"].values()
+    lesson = load_lessons()[number]
+    assert wanted.pop("plugin_dir") == "."
+    assert group.pop("pattern") == lesson.pattern
+    assert lesson.scenario == wanted
 
 
 def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:
