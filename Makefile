@@ -19,7 +19,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants ros2-router ros-study lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants ros2-router ros-study lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -30,6 +30,7 @@ help:
 	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
+	@echo "make reference writes the generated parts of pages again: docs/reference, and reasons in docs/trouble.md"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make budget    each budget beside a short measurement, in two minutes"
@@ -94,9 +95,13 @@ wheel: $(VENV)/tools
 	.ci/try-wheel $(BIN)/python
 
 # A warning, such as a link that leads nowhere, is an error. All pages are read again, since a change of
-# one may break links of others. The reference is made from the installed plugins and the YAML files.
+# one may break links of others.
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --fresh-env -c docs -d build/doctrees . build/site
+
+# From plugins, YAML files, schemas, command lines and docstrings; tests/docs compares the pages with these.
+reference: $(VENV)/tools
+	@$(BIN)/python docs/site/reference.py
 
 format: $(VENV)/tools
 	$(BIN)/ruff format .

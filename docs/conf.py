@@ -14,8 +14,6 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 
-from swarmd.api import Params
-
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS / "site"))
@@ -33,21 +31,11 @@ include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md"]
 exclude_patterns = [".*", "build", "dist", "mutants", "runs", "experiments", "*.egg-info"]
 exclude_patterns += ["swarmd", "patterns", "drivers", "sim", "config", "tests", "studies"]
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "generated"]
+extensions = ["myst_parser"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["html_image"]
 highlight_language = "none"
 smartquotes = False  # `--all` outside of code would get a dash
-default_role = "code"  # docstrings have Markdown's backticks
-autodoc_member_order = "groupwise"
-autodoc_preserve_defaults = True
-autodoc_type_aliases = {"Array": "Array"}
-autodoc_typehints = "signature"
-autodoc_typehints_format = "short"
-add_module_names = False
-python_use_unqualified_type_names = True
-nitpicky = False
-
 html_theme = "furo"
 html_title = "swarmd"
 html_static_path = ["site/static"]
@@ -83,24 +71,8 @@ def _check_offline(app: Sphinx, error: Exception | None) -> None:
             raise ExtensionError(f"{file}: loads from the network: {found[0]}")
 
 
-def _without_parameters(
-    app: Sphinx, what: str, name: str, kind: object, *_: object
-) -> tuple[str, str | None] | None:
-    """Leave out the signature of a class of parameters, with all bounds and meanings in it."""
-    if isinstance(kind, type) and issubclass(kind, Params):
-        return "", None
-    return None
-
-
-def _without_aliases(app: Sphinx, what: str, name: str, member: object, *_: object) -> bool | None:
-    """Leave out the fields of a named tuple, which its signature lists."""
-    return True if (getattr(member, "__doc__", "") or "").startswith("Alias for field") else None
-
-
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
-    app.connect("autodoc-process-signature", _without_parameters)
-    app.connect("autodoc-skip-member", _without_aliases)
     app.connect("source-read", _add_contents)
     app.connect("build-finished", _add_entrance)
     app.connect("build-finished", _check_offline)

@@ -8,6 +8,7 @@ CONTENTS = {
         "docs/tutorial/3-statistics",
         "docs/tutorial/4-votes",
         "docs/tutorial/5-protection",
+        "docs/tutorial/teachers",
     ],
     "Patterns": [
         "docs/patterns/README",
@@ -25,9 +26,12 @@ CONTENTS = {
     "How to": [
         "docs/installation",
         "docs/operating",
+        "docs/calibration",
+        "docs/daemon",
         "docs/watching",
         "docs/recording",
         "docs/experiments",
+        "docs/clusters",
         "docs/trace",
         "docs/patterns",
         "docs/behaviour_push",
@@ -61,8 +65,18 @@ CONTENTS = {
         "docs/reference/experiments",
         "docs/glossary",
     ],
-    "Background": [
+    "Safety and evidence": [
         "docs/safety",
+        "docs/evidence/safety",
+        "docs/evidence/sensing",
+        "docs/evidence/barrier",
+        "docs/evidence/avoidance",
+        "docs/evidence/goals",
+        "docs/evidence/network",
+        "docs/evidence/security",
+        "docs/evidence/simulation",
+    ],
+    "Background": [
         "docs/paper",
         "benchmarks/README",
         "ARCHITECTURE",

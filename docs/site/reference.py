@@ -1,4 +1,7 @@
-"""The reference pages in Markdown, from plugins, YAML files, schemas and command lines."""
+"""The generated parts of pages: plugins, YAML files, schemas, command lines and docstrings.
+
+`make reference` runs this file. A part stands in its page between two comments with its name.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +9,12 @@ import inspect
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
+from docstrings import module, prose
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
@@ -42,7 +47,9 @@ from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.texts.values import number
 from swarmd.texts.why import SENTENCES
 
+ROOT = Path(__file__).resolve().parents[2]
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
+_PART = re.compile(r"(<!-- begin (\w+): .*? -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def patterns() -> Iterator[str]:
@@ -51,7 +58,7 @@ def patterns() -> Iterator[str]:
         if "error" in row:
             raise RuntimeError(f"{row['name']}: {row['error']}")
         yield f"## {row['name']}"
-        yield _prose(row["text"])
+        yield prose(row["text"])
         channels = ", ".join(f"`{name}` ({kind})" for name, kind in row["channels"].items())
         needs = ", ".join(f"`{one}`" for one in row["needs"])
         yield f"Kind: {row['kind']}. Needs: {needs or 'no sensor'}. Sends: {channels or 'nothing'}."
@@ -136,6 +143,10 @@ def metrics() -> Iterator[str]:
 def commands() -> Iterator[str]:
     """Both programs, each verb with its arguments and options."""
     yield from _command(swarmd, "swarmd", None)
+    sections: dict[str, list[str]] = defaultdict(list)
+    for name, verb in cli.all_verbs().items():
+        sections[verb.section].append(f"[{name}](#swarmctl-{name})")
+    yield "\n".join(f"- {title}: {', '.join(names)}" for title, names in sections.items())
     yield from _command(cli, "swarmctl", None)
 
 
@@ -147,6 +158,28 @@ def reasons() -> Iterator[str]:
     yield _table(("reason", "meaning and remedy"), rows)
 
 
+def api() -> Iterator[str]:
+    """What authors of patterns import."""
+    yield from module("swarmd.api")
+
+
+def testing() -> Iterator[str]:
+    """Contracts and rigs."""
+    yield from module("swarmd.testing.pattern_contract", ["PatternContract"])
+    yield from module("swarmd.testing.driver_contract", ["DriverContract"])
+    yield from module("swarmd.testing.scans")
+
+
+def experiments() -> Iterator[str]:
+    """Experiments from Python."""
+    yield from module("swarmd.sim.experiments.simulate", ["simulate"])
+    yield from module("swarmd.sim.experiments.results", ["Results", "Traces", "load_results"])
+    yield from module("swarmd.sim.experiments.statistics", ["Summary", "Interval"])
+    yield from module("swarmd.sim.trace")
+    yield from module("swarmd.sim.metrics.own", ["metric"])
+    yield from module("swarmd.sim.metrics.metric", ["Metric"])
+
+
 PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
     "platforms": platforms,
@@ -154,22 +187,36 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "metrics": metrics,
     "commands": commands,
     "reasons": reasons,
+    "api": api,
+    "testing": testing,
+    "experiments": experiments,
 }
-"""What the directive `reference` accepts."""
+"""The parts by the name in their comments."""
+
+
+def renewed() -> dict[Path, str]:
+    """The pages with generated parts, and their texts with these parts made anew."""
+
+    def made(found: re.Match[str]) -> str:
+        text = "\n\n".join(filter(None, PARTS[found[2]]()))
+        return f"{found[1]}\n{text}\n\n{found[3]}"
+
+    texts = {page: page.read_text() for page in sorted((ROOT / "docs").rglob("*.md"))}
+    return {page: _PART.sub(made, text) for page, text in texts.items() if _PART.search(text)}
 
 
 def _command(command: click.Command, path: str, parent: click.Context | None) -> Iterator[str]:
     ctx = click.Context(command, info_name=path.rpartition(" ")[2], parent=parent)
-    yield f"## {path}"
-    yield f"```\n{path} {' '.join(command.collect_usage_pieces(ctx))}\n```"
+    yield f"{'#' * (path.count(' ') + 2)} {path}"
+    yield f"```text\n{path} {' '.join(command.collect_usage_pieces(ctx))}\n```"
     text = inspect.cleandoc(command.help or "").replace("\b\n", "")
-    yield _prose(text)
+    yield prose(text)
     records = (option.get_help_record(ctx) for option in command.params)
     rows = [(f"`{names}`", text) for names, text in filter(None, records)]
     if rows:
         yield _table(("option", "meaning"), rows)
     if command.epilog:
-        yield f"```\n{inspect.cleandoc(command.epilog.replace(chr(8), ''))}\n```"
+        yield f"```text\n{inspect.cleandoc(command.epilog.replace(chr(8), ''))}\n```"
     if isinstance(command, click.Group):
         for name in command.list_commands(ctx):
             verb = command.get_command(ctx, name)
@@ -186,7 +233,7 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
         for names, meaning in re.findall(r"^- (`.+?): ((?:.|\n  )*)", text, re.MULTILINE)
         for name in re.findall(r"`(\w+)`", names)
     }
-    yield _prose(re.sub(r"\n*^- `(?:.|\n  )*", "", text, flags=re.MULTILINE))
+    yield prose(re.sub(r"\n*^- `(?:.|\n  )*", "", text, flags=re.MULTILINE))
     comments = _comments(kind)
     info = msgspec.inspect.type_info(kind)
     assert isinstance(info, msgspec.inspect.StructType)
@@ -259,20 +306,17 @@ def _default(spec: dict[str, Any]) -> str:
     return "required" if spec["is_required"] else f"`{number(spec['default'])}`"
 
 
-def _prose(text: str) -> str:
-    """Text of a docstring, safe in Markdown outside of code."""
-    parts = re.split(r"(`[^`\n]*`)", inspect.cleandoc(text))
-    return "".join(one if one.startswith("`") else _escape(one) for one in parts)
-
-
-def _escape(text: str) -> str:
-    return re.sub(r"([<*\[\]_$])", r"\\\1", text)
-
-
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     def line(cells: Iterable[str]) -> str:
         return (
-            "| " + " | ".join(_prose(" ".join(c.replace("|", "\\|").split())) for c in cells) + " |"
+            "| " + " | ".join(prose(" ".join(c.replace("|", "\\|").split())) for c in cells) + " |"
         )
 
     return "\n".join([line(heads), "|" + "---|" * len(heads), *map(line, rows)])
+
+
+if __name__ == "__main__":
+    for page, text in renewed().items():
+        if page.read_text() != text:
+            page.write_text(text)
+            print(f"renewed {page.relative_to(ROOT)}")

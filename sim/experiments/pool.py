@@ -23,7 +23,8 @@ from typing import Any, TypeAlias
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import partial_path
-from swarmd.core.processes import die_with_parent, how_it_ended
+from swarmd.core.processes import die_with_parent, how_it_ended, limit_growth
+from swarmd.pattern_host.sandbox import confine
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
 from swarmd.sim.metrics.own import MetricError
@@ -41,6 +42,7 @@ OWN_METRICS = 0.999
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
 _MAX_REASON = 300  # characters
 _MODULE = "swarmd.sim.experiments.pool"
+_GUEST_GROWTH = 1 << 30  # bytes; a run of twelve robots takes less than a tenth
 _ONE_THREAD = {
     f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB")
 }
@@ -51,7 +53,8 @@ class Job:
     """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
 
     `metrics`: the origins of those measured besides the catalog's. `cores` processes share its
-    robots. A process without progress for `timeout` s ends the run.
+    robots. A process without progress for `timeout` s ends the run. `guest`: a folder with patterns
+    of others; the run may read nothing else of the user, write nothing, and grow by 1 GB.
     """
 
     run: str
@@ -61,6 +64,7 @@ class Job:
     cores: int = 1
     timeout: float = STEP_TIMEOUT
     metrics: tuple[str, ...] = ()
+    guest: Path | None = None
 
 
 Shares: TypeAlias = Mapping[str, float]
@@ -334,6 +338,9 @@ def _do(job: Job, connection: Connection) -> None:
             next_report = now + _PROGRESS_PERIOD
             connection.send(share)
 
+    if job.guest is not None:
+        limit_growth(_GUEST_GROWTH)
+        confine([job.guest])
     connection.send(run_job(job, report))
 
 

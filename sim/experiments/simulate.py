@@ -3,7 +3,9 @@
 ::
 
     from swarmd.sim.experiments.simulate import simulate
-    results = simulate("aggregation", seeds=20)
+
+    spacings = {"groups.tb3.parameters.spacing": [0.6, 0.8]}
+    results = simulate("aggregation", seeds=3, set={"duration": 20}, sweep=spacings)
     print(results)
 
 The same as `swarmctl exp run`, with the same results to the last bit.
@@ -72,8 +74,8 @@ def simulate(
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
-    `set` and `sweep` are by dotted key of the scenario's file: `{"groups.all.count": 5}`, and
-    `{"groups.all.parameters.law": ["ours", "paper"]}` for every combination. With `jobs` above 1
+    `set` and `sweep` are by dotted key of the scenario's file: `{"groups.tb3.count": 5}`, and
+    `{"groups.tb3.parameters.spacing": [0.6, 0.8]}`; every combination is run. With `jobs` above 1
     as many worker processes do the runs, from scripts and notebooks alike; with 1, this process
     does them. The results are the same, bit by bit. In worker processes, a run without progress
     for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call

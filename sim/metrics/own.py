@@ -2,6 +2,8 @@
 
 ::
 
+    import numpy as np
+
     from swarmd.sim.metrics.own import metric
 
     @metric(unit="share", better="more")

@@ -1,4 +1,4 @@
-"""Single values above those of a file, by dotted keys such as `groups.all.count`."""
+"""Single values above those of a file, by dotted keys such as `groups.tb3.count`."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def load_scenario(
 ) -> Scenario:
     """The scenario of that name, or of that file if it ends in .yaml.
 
-    `overrides` by dotted keys of the file: {"groups.all.count": 5, "duration": 30}. ConfigError
+    `overrides` by dotted keys of the file: {"groups.tb3.count": 5, "duration": 30}. ConfigError
     names the file, or `source` for an override, the key, the value, what was expected and the
     nearest valid key.
     """

@@ -1,4 +1,4 @@
-"""`python -m studies.safety hours | progress | encounters | one`: see docs/safety.md.
+"""`python -m studies.safety hours | progress | encounters | one`: see docs/evidence/safety.md.
 
 hours: robot-hours over all scenes. progress: goals reached in each mode. encounters: how robots get
 past each other in each mode. one: a single run with every collision and those at fault. Runs that

@@ -71,7 +71,7 @@ EVIDENCE: Columns = {
     ),
     "hardest": lambda f: _speed(max(f.worst, f.worst_touch)),
 }
-"""What the evidence of docs/safety.md shows of a cell: touches of robots, walls and poles."""
+"""What docs/evidence/safety.md shows of a cell: touches of robots, walls and poles."""
 
 
 def rows(what: str, groups: Mapping[str, Sequence[Record]], columns: Columns) -> list[list[str]]:

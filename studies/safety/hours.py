@@ -50,7 +50,7 @@ def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> l
 def tables(records: Sequence[Record]) -> str:
     """Markdown: a row for each cell, named by its options, and the runs at fault by their command.
 
-    docs/safety.md explains the columns.
+    docs/evidence/safety.md explains the columns.
     """
     alone = [one for one in records if not one.task.scene.of.attack]
     among = [one for one in records if one.task.scene.of.attack]

@@ -149,7 +149,7 @@ def _sandbox(reply: DoctorReply) -> Finding:
     text = sandbox_text(reply.sandbox)
     if not reply.sandbox.missing:
         return Finding("pattern host", True, text)
-    remedy = "a kernel with Landlock and seccomp; see docs/security.md"
+    remedy = "a kernel with Landlock and seccomp; see docs/evidence/security.md"
     return warning("pattern host", text, remedy)
 
 

@@ -10,9 +10,11 @@ import shlex
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
+import yaml
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
@@ -21,6 +23,7 @@ from swarmd.plugins import DRIVERS
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.sim.experiments.lessons import Lesson, load_lessons
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
@@ -37,6 +40,14 @@ NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
 STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def reference() -> dict[str, Any]:
+    """The names of docs/site/reference.py."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "docs" / "site")
+        return runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))
 
 
 def name_of(page: Path) -> str:
@@ -192,13 +203,13 @@ def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", platform_names())
-def test_the_page_on_safety_lists_how_far_each_platform_must_see(name: str) -> None:
+def test_the_page_on_sensing_lists_how_far_each_platform_must_see(name: str) -> None:
     platform = load_platform(name)
     barrier, needed = barrier_settings(platform), "-"
     if barrier is not None:
         needed = f"{BindingRange(platform, barrier, TICK).for_sensor():.2f} m"
     row = f"| `{name}` | {needed} | {platform.scan.range_max:.2f} m |"
-    assert row in (ROOT / "docs/safety.md").read_text()
+    assert row in (ROOT / "docs/evidence/sensing.md").read_text()
 
 
 def test_each_step_of_a_story_names_a_function() -> None:
@@ -233,12 +244,61 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("reasons", ["`stale_scan`", "`estop`"]),
     ],
 )
-def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None:
+def test_the_generated_reference_is_complete(
+    part: str, rows: list[str], reference: dict[str, Any]
+) -> None:
     """Each part has a row, with further cells, of what it must list."""
-    parts = runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))["PARTS"]
-    lines = "\n\n".join(parts[part]()).splitlines()
+    lines = "\n\n".join(reference["PARTS"][part]()).splitlines()
     found = {match[1] for line in lines if (match := re.match(r"\| (`.+?`) \| .*\w", line))}
     assert set(rows) <= found
+
+
+def test_the_generated_parts_are_as_their_sources(reference: dict[str, Any]) -> None:
+    pages = reference["renewed"]()
+    assert {"api.md", "commands.md", "trouble.md"} <= {page.name for page in pages}
+    differ = [name_of(page) for page, text in pages.items() if page.read_text() != text]
+    assert not differ, f"`make reference` renews {', '.join(differ)}"
+
+
+@pytest.mark.parametrize(
+    ("page", "heading", "text"),
+    [
+        ("api", "### Scan", "class Scan("),
+        ("api", "### MovementPattern", "class MovementPattern(Pattern[P])"),
+        ("experiments", "### simulate", "seeds: int | Iterable[int]=20,"),
+        ("testing", "### PatternContract", "class PatternContract"),
+    ],
+)
+def test_a_page_of_docstrings_names_classes_and_functions(
+    page: str, heading: str, text: str
+) -> None:
+    lines = (ROOT / "docs" / "reference" / f"{page}.md").read_text()
+    assert f"{heading}\n\n```python\n" in lines
+    assert text in lines
+
+
+@pytest.mark.parametrize(("number", "lesson"), load_lessons().items())
+def test_the_page_of_a_lesson_has_the_targets_by_which_a_class_is_marked(
+    number: str, lesson: Lesson
+) -> None:
+    """`class check` makes the runs of a lesson with a pattern, so that it does not count them."""
+    (page,) = (ROOT / "docs" / "tutorial").glob(f"{number}-*.md")
+    checks = [words[2:] for words in commands(page) if words[:2] == ["exp", "check"]]
+    asked = {place: [one for one in texts if not lesson.pattern or not one.startswith(RUNS)]
+             for place, *texts in checks}  # fmt: skip
+    assert lesson.targets == asked
+
+
+@pytest.mark.parametrize("number", ["2", "5"])
+def test_a_class_is_marked_by_the_scenario_of_the_page(number: str, tmp_path: Path) -> None:
+    (page,) = (ROOT / "docs" / "tutorial").glob(f"{number}-*.md")
+    (text,) = [text for name, text in files(page).items() if name.endswith(".yaml")]
+    wanted = yaml.safe_load(text)
+    (group,) = wanted["groups"].values()
+    lesson = load_lessons()[number]
+    assert wanted.pop("plugin_dir") == "."
+    assert group.pop("pattern") == lesson.pattern
+    assert lesson.scenario == wanted
 
 
 def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:

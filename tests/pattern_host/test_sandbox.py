@@ -32,6 +32,7 @@ from swarmd.core.values import Inputs
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.pattern_host.sandbox import FILES, NETWORK, PROCESSES
 from swarmd.settings.settings import load_platform
+from tests.support.processes import has_landlock
 
 pytestmark = pytest.mark.integration
 
@@ -200,16 +201,6 @@ def in_host(place: Place, code: str, *, is_trial: bool = False) -> tuple[HostEve
 def code_of(place: Place) -> str:
     head = "from swarmd.api import Outputs, Params, Pattern\n"
     return f"{head}{TRIES}\nPLACE = {json.dumps(place.told)}\n{PLUGIN}"
-
-
-def has_landlock() -> bool:
-    done = subprocess.run(
-        [sys.executable, "-c", "import ctypes; print(ctypes.CDLL(None).syscall(444, None, 0, 1))"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return int(done.stdout) > 0
 
 
 def test_a_free_process_of_this_user_reaches_all_that_the_host_is_denied(place: Place) -> None:

@@ -204,3 +204,14 @@ def watchdogs(swarm: str, robot: str) -> list[int]:
         except OSError:  # it has ended meanwhile
             continue
     return sorted(pid for pid in found if is_running(pid))
+
+
+def has_landlock() -> bool:
+    """Whether the kernel can confine a process to files."""
+    done = subprocess.run(
+        [sys.executable, "-c", "import ctypes; print(ctypes.CDLL(None).syscall(444, None, 0, 1))"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return int(done.stdout) > 0

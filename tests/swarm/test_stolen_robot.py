@@ -1,6 +1,6 @@
 """What the keys of a stolen robot can forge by datagrams, against real daemons on loopback.
 
-The rows of `docs/security.md` on the bundle of a robot.
+The rows of `docs/evidence/security.md` on the bundle of a robot.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The short form of the robot-hours: fixed seeds, every family of scenes, no collision.
 
-The long form is `python -m studies.safety hours`; docs/safety.md has its results.
+The long form is `python -m studies.safety hours`; docs/evidence/safety.md has its results.
 """
 
 from __future__ import annotations

@@ -1,0 +1,161 @@
+"""The lessons of the tutorial, and how the work of a pupil meets their targets.
+
+A lesson with a pattern is simulated: in processes that may read nothing of the user but the pupil's
+folder, write nothing, and grow by 1 GB. Of the other lessons a pupil hands in the results.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from msgspec import Struct
+
+import swarmd.config
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.settings.layered import Layered
+from swarmd.settings.yamlfile import read, shown
+from swarmd.sim.experiments.compare import Side, sides_of
+from swarmd.sim.experiments.plan import Plan
+from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_jobs
+from swarmd.sim.experiments.requirements import Finding, check, missing_runs, parse_requirement
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import plan_of
+from swarmd.sim.experiments.store import Row
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.scenarios.scenariofile import scenario_of
+
+_STAND_IN = "drive"  # in place of the pupil's pattern, while this process checks the scenario
+
+
+class Lesson(Struct, frozen=True, forbid_unknown_fields=True):
+    """What a lesson wants: requirements by `FOLDER[:VARIANT]`, a folder of results.
+
+    With a `pattern`, the name of the file that a pupil hands in, `scenario` is run by it for the
+    seeds below `seeds` and each combination of `sweep`.
+    """
+
+    title: str
+    targets: dict[str, list[str]]
+    pattern: str = ""
+    seeds: int = 1
+    sweep: dict[str, list[Any]] = {}
+    scenario: dict[str, Any] = {}
+
+
+class _LessonsFile(Struct, frozen=True, forbid_unknown_fields=True):
+    lessons: dict[str, Lesson]
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """How the work of a pupil meets the targets: a finding for each, as far as there are results.
+
+    `why`: the first thing that is wrong, in one line; empty if nothing is.
+    """
+
+    findings: Sequence[Finding] = ()
+    why: str = ""
+
+
+def load_lessons() -> Mapping[str, Lesson]:
+    """The lessons by number; ConfigError names the key of `config/lessons.yaml` that is wrong."""
+    path = Path(swarmd.config.__path__[0]) / "lessons.yaml"
+    return Layered((shown(path), read(path))).build(_LessonsFile).lessons
+
+
+def plan_of_lesson(lesson: Lesson) -> Plan:
+    """The runs of a lesson that has a pattern, with a stand-in for the pattern."""
+    groups = lesson.scenario["groups"].items()
+    named = {name: {**group, "pattern": _STAND_IN} for name, group in groups}
+    scenario = scenario_of({**lesson.scenario, "groups": named})
+    return plan_of(scenario, range(lesson.seeds), sweep=lesson.sweep)
+
+
+def mark_results(lesson: Lesson, folder: Path) -> Mark:
+    """The mark of the results that a pupil's folder holds."""
+    findings: list[Finding] = []
+    faults: list[str] = []
+    for where, texts in lesson.targets.items():
+        try:
+            sides = sides_of(str(folder / where))
+            findings += _findings(sides, texts)
+            if lacking := missing_runs(sides):
+                faults.append(f"{where}: {lacking}")
+        except (SwarmError, OSError) as error:
+            faults.append(str(error).replace(f"{folder}/", ""))
+    return Mark(findings, next(iter([*faults, *_missed(findings)]), ""))
+
+
+def mark_pattern(
+    lesson: Lesson, plan: Plan, folder: Path, *, processes: int, timeout: float
+) -> Mark:
+    """The mark of the pattern that a pupil's folder holds, by runs of at most `timeout` s in all.
+
+    `plan` is that of `plan_of_lesson`.
+    """
+    by_id = {run.id: run for run in plan.runs}
+    jobs = []
+    for run in plan.runs:
+        effective = _with_pattern(run.variant.effective, lesson.pattern, folder)
+        jobs.append(Job(run.id, effective, run.seed, trace=None, guest=folder))
+    rows: list[Row] = []
+    for result in _bounded(jobs, processes, timeout):
+        if result.metrics is None:
+            return Mark(why=f"{by_id[result.run].title}: {result.reason.rstrip(': ')}")
+        if result.metrics["failed_patterns"]:
+            return Mark(why=f"{by_id[result.run].title}: the pattern raised an error in a step")
+        rows.append(Row(by_id[result.run], result.metrics, result.wall))
+    if len(rows) < len(jobs):
+        done = f"{len(rows)} of {len(jobs)} runs"
+        return Mark(why=f"the pattern is too slow: {done} are done after {timeout:g} s")
+    rows.sort(key=lambda row: list(by_id).index(row.run.id))
+    results = Results(folder, plan, rows, {}, tuple(METRICS))
+    findings: list[Finding] = []
+    for where, texts in lesson.targets.items():
+        findings += _findings([Side(where, results, where.partition(":")[2])], texts)
+    return Mark(findings, next(_missed(findings), ""))
+
+
+def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[JobResult]:
+    """The results that come within the time; after the first failure no further ones."""
+    deadline = time.monotonic() + timeout
+    with closing(run_jobs(jobs, processes, min(STEP_TIMEOUT, timeout / 2.0))) as found:
+        for result in found:
+            if isinstance(result, JobResult):
+                yield result
+            if time.monotonic() > deadline:
+                return
+
+
+def _with_pattern(effective: Mapping[str, Any], pattern: str, folder: Path) -> dict[str, Any]:
+    groups = {name: {**one, "pattern": pattern} for name, one in effective["groups"].items()}
+    return {**effective, "groups": groups, "plugin_dir": str(folder)}
+
+
+def _findings(sides: Sequence[Side], texts: Sequence[str]) -> list[Finding]:
+    return [check(parse_requirement(text), side) for side in sides for text in texts]
+
+
+def _missed(findings: Sequence[Finding]) -> Iterator[str]:
+    for one in findings:
+        if not one.is_met:
+            what, wanted = one.requirement.text.split(one.requirement.comparison, 1)
+            where = f" with {one.variant}" if one.variant else ""
+            value = f"is {one.value:.3g}" if one.value is not None else "has no value"
+            remark = f" ({one.remark})" if one.remark else ""
+            limit = f"{one.requirement.comparison} {wanted.strip()}"
+            yield f"{what.strip()} {value}{where}, not {limit}{remark}"
+
+
+def pattern_file(folder: Path, lesson: Lesson) -> Path:
+    """The file of the lesson's pattern in a pupil's folder; ConfigError if it is not there."""
+    file = folder / f"{lesson.pattern}.py"
+    if not file.is_file():
+        others = sorted(one.name for one in folder.glob("*.py"))
+        raise ConfigError(f"no {file.name}{f', but {others[0]}' if others else ''}")
+    return file

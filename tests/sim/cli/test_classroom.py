@@ -1,0 +1,176 @@
+"""`swarmctl class check`: real runs with the pattern of each pupil."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from swarmd.sim.cli.classroom import classroom
+from swarmd.sim.experiments import lessons
+from swarmd.sim.experiments.lessons import Lesson, load_lessons
+from swarmd.sim.experiments.simulate import simulate
+from tests.support.examples import part
+from tests.support.processes import has_landlock
+
+ROOT = Path(__file__).resolve().parents[3]
+BOLD = (ROOT / "docs/tutorial/5-protection.md").read_text().split("```python\n")[1].split("```")[0]
+MISTAKES = {
+    "colon": BOLD.replace("def step(self, inputs: Inputs) -> Outputs:", "def step(self, inputs)"),
+    "nothing": BOLD.replace("return Outputs(", "Outputs("),
+    "network": f"import socket\n{BOLD}",
+}
+"""Files that `plugin check` refuses."""
+
+AFTER_THE_CHECK = {"late": "[0.0][1]", "hog": "[0.0] * 10**10"}
+"""Statements that a pattern reaches in its 300th step, and `plugin check` does not reach."""
+
+
+def bold_until(statement: str) -> str:
+    """The reckless pattern, which from its 300th step on comes to a statement."""
+    count = "self.steps = getattr(self, 'steps', 0) + 1"
+    lines = (count, "while self.steps > 300:", f"    {statement}", "return Outputs(")
+    return BOLD.replace("return Outputs(", "\n        ".join(lines))
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> Lesson:
+    """Lesson 5 with one robot, one seed and 32 s."""
+    scenario = {
+        "duration": 32,
+        "arena": {"size": [3, 3]},
+        "groups": {"r": {"platform": "burger", "count": 1}},
+    }
+    targets = {"runs/crowd": ["path_length >= 2", "max(arena_contacts) == 0"]}
+    lesson = Lesson(title="Short", targets=targets, pattern="bold", scenario=scenario)
+    monkeypatch.setattr(lessons, "load_lessons", lambda: {"5": lesson})
+    return lesson
+
+
+def checked(folder: Path, lesson: str, *options: str) -> Result:
+    words = ["check", str(folder), "--lesson", lesson, "-j", "2", *options]
+    return CliRunner().invoke(classroom, words)
+
+
+def pupils(result: Result) -> Mapping[str, dict[str, Any]]:
+    return {one["pupil"]: one for one in json.loads(result.stdout)["pupils"]}
+
+
+@pytest.mark.integration
+def test_a_broken_file_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> None:
+    for name, text in {**MISTAKES, "anna": BOLD}.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    (tmp_path / "zoe").mkdir()
+    result = checked(tmp_path, "5", "-o", "json")
+    assert result.exit_code == 1
+    found = pupils(result)
+    assert list(found) == [*sorted([*MISTAKES, "anna"]), "zoe"]
+    assert [name for name, one in found.items() if one["passed"]] == ["anna"]
+    assert [one["met"] for one in found["anna"]["requirements"]] == [True, True]
+    assert all(found[name]["why"] and not found[name]["requirements"] for name in MISTAKES)
+    assert "socket" in found["network"]["why"]
+    assert "bold.py" in found["zoe"]["why"]
+
+
+@pytest.mark.integration
+def test_what_breaks_in_the_run_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> None:
+    (tmp_path / "anna").mkdir()
+    (tmp_path / "anna" / "bold.py").write_text(BOLD)
+    for name, statement in AFTER_THE_CHECK.items():
+        (tmp_path / f"{name}.py").write_text(bold_until(statement))
+    found = pupils(checked(tmp_path, "5", "-o", "json"))
+    assert {name: one["passed"] for name, one in found.items()} == {
+        "anna": True,
+        **dict.fromkeys(AFTER_THE_CHECK, False),
+    }
+    assert all({row["result"] for row in one["checks"]} == {"ok"} for one in found.values())
+    assert "MemoryError" in found["hog"]["why"]
+
+
+@pytest.mark.integration
+@pytest.mark.skipif(not has_landlock(), reason="this kernel has no Landlock")
+def test_a_pattern_cannot_write_a_file(tmp_path: Path, short: Lesson) -> None:
+    stolen = tmp_path / "stolen"
+    (tmp_path / "file.py").write_text(bold_until(f"open({str(stolen)!r}, 'w').write('x')"))
+    assert not pupils(checked(tmp_path, "5", "-o", "json"))["file"]["passed"]
+    assert not stolen.exists()
+
+
+@pytest.mark.integration
+def test_a_pattern_that_hangs_or_is_slow_ends_with_the_time(tmp_path: Path, short: Lesson) -> None:
+    (tmp_path / "hang.py").write_text(bold_until("pass"))
+    found = pupils(checked(tmp_path, "5", "--timeout", "4", "-o", "json"))
+    assert not found["hang"]["passed"]
+    assert re.search("no progress in 2 s|too slow: 0 of 1 runs", found["hang"]["why"])
+
+
+@pytest.mark.integration
+def test_the_table_has_the_targets_the_values_and_a_reason(tmp_path: Path, short: Lesson) -> None:
+    (tmp_path / "anna.py").write_text(BOLD)
+    (tmp_path / "ben.py").write_text(BOLD.replace("] = 0.2", "] = 0.01"))
+    result = checked(tmp_path, "5")
+    lines = result.stdout.splitlines()
+    assert lines[:2] == ["A  path_length >= 2", "B  max(arena_contacts) == 0"]
+    assert lines[3].split() == ["PUPIL", "CHECKS", "A", "B", "VERDICT", "WHY"]
+    (_, checks, value, _, verdict, why), ben = lines[4].split(), lines[5].split(maxsplit=5)
+    assert (checks.split("/")[0], verdict, why) == (checks.split("/")[1], "passed", "-")
+    assert float(value) >= 2.0
+    assert ben[2].endswith("!")
+    assert ben[4] == "failed"
+    assert ben[5].startswith("path_length is ")
+
+
+@pytest.mark.integration
+def test_handed_in_results_are_compared_with_the_targets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    targets = {"runs/first": ["robot_contacts == 0", "runs >= 2"]}
+    monkeypatch.setattr(lessons, "load_lessons", lambda: {"1": Lesson("First", targets)})
+    simulate("drive", seeds=2, set={"duration": 2}, out=tmp_path / "anna/runs/first")
+    shutil.copytree(tmp_path / "anna", tmp_path / "ben")
+    (tmp_path / "ben/runs/first/manifest.json").write_text("{")
+    (tmp_path / "cem").mkdir()
+    result = checked(tmp_path, "1", "-o", "json")
+    assert {name: one["passed"] for name, one in pupils(result).items()} == {
+        "anna": True,
+        "ben": False,
+        "cem": False,
+    }
+    assert result.exit_code == 1
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("lesson", "name"), part([("5", "bold")], [("2", "beeclust"), ("5", "bold")])
+)
+def test_the_pattern_of_the_page_passes_its_lesson(tmp_path: Path, lesson: str, name: str) -> None:
+    texts = {"bold": BOLD, "beeclust": (ROOT / "examples/beeclust.py").read_text()}
+    (tmp_path / "anna.py").write_text(texts[name])
+    result = checked(tmp_path, lesson, "-o", "json")
+    assert pupils(result)["anna"]["why"] == ""
+    assert result.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("lesson", "what"), [("9", "lesson"), ("1", "no folder of a pupil"), ("2", "PUPIL.py")]
+)
+def test_a_wrong_lesson_and_an_empty_folder_are_refused(
+    tmp_path: Path, lesson: str, what: str
+) -> None:
+    result = checked(tmp_path, lesson)
+    assert result.exit_code != 0
+    assert what in f"{result.output} {result.exception}"
+
+
+def test_lessons_are_listed_with_what_is_handed_in() -> None:
+    result = CliRunner().invoke(classroom, ["lessons", "-o", "json"])
+    rows = json.loads(result.stdout)["lessons"]
+    assert [row["lesson"] for row in rows] == list(load_lessons())
+    assert rows[1]["hand_in"] == ["beeclust.py"]
+    assert rows[3]["hand_in"] == ["runs/votes", "runs/range"]
