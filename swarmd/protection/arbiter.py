@@ -23,7 +23,6 @@ from swarmd.protection.decision import NO_PERMIT, Avoided, Decision, DecisionCon
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
 from swarmd.protection.recovery import NO_OTHERS, Others, Recovery
-from swarmd.protection.tracks import Tracker
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
@@ -103,7 +102,7 @@ class Protection:
             self._recovery = Recovery(clearance, platform.limits, seed)
         if clearance is not None and is_avoiding:
             self._avoidance = Avoidance(clearance, platform.limits)
-            self._tracker = Tracker(platform)
+            self._tracker = load_kernel("swarmd.protection.tracks").Tracker(platform)
 
     @property
     def passage(self) -> NarrowestPassage | None:
