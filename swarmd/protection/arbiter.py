@@ -66,6 +66,8 @@ class Protection:
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: object
     _tracker: object
+    _avoids: cython.bint  # as the platform says
+    _is_avoiding: cython.bint  # as the permit says
     _latency: cython.double
     _is_running: cython.bint
     _is_followed: cython.bint  # `following` has had a reading since its reset
@@ -97,10 +99,10 @@ class Protection:
         self._safe = self._allowed = self._wanted = ZERO
         self._is_recovering = False
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
-        is_avoiding = platform.protection.get("avoidance", "none") == "orca"
         if clearance is not None:
             self._recovery = Recovery(clearance, platform.limits, seed)
-        if clearance is not None and is_avoiding:
+            self._avoids = platform.protection.get("avoidance", "none") == "orca"
+            self._is_avoiding = self._avoids
             self._avoidance = Avoidance(clearance, platform.limits)
             self._tracker = load_kernel("swarmd.protection.tracks").Tracker(platform)
 
@@ -118,7 +120,7 @@ class Protection:
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
-        if self._avoidance is not None:
+        if self._is_avoiding:
             self._tracker.observe(scan, context)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
@@ -136,7 +138,7 @@ class Protection:
         if self._is_running:
             self._is_followed = True
             self.following.on_odometry(odometry)
-        if self._avoidance is not None:
+        if self._is_avoiding:
             self._tracker.on_odometry(odometry)
 
     @property
@@ -163,6 +165,13 @@ class Protection:
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
+        if recovery is not None:
+            avoids = permit.avoids
+            is_avoiding: cython.bint = self._avoids if avoids is None else avoids
+            if is_avoiding != self._is_avoiding:
+                self._is_avoiding = is_avoiding
+                self._tracker.reset()  # what has moved meanwhile
+                self._avoidance.reset()
         if requested is not self._requested:  # most are judged more than once
             self._requested, self._wanted = requested, _zero
             if requested is not None and requested.is_finite:
@@ -178,8 +187,7 @@ class Protection:
             if self._may_recover:
                 self._may_recover = self._is_recovering = False
                 recovery.reset()
-                if self._avoidance is not None:
-                    self._avoidance.reset()
+                self._avoidance.reset()
             return self._decision(wanted, _zero, False, (), hold, context)
         if recovery is not None and permit.may_recover:
             self._may_recover = True
@@ -222,7 +230,7 @@ class Protection:
     def _passing(self, wanted: Twist, context: DecisionContext) -> tuple[Twist, Others]:
         """The command that leads past others; `wanted` if nothing is in its way."""
         avoidance, recovery = self._avoidance, self._recovery
-        if avoidance is None or recovery is None:
+        if not self._is_avoiding:
             return wanted, NO_OTHERS
         if recovery.has_taken_over:
             avoidance.avoiding = None
@@ -278,7 +286,7 @@ class Protection:
             self._scan_seq,
             self._is_recovering,
             share,
-            None if self._avoidance is None else self._avoided(),
+            self._avoided() if self._is_avoiding else None,
         )
 
     def _avoided(self) -> Avoided | None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
+from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
 from swarmd.protection import velocity_obstacles as interpreted
 from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import Permit
@@ -206,3 +206,12 @@ def test_a_robot_beside_an_object_recovers_later(is_alone: bool, least: float, m
         ride = FilterSim(platform, shapes).run(AHEAD, 8.0, Permit(may_recover=True))
         begin.append(next(time for time, decision in ride.decisions if decision.is_recovering))
     assert least <= begin[1] - begin[0] <= most
+
+
+@pytest.mark.parametrize("platform", [BURGER, AVOIDING], ids=["none", "orca"])
+@pytest.mark.parametrize("avoids", [True, False])
+def test_the_permit_of_a_run_comes_before_the_platform(platform: Platform, avoids: bool) -> None:
+    sim = FilterSim(platform, [pole(0.1, Pose(1.0))])
+    permit = Permit(may_recover=True, avoids=avoids)
+    decisions = [decision for _, decision in sim.run(AHEAD, 3.0, permit).decisions]
+    assert any(decision.avoided is not None for decision in decisions) is avoids

@@ -221,6 +221,19 @@ def test_parameter_recovery_overrides_the_default(pattern: str, value: str) -> N
     assert harness.status.params["recovery"].source == "request"
 
 
+def test_parameter_avoidance_says_whether_the_robot_avoids() -> None:
+    harness = make_harness()
+    run_pattern(harness, "forward")
+    assert permit(harness).avoids is None
+    for value, wanted in (("orca", True), ("none", False), ("platform", None)):
+        harness.ask("param", params={"avoidance": value})
+        harness.advance(0.1)
+        assert permit(harness).avoids is wanted
+    run_pattern(harness, "forward", params={"avoidance": "orca"})
+    assert permit(harness).avoids is True
+    assert "platform, orca, none" in harness.refused("param", params={"avoidance": "rvo"}).text
+
+
 def test_a_pattern_may_go_on_with_late_scans() -> None:
     harness = make_harness()
     sensors = harness.robot._sensors
