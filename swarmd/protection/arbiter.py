@@ -65,7 +65,7 @@ class Protection:
     _is_recovering: cython.bint
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: object
-    _tracker: object
+    _tracker = cython.declare(object, visibility="public")
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
     _latency: cython.double
