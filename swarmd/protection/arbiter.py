@@ -28,6 +28,8 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
 
     import cython
+
+    from swarmd.protection.tracks import Track
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -140,6 +142,10 @@ class Protection:
             self.following.on_odometry(odometry)
         if self._is_avoiding:
             self._tracker.on_odometry(odometry)
+
+    def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
+        """The tracks by which the robot avoids; None if it does not."""
+        return self._tracker.surroundings(context).tracks if self._is_avoiding else None
 
     @property
     def findings(self) -> tuple[str, ...]:
