@@ -145,8 +145,8 @@ export class SwarmMap {
     if (this.shows.trails) this.drawTrails(robots, zoom);
     for (const robot of robots) if (model.selected.has(robot.name) && robot.scan && now - robot.scanned < OLD) this.drawScan(robot, zoom);
     for (const robot of robots) if (model.selected.has(robot.name)) this.drawLimits(robot, zoom);
-    for (const robot of robots) if (model.selected.has(robot.name)) this.drawTracks(robot, zoom);
     this.drawRobots(robots, now, zoom, text);
+    for (const robot of robots) if (model.selected.has(robot.name)) this.drawTracks(robot, zoom);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     if (this.shows.names) this.drawNames(this.named(robots), text, dim);
     if (this.ruler) this.drawRuler(text);
