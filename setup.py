@@ -34,6 +34,8 @@ KERNELS = {
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
     "swarmd.protection.following": "swarmd/protection/following.py",
+    "swarmd.protection.tracks": "swarmd/protection/tracks.py",
+    "swarmd.protection.velocity_obstacles": "swarmd/protection/velocity_obstacles.py",
     "swarmd.robot.tick": "swarmd/robot/tick.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",
     "swarmd.sim.world.base": "sim/world/base.py",

@@ -18,6 +18,7 @@ from swarmd.core.events import (
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -34,7 +35,7 @@ from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, 
 from swarmd.core.verbs import RunRequest
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import NO_PERMIT, DecisionContext, Permit
 from swarmd.protection.protection import Protection
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
@@ -166,8 +167,11 @@ def among(platform: Platform, neighbors: int, count: int = 100) -> list[Scan]:
 class Moving:
     """What a daemon does with the scans of a sweeping sensor while the robot moves at a twist."""
 
-    def __init__(self, platform: Platform, scans: Sequence[Scan], twist: Twist) -> None:
+    def __init__(
+        self, platform: Platform, scans: Sequence[Scan], twist: Twist, permit: Permit = NO_PERMIT
+    ) -> None:
         self._sensors, self._protection = Sensors(platform), Protection(platform)
+        self._permit = permit
         self._sensors.on_driver(True, "")
         # No ages: those of the platform's sweep count.
         self._scans = cycle([replace(scan, ages=None) for scan in scans])
@@ -196,7 +200,7 @@ class Moving:
             raise RuntimeError(f"the scan does not count: {sensors.hold(now)}")
         self._protection.observe(sensors.scan, sensors.context(now))
         hold = sensors.hold(now)
-        self._protection.decide(REQUESTED, sensors.context(now), is_running=True, hold=hold)
+        self._protection.decide(REQUESTED, sensors.context(now), True, hold, self._permit)
 
 
 def moving_rows(platform: Platform) -> Iterator[Row]:
@@ -207,6 +211,36 @@ def moving_rows(platform: Platform) -> Iterator[Row]:
             name = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
             budget = SCAN_BUDGET if what == "at rest" else MOVING_BUDGET
             yield Row(name, measure_each(moving.prepare), budget)
+    yield from avoidance_rows(platform)
+
+
+def avoidance_rows(platform: Platform) -> Iterator[Row]:
+    """The same in a pattern with recovery beside eight moving robots, in alternation."""
+    avoiding = dataclasses.replace(
+        platform, protection={**platform.protection, "avoidance": "orca"}
+    )
+    scans = circling(platform, 8)
+    ones = [
+        Moving(one, scans, Twist(0.02), Permit(may_recover=True)) for one in (platform, avoiding)
+    ]
+    times: list[list[float]] = [[], []]
+    for _ in range(3):
+        for one, some in zip(ones, times, strict=True):
+            some += measure_each(one.prepare)
+    for what, some in zip(("without avoidance", "with avoidance"), times, strict=True):
+        yield Row(f"scan with de-skew and decision, driving, 8 neighbours, {what}", some)
+
+
+def circling(platform: Platform, neighbors: int) -> list[Scan]:
+    """Scans of that many Waffle Pis that drive around on a circle of 1 m at 0.2 m/s, for a turn."""
+    step = 0.2 * PERIOD
+    scans = []
+    for seq in range(round(2.0 * math.pi / step)):
+        angles = [seq * step + 2.0 * math.pi * i / neighbors for i in range(neighbors)]
+        discs = [Disc(math.cos(a), math.sin(a), 0.15) for a in angles]
+        rng = np.random.default_rng(seq)
+        scans.append(scan_of(platform, discs, seq=seq, noise=0.01, rng=rng))
+    return scans
 
 
 def mode_rows(platform: Platform) -> Iterator[Row]:

@@ -27,6 +27,8 @@ TESTS = {
     "swarmd/protection/barrier.py": ("tests/protection",),
     "swarmd/protection/blind_zone.py": ("tests/protection",),
     "swarmd/protection/following.py": ("tests/protection",),
+    "swarmd/protection/tracks.py": ("tests/protection",),
+    "swarmd/protection/velocity_obstacles.py": ("tests/protection",),
     "swarmd/robot/tick.py": ("tests/robot",),
     "swarmd/sensing/scans.py": ("tests/sensing",),
     "sim/world/base.py": ("tests/sim/world",),

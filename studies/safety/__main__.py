@@ -1,8 +1,9 @@
-"""`python -m studies.safety hours | progress | encounters | one`: see docs/evidence/safety.md.
+"""`python -m studies.safety hours | progress | encounters | tracks | one`: see docs/evidence/safety.md.
 
 hours: robot-hours over all scenes. progress: goals reached in each mode. encounters: how robots get
-past each other in each mode. one: a single run with every collision and those at fault. Runs that
-build/safety has from the same sources are not repeated, but for encounters.
+past each other in each mode. tracks: the errors of tracks. one: a single run with every collision
+and those at fault. Runs of hours and progress that build/safety has from the same sources are not
+repeated.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.table import machine
-from studies.safety import encounters, hours, progress
+from studies.safety import encounters, hours, progress, tracking
 from studies.safety.columns import COLUMNS
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
@@ -101,10 +102,15 @@ def _parser() -> argparse.ArgumentParser:
             verb.add_argument("--seeds", type=_count, default=5, help="how many")
     verb = verbs.add_parser("encounters", help="How robots get past each other in each mode.")
     verb.add_argument("--tasks", nargs="+", choices=encounters.TASKS, default=encounters.TASKS)
-    verb.add_argument("--modes", nargs="+", choices=MODES, default=encounters.MODES)
+    modes = sorted({*encounters.MODES, *MODES})
+    verb.add_argument("--modes", nargs="+", choices=modes, default=encounters.MODES)
     verb.add_argument("--seeds", type=_count, default=20, help="how many")
     verb.add_argument("--dev", action="store_true", help="seeds to work with, not to accept by")
     verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
+    verb = verbs.add_parser("tracks", help="Errors of tracks, for several lidars.")
+    verb.add_argument("--seeds", type=_count, default=3, help="how many")
+    verb.add_argument("--duration", type=float, default=60.0, help="of a run in s")
+    verb.add_argument("--dev", action="store_true", help="seeds to work with, not to accept by")
     one = verbs.add_parser("one", help="A single run with every collision.")
     for name, choices in (
         ("family", FAMILIES),
@@ -128,6 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         chosen = seeds[: options.seeds]
         found = encounters.carry_out(options.tasks, options.modes, chosen, options.jobs)
         print(encounters.table(found))
+        return
+    if options.verb == "tracks":
+        print(tracking.table(seeds[: options.seeds], options.duration))
         return
     tasks = options.plan(options, seeds)
     if not tasks:

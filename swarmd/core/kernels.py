@@ -27,6 +27,8 @@ KERNELS = (
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",
     "swarmd.protection.following",
+    "swarmd.protection.tracks",
+    "swarmd.protection.velocity_obstacles",
     "swarmd.robot.tick",
     "swarmd.sensing.scans",
     "swarmd.sim.world.base",

@@ -26,6 +26,8 @@ from swarmd.core.goal import GoalStatus
 
 MAX_EVENTS = 10
 """Events that a robot keeps and tells."""
+MAX_TRACKS = 32
+"""Tracks that a robot shows."""
 STATUS_SILENCE = 3.0
 """A status older than this, in s, is not the present one: robots send one each second."""
 
@@ -436,6 +438,23 @@ class Motion(Struct, frozen=True, array_like=True):
     is_active: bool
     gap: Metres | None = None
     rows: tuple[LimitingObstacle, ...] = ()
+
+
+class ShownTrack(Struct, frozen=True, array_like=True, gc=False):
+    """A track of avoidance: its middle, velocity and radius in the base frame in m and m/s."""
+
+    x: Metres
+    y: Metres
+    vx: Speed
+    vy: Speed
+    radius: Metres
+
+
+class Tracks(Struct, frozen=True, array_like=True):
+    """The nearest tracks of a robot that avoids, for viewers: with a scan, only while watched."""
+
+    robot: Name
+    tracks: Annotated[tuple[ShownTrack, ...], Meta(max_length=MAX_TRACKS)] = ()
 
 
 class StatusHeader(Struct, frozen=True, kw_only=True):

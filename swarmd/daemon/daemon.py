@@ -485,10 +485,15 @@ class Daemon:
         if scan is not None and scan.seq != self._shown_scan:
             self._shown_scan = scan.seq
             self._network.publish("scan", lambda: encode_scan(scan))
+            self._network.publish("tracks", self._tracks)
 
     def _motion(self) -> bytes | None:
         motion = self._robot.motion(boottime())
         return None if motion is None else encode(motion)
+
+    def _tracks(self) -> bytes | None:
+        tracks = self._robot.tracks(boottime())
+        return None if tracks is None else encode(tracks)
 
     def _check_storage(self) -> None:
         """Try the state folder, and tell of a change; write a latch that is in memory only."""

@@ -33,6 +33,14 @@ Recovery = Annotated[
     ),
 ]
 
+Avoidance = Annotated[
+    Literal["platform", "orca", "none"],
+    Meta(
+        description="what leads the robot past moving ones; platform: as the platform's file says",
+        extra={"unit": "", "source": "ours: acts only with recovery"},
+    ),
+]
+
 
 class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
@@ -40,10 +48,12 @@ class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     The type is float, int, bool, str or a Literal of strings, `Annotated[int, about(...)] | None`
     where None has a meaning. Without a default it is derived or required. `__post_init__` may check
     several fields and raise ValueError. Every pattern has `recovery`; a pattern that stops or
-    pushes on purpose overrides its default, `recovery: Recovery = False`.
+    pushes on purpose overrides its default, `recovery: Recovery = False`. Every pattern has
+    `avoidance`, too.
     """
 
     recovery: Recovery = True
+    avoidance: Avoidance = "platform"
 
 
 P = TypeVar("P", bound=Params)

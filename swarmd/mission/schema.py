@@ -29,8 +29,10 @@ NO_DRIVER = "none"
 
 _PARAMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _RESERVED_PARTS = (NO_DRIVER, "phase")
-_RESERVED_NAMES = ("recovery", "phase")
+_RESERVED_NAMES = ("recovery", "avoidance", "phase")
 _RECOVERY = "sets recovery, which is of the whole mission: set it beside parts, or -p recovery="
+_AVOIDANCE = "sets avoidance, which is of the whole mission: give it by -p avoidance="
+_SHARED = {"recovery": _RECOVERY, "avoidance": _AVOIDANCE}
 
 Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 Elements: TypeAlias = "Annotated[tuple[Element, ...], Meta(min_length=1)]"
@@ -340,8 +342,8 @@ def _check_map(one: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     yield from _check_reference(one.source, (*keys, "from"), names)
     yield from _check_reference(one.target, (*keys, "to"), names)
     (source, _), (target, param) = split(one.source), split(one.target)
-    if param == "recovery":
-        yield fault_at((*keys, "to"), _RECOVERY)
+    if param in _SHARED:
+        yield fault_at((*keys, "to"), _SHARED[param])
     if source == target:
         yield fault_at((*keys, "to"), f"is a parameter of {source} itself; expected another part's")
     if (one.values is None) == (one.base is None):
@@ -372,7 +374,10 @@ def _named(
     for own, reference in found.items():
         wrong = list(_check_reference(reference, (key, own), names))
         if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
-            text = "is not a valid name; expected letters, digits and _, but not recovery or phase"
+            text = (
+                "is not a valid name; expected letters, digits and _, but not recovery, avoidance"
+                " or phase"
+            )
             wrong = [fault_at((key, own), text)]
         faults += wrong
         if not wrong:
@@ -394,14 +399,16 @@ def _check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]
             yield fault_at(("parts", name), text)
         elif name not in used:
             yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")
+        elif "avoidance" in (document.parts[name].params if name in document.parts else ()):
+            yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
     setters: dict[Reference, str] = {}
     for keys, one in document.maps:
         if split(one.target) in setters:
             yield fault_at((*keys, "to"), f"is {one.target}, which another map sets; keep one")
         setters[split(one.target)] = "a map"
     for own, reference in document.parameters.items():
-        if reference[1] == "recovery":
-            yield fault_at(("parameters", own), _RECOVERY)
+        if reference[1] in _SHARED:
+            yield fault_at(("parameters", own), _SHARED[reference[1]])
         if reference in setters:
             text = f"is {'.'.join(reference)}, which {setters[reference]} sets too; keep one"
             yield fault_at(("parameters", own), text)

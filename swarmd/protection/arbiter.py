@@ -23,12 +23,13 @@ from swarmd.protection.decision import NO_PERMIT, Avoided, Decision, DecisionCon
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
 from swarmd.protection.recovery import NO_OTHERS, Others, Recovery
-from swarmd.protection.tracks import Tracker
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
 
     import cython
+
+    from swarmd.protection.tracks import Track
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -66,7 +67,9 @@ class Protection:
     _is_recovering: cython.bint
     _may_recover: cython.bint  # recovery or avoidance has decided since the last hold
     _avoidance: object
-    _tracker: object
+    _tracker = cython.declare(object, visibility="public")
+    _avoids: cython.bint  # as the platform says
+    _is_avoiding: cython.bint  # as the permit says
     _latency: cython.double
     _is_running: cython.bint
     _is_followed: cython.bint  # `following` has had a reading since its reset
@@ -98,12 +101,12 @@ class Protection:
         self._safe = self._allowed = self._wanted = ZERO
         self._is_recovering = False
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
-        is_avoiding = platform.protection.get("avoidance", "none") == "orca"
         if clearance is not None:
             self._recovery = Recovery(clearance, platform.limits, seed)
-        if clearance is not None and is_avoiding:
+            self._avoids = platform.protection.get("avoidance", "none") == "orca"
+            self._is_avoiding = self._avoids
             self._avoidance = Avoidance(clearance, platform.limits)
-            self._tracker = Tracker(platform)
+            self._tracker = load_kernel("swarmd.protection.tracks").Tracker(platform)
 
     @property
     def passage(self) -> NarrowestPassage | None:
@@ -119,7 +122,7 @@ class Protection:
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
-        if self._avoidance is not None:
+        if self._is_avoiding:
             self._tracker.observe(scan, context)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
@@ -137,8 +140,12 @@ class Protection:
         if self._is_running:
             self._is_followed = True
             self.following.on_odometry(odometry)
-        if self._avoidance is not None:
+        if self._is_avoiding:
             self._tracker.on_odometry(odometry)
+
+    def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
+        """The tracks by which the robot avoids; None if it does not."""
+        return self._tracker.surroundings(context).tracks if self._is_avoiding else None
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -164,6 +171,13 @@ class Protection:
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
+        if recovery is not None:
+            avoids = permit.avoids
+            is_avoiding: cython.bint = self._avoids if avoids is None else avoids
+            if is_avoiding != self._is_avoiding:
+                self._is_avoiding = is_avoiding
+                self._tracker.reset()  # what has moved meanwhile
+                self._avoidance.reset()
         if requested is not self._requested:  # most are judged more than once
             self._requested, self._wanted = requested, _zero
             if requested is not None and requested.is_finite:
@@ -179,8 +193,7 @@ class Protection:
             if self._may_recover:
                 self._may_recover = self._is_recovering = False
                 recovery.reset()
-                if self._avoidance is not None:
-                    self._avoidance.reset()
+                self._avoidance.reset()
             return self._decision(wanted, _zero, False, (), hold, context)
         if recovery is not None and permit.may_recover:
             self._may_recover = True
@@ -223,7 +236,7 @@ class Protection:
     def _passing(self, wanted: Twist, context: DecisionContext) -> tuple[Twist, Others]:
         """The command that leads past others; `wanted` if nothing is in its way."""
         avoidance, recovery = self._avoidance, self._recovery
-        if avoidance is None or recovery is None:
+        if not self._is_avoiding:
             return wanted, NO_OTHERS
         if recovery.has_taken_over:
             avoidance.avoiding = None
@@ -279,7 +292,7 @@ class Protection:
             self._scan_seq,
             self._is_recovering,
             share,
-            None if self._avoidance is None else self._avoided(),
+            self._avoided() if self._is_avoiding else None,
         )
 
     def _avoided(self) -> Avoided | None:

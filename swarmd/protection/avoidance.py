@@ -16,15 +16,27 @@ fill a square, and a pattern's request that turns towards a goal points there.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from operator import itemgetter
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
-
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Limits, Twist
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
+
+if TYPE_CHECKING:
+    from swarmd.protection.velocity_obstacles import (
+        Line,
+        excess,
+        line_of,
+        nearest,
+        wall_lines,
+        width_between,
+    )
+else:
+    _kernel = load_kernel("swarmd.protection.velocity_obstacles")
+    excess, nearest = _kernel.excess, _kernel.nearest
+    line_of, wall_lines, width_between = _kernel.line_of, _kernel.wall_lines, _kernel.width_between
 
 _HORIZON = 1.8  # s within which a track is met
 _WALL_HORIZON = 0.8  # s, for walls: protection slows the robot beside them anyway
@@ -42,16 +54,6 @@ _PASSAGE_REACH = (-0.2, 0.35)  # m before the axle at which walls on both sides 
 _PASSAGE_WIDTHS = 1.4  # times the clearance to each side, at most
 _LEAD = (0.05, 0.3)  # m, of the point ahead of the axle
 _NEAR = 1.0  # m: others beyond that do not explain that the robot is blocked
-_EPSILON = 1e-9
-
-
-class Line(NamedTuple):
-    """Velocities to the left of the direction `dx`, `dy` through the point `x`, `y` are allowed."""
-
-    x: float
-    y: float
-    dx: float
-    dy: float
 
 
 class Avoidance:
@@ -95,11 +97,7 @@ class Avoidance:
         # A farther wall allows any speed of the base.
         beside = self._radius - _WALL_SLACK
         reach = beside + _WALL_HORIZON * self._limits.linear
-        lines = [
-            _line_of((px, py), own, own, beside, 1.0, _WALL_HORIZON)
-            for px, py in (around.walls - (self._lead, 0.0)).tolist()
-            if px * px + py * py < reach * reach
-        ]
+        lines = wall_lines(around.walls, self._lead, *own, beside, reach, _WALL_HORIZON)
         walls = len(lines)
         lines += [self._line(one, own) for one in around.tracks]
         most = math.hypot(x, y)
@@ -120,11 +118,8 @@ class Avoidance:
 
     def _is_in_passage(self, walls: Array) -> bool:
         """True between walls that leave no room to go aside, where recovery keeps the middle."""
-        (first, last), widest = _PASSAGE_REACH, _PASSAGE_WIDTHS * self._radius
-        x, y = walls[:, 0], walls[:, 1]
-        near = walls[(x > first) & (x < last) & (np.abs(y) < widest)]
-        across = near[near[:, 1] > 0.0][:, None] - near[near[:, 1] <= 0.0]
-        width = float(np.hypot(across[..., 0], across[..., 1]).min(initial=math.inf))
+        widest = _PASSAGE_WIDTHS * self._radius
+        width: float = width_between(walls, *_PASSAGE_REACH, widest)
         return self._body < width < 2.0 * widest
 
     def _held_up(self, now: float, share: float) -> None:
@@ -152,133 +147,5 @@ class Avoidance:
         relative = own[0] - track.vx, own[1] - track.vy
         radius = self._radius + _COMFORT + track.radius
         place = track.x - self._lead, track.y
-        return _line_of(place, relative, own, radius, share, _HORIZON)
-
-
-def _line_of(
-    place: tuple[float, float],
-    relative: tuple[float, float],
-    own: tuple[float, float],
-    radius: float,
-    share: float,
-    horizon: float,
-) -> Line:
-    """The velocities that do not lead nearer to a place than `radius` within `horizon` s.
-
-    `relative` is the present velocity relative to the place, of which `own` changes by a share.
-    """
-    (px, py), (vx, vy) = place, relative
-    square = max(px * px + py * py, _EPSILON)
-    # Within that distance the robot may go aside, and need not go away.
-    radius = min(radius, max(math.sqrt(square) - 1e-3, 1e-3))
-    wx, wy = vx - px / horizon, vy - py / horizon
-    length = math.hypot(wx, wy)
-    along = wx * px + wy * py
-    if along < 0.0 and along * along > radius * radius * length * length:
-        nx, ny = wx / max(length, _EPSILON), wy / max(length, _EPSILON)
-        off = radius / horizon - length
-        dx, dy, ux, uy = ny, -nx, off * nx, off * ny
-    else:
-        leg = math.sqrt(max(square - radius * radius, 0.0))
-        if px * wy - py * wx > 0.0:
-            dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
-        else:
-            dx, dy = -(px * leg + py * radius) / square, -(py * leg - px * radius) / square
-        way = vx * dx + vy * dy
-        ux, uy = way * dx - vx, way * dy - vy
-    return Line(own[0] + share * ux, own[1] + share * uy, dx, dy)
-
-
-def excess(line: Line, x: float, y: float) -> float:
-    """By how much the velocity violates a line, in m/s; at most 0 if it does not."""
-    return line.dx * (line.y - y) - line.dy * (line.x - x)
-
-
-def nearest(lines: list[Line], fixed: int, x: float, y: float, most: float) -> tuple[float, float]:
-    """The velocity nearest to `x`, `y` within all lines and a circle of radius `most`.
-
-    If no velocity keeps all lines: the velocity with the least worst violation of the lines after
-    the first `fixed`.
-    """
-    failed, found = _program(lines, x, y, most, is_direction=False)
-    if failed < len(lines):
-        found = _least_violation(lines, fixed, failed, found, most)
-    return found
-
-
-def _program(
-    lines: list[Line], x: float, y: float, most: float, *, is_direction: bool
-) -> tuple[int, tuple[float, float]]:
-    """The number of lines that could be kept, and the velocity."""
-    if is_direction:
-        found = (x * most, y * most)
-    else:
-        length = math.hypot(x, y)
-        found = (x * most / length, y * most / length) if length > most else (x, y)
-    for index, line in enumerate(lines):
-        if excess(line, *found) > 0.0:
-            placed = _on_line(lines[:index], line, x, y, most, is_direction=is_direction)
-            if placed is None:
-                return index, found
-            found = placed
-    return len(lines), found
-
-
-def _on_line(
-    before: Iterable[Line], line: Line, x: float, y: float, most: float, *, is_direction: bool
-) -> tuple[float, float] | None:
-    """The best velocity on a line that keeps the lines before it; None without one."""
-    along = line.x * line.dx + line.y * line.dy
-    inside = along * along + most * most - line.x * line.x - line.y * line.y
-    if inside < 0.0:
-        return None
-    half = math.sqrt(inside)
-    low, high = -along - half, -along + half
-    for other in before:
-        cross = line.dx * other.dy - line.dy * other.dx
-        above = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
-        if abs(cross) <= _EPSILON:
-            if above < 0.0:
-                return None
-            continue
-        at = above / cross
-        if cross >= 0.0:
-            high = min(high, at)
-        else:
-            low = max(low, at)
-        if low > high:
-            return None
-    if is_direction:
-        best = high if x * line.dx + y * line.dy > 0.0 else low
-    else:
-        best = min(max(line.dx * (x - line.x) + line.dy * (y - line.y), low), high)
-    return line.x + best * line.dx, line.y + best * line.dy
-
-
-def _least_violation(
-    lines: list[Line], fixed: int, begin: int, found: tuple[float, float], most: float
-) -> tuple[float, float]:
-    """The velocity whose worst violation of the lines after `fixed` is least."""
-    worst = 0.0
-    for index in range(begin, len(lines)):
-        line = lines[index]
-        if excess(line, *found) <= worst:
-            continue
-        projected = list(lines[:fixed])
-        for other in lines[fixed:index]:
-            cross = line.dx * other.dy - line.dy * other.dx
-            if abs(cross) <= _EPSILON:
-                if line.dx * other.dx + line.dy * other.dy > 0.0:
-                    continue
-                x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
-            else:
-                at = (other.dx * (line.y - other.y) - other.dy * (line.x - other.x)) / cross
-                x, y = line.x + at * line.dx, line.y + at * line.dy
-            dx, dy = other.dx - line.dx, other.dy - line.dy
-            length = max(math.hypot(dx, dy), _EPSILON)
-            projected.append(Line(x, y, dx / length, dy / length))
-        failed, placed = _program(projected, -line.dy, line.dx, most, is_direction=True)
-        if failed == len(projected):
-            found = placed
-        worst = excess(line, *found)
-    return found
+        line: Line = line_of(*place, *relative, *own, radius, share, _HORIZON)
+        return line

@@ -50,12 +50,14 @@ class Permit(Struct, frozen=True):
     """What the running pattern permits: recovery when it is blocked, and contact in `touch`.
 
     `scan_delay`: s beyond the platform's latency up to which late scans are no hold. Protection
-    counts the delay, as it does below the platform's own bound.
+    counts the delay, as it does below the platform's own bound. `avoids`: whether avoidance leads
+    the robot; None: as the platform says.
     """
 
     may_recover: bool = False
     touch: TouchZone | None = None
     scan_delay: float = 0.0
+    avoids: bool | None = None
 
 
 NO_PERMIT = Permit()

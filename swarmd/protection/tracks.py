@@ -11,44 +11,87 @@ A place that others tell is an object, too: a lidar may look over them. Its erro
 that of a seen one.
 
 Tracks choose a way and never make a gap smaller: protection does not read them.
+
+A kernel (see `core/kernels.py`): each scan passes it, and each decision.
 """
 
 from __future__ import annotations
 
 import math
+from array import array
 from collections import deque
-from collections.abc import Iterator
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan
 from swarmd.protection.decision import DecisionContext
 from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
-REACH = 2.5  # m from the lidar beyond which no object is tracked
-_JUMP = 0.06  # m between neighbouring returns of one surface that faces the lidar
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        INFINITY,
+        atan2,
+        cos,
+        floor,
+        hypot,
+        remainder,
+        sin,
+        sqrt,
+    )
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        atan2,
+        cos,
+        floor,
+        hypot,
+        remainder,
+        sin,
+        sqrt,
+    )
+
+REACH = cython.declare(cython.double, 2.5)
+"""m from the lidar beyond which no object is tracked."""
+# m between neighbouring returns of one surface that faces the lidar
+_JUMP = cython.declare(cython.double, 0.06)
 _LOST = 4.5  # steps between two returns of one surface at most: rays may be lost
-_LEAST_WIDTH = 0.03  # m, visible part of a new object: what is thinner counts as standing
-_PART = 0.05  # m from the outline of an object within which a cluster is a part of it
-_GRAZING = math.sin(math.radians(15.0))  # of the least angle between a ray and a surface
+# m, visible part of a new object: what is thinner counts as standing
+_LEAST_WIDTH = cython.declare(cython.double, 0.03)
+# m from the outline of an object within which a cluster is a part of it
+_PART = cython.declare(cython.double, 0.05)
+# Of the least angle between a ray and a surface.
+_GRAZING = cython.declare(cython.double, math.sin(math.radians(15.0)))
 _COMPACT = 3.0  # times the own circumscribed circle: what is wider is a wall
-_DEPTH = 0.8  # of the radius: how far the middle lies behind the mean return of an object
-_LEAST_RADIUS, _MOST_RADIUS = 0.02, 0.6  # m
-_POSITION_NOISE, _RANGE_NOISE = 0.016, 0.006  # m, and m a m of range: of a middle
-_HIDDEN_NOISE = 3.0  # times more for an object that a nearer one hides in part
-_ACCELERATION = 0.03  # m2/s3, density of the change of velocity
+# Of the radius: how far the middle lies behind the mean return of an object.
+_DEPTH = cython.declare(cython.double, 0.8)
+_LEAST_RADIUS = cython.declare(cython.double, 0.02)  # m
+_MOST_RADIUS = cython.declare(cython.double, 0.6)  # m
+# m, and m a m of range: of a middle
+_POSITION_NOISE = cython.declare(cython.double, 0.016)
+_RANGE_NOISE = cython.declare(cython.double, 0.006)
+# Times more for an object that a nearer one hides in part.
+_HIDDEN_NOISE = cython.declare(cython.double, 3.0)
+# m2/s3, density of the change of velocity
+_ACCELERATION = cython.declare(cython.double, 0.03)
 _FIRST_SPEED = 0.15  # m/s, deviation of the velocity of a new track
-_GATE = 2.5  # deviations
-_GATE_SLACK = 0.03  # m
-_CONFIRMED = 2  # scans that show an object before it counts
-_MISSES = 2  # scans in a row that show its place to be empty end a track
-_HIDDEN_TIME = 1.5  # s for which a hidden object is remembered
+_GATE = cython.declare(cython.double, 2.5)  # deviations
+_GATE_SLACK = cython.declare(cython.double, 0.03)  # m
+_CONFIRMED = cython.declare(cython.int, 2)  # scans that show an object before it counts
+# Scans in a row that show its place to be empty end a track.
+_MISSES = cython.declare(cython.int, 2)
+# s for which a hidden object is remembered
+_HIDDEN_TIME = cython.declare(cython.double, 1.5)
 _SECTORS = 36  # directions in each of which the nearest place of a wall is kept
+_MAX_AHEAD = cython.declare(cython.double, 1.0)  # s for which a track moves on without a scan
 
-
-_Rows: TypeAlias = NDArray[np.intp]
+_TURN = cython.declare(cython.double, 2.0 * math.pi)
+_SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # of them, a rad
+_max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 
 
 class Track(NamedTuple):
@@ -73,71 +116,116 @@ class Surroundings(NamedTuple):
     walls: Array
 
 
-class _Cluster(NamedTuple):
+def _doubles(count):
+    """A buffer of `count` doubles; of numbers of Python in CPython."""
+    return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
+
+
+def _places(count):
+    """A buffer of `count` whole numbers."""
+    return array("q", bytes(8 * count)) if cython.compiled else [0] * count
+
+
+def _view(values):
+    """`values` (n,) as the kernel reads them: in CPython as numbers of Python."""
+    return values if cython.compiled else values.tolist()
+
+
+@cython.final
+@cython.cclass
+class _Cluster:
     """An object of one scan, or a told one, in the frame of the odometry, m, and s.
 
     The mean return `x`, `y`, the direction `dx`, `dy` from the lidar, half of the visible width,
     the range, and the number of ends (0 to 2) that no nearer object hides.
     """
 
-    x: float
-    y: float
-    dx: float
-    dy: float
-    half: float
-    range: float
-    ends: int
-    at: float
-    is_told: bool = False
+    x: cython.double
+    y: cython.double
+    dx: cython.double
+    dy: cython.double
+    half: cython.double
+    range: cython.double
+    ends: cython.int
+    at: cython.double
+    is_told: cython.bint
+    is_used: cython.bint
 
 
+@cython.final
+@cython.cclass
 class _Filter:
     """One object: state in the frame of the odometry, with one covariance for both axes.
 
     `fastest` in m/s bounds its speed.
     """
 
-    def __init__(self, id: int, seen: _Cluster, fastest: float) -> None:
-        self.fastest = fastest
-        self.id, self.at, self.seen_at = id, seen.at, seen.at
+    id: cython.longlong
+    fastest: cython.double
+    at: cython.double
+    seen_at: cython.double
+    radius: cython.double
+    x: cython.double
+    y: cython.double
+    vx: cython.double
+    vy: cython.double
+    pp: cython.double
+    pv: cython.double
+    vv: cython.double
+    hits: cython.longlong
+    misses: cython.longlong
+
+    @cython.cfunc
+    def begin(self, seen: _Cluster) -> cython.int:
+        """Begin at rest where a cluster shows a new object."""
+        self.at = self.seen_at = seen.at
         self.radius = min(max(seen.half, _LEAST_RADIUS), _MOST_RADIUS)
         self.x = seen.x + _DEPTH * self.radius * seen.dx
         self.y = seen.y + _DEPTH * self.radius * seen.dy
-        self.vx = self.vy = 0.0
-        self.pp, self.pv, self.vv = 0.03**2, 0.0, _FIRST_SPEED**2
-        self.hits, self.misses = 1, 0
+        self.pp, self.vv = 0.03**2, _FIRST_SPEED**2
+        self.hits = 1
+        return 0
 
-    def predict(self, at: float) -> None:
+    @cython.cfunc
+    def predict(self, at: cython.double) -> cython.int:
         """Move on to the time `at` in s; never back."""
-        dt = at - self.at
+        dt: cython.double = at - self.at
         if dt <= 0.0:
-            return
+            return 0
         self.at = at
         self.x += self.vx * dt
         self.y += self.vy * dt
         self.pp += dt * (2.0 * self.pv + dt * (self.vv + _ACCELERATION * dt / 3.0))
         self.pv += dt * (self.vv + 0.5 * _ACCELERATION * dt)
         self.vv += _ACCELERATION * dt
+        return 0
 
-    def middle(self, seen: _Cluster) -> tuple[float, float]:
-        """Where the middle of this object is by a cluster."""
-        depth = _DEPTH * self.radius
-        return seen.x + depth * seen.dx, seen.y + depth * seen.dy
+    @cython.cfunc
+    def off(self, seen: _Cluster, gate: cython.double) -> cython.double:
+        """How far a cluster shows the middle of this object from where it is; inf beyond `gate`."""
+        depth: cython.double = _DEPTH * self.radius
+        late: cython.double = self.at - seen.at
+        dx: cython.double = seen.x + depth * seen.dx + self.vx * late - self.x
+        dy: cython.double = seen.y + depth * seen.dy + self.vy * late - self.y
+        return hypot(dx, dy) if dx * dx + dy * dy <= gate * gate else INFINITY
 
-    def update(self, seen: _Cluster) -> None:
+    @cython.cfunc
+    def update(self, seen: _Cluster) -> cython.int:
         """Take in the cluster that shows this object."""
         if seen.ends == 2:
-            grown = seen.half - self.radius
+            grown: cython.double = seen.half - self.radius
             self.radius += (0.3 if grown > 0.0 else 0.03) * grown
             self.radius = min(max(self.radius, _LEAST_RADIUS), _MOST_RADIUS)
-        x, y = self.middle(seen)
-        noise = _POSITION_NOISE + _RANGE_NOISE * seen.range
+        depth: cython.double = _DEPTH * self.radius
+        noise: cython.double = _POSITION_NOISE + _RANGE_NOISE * seen.range
         if seen.ends < 2:
             noise *= _HIDDEN_NOISE
-        late = self.at - seen.at  # clusters of one scan have times of their own
-        inverse = 1.0 / (self.pp + noise * noise)
-        gain, rise = self.pp * inverse, self.pv * inverse
-        off_x, off_y = x + self.vx * late - self.x, y + self.vy * late - self.y
+        late: cython.double = self.at - seen.at  # clusters of one scan have times of their own
+        inverse: cython.double = 1.0 / (self.pp + noise * noise)
+        gain: cython.double = self.pp * inverse
+        rise: cython.double = self.pv * inverse
+        off_x: cython.double = seen.x + depth * seen.dx + self.vx * late - self.x
+        off_y: cython.double = seen.y + depth * seen.dy + self.vy * late - self.y
         self.x += gain * off_x
         self.y += gain * off_y
         self.vx += rise * off_x
@@ -146,116 +234,170 @@ class _Filter:
         self.pv *= 1.0 - gain
         self.pp *= 1.0 - gain
         self.seen_at = seen.at
-        speed = math.hypot(self.vx, self.vy)
+        speed: cython.double = hypot(self.vx, self.vy)
         if speed > self.fastest:
             self.vx, self.vy = self.vx * self.fastest / speed, self.vy * self.fastest / speed
         self.hits += 1
         self.misses = 0
+        return 0
 
 
+@cython.final
+@cython.cclass
 class Tracker:
     """Follows what the scans of one robot show. Times in s on the clock of odometry's stamps."""
+
+    _offset_x: cython.double
+    _offset_y: cython.double
+    _latency: cython.double
+    _fastest: cython.double
+    _widest: cython.double
+    _spacing: cython.double
+    _history: object  # readings of odometry
+    _latest: object  # of them; None without one
+    _filters: list
+    _next: cython.longlong
+    # Places of walls in the frame of the odometry.
+    _wall_x: cython.double[::1]
+    _wall_y: cython.double[::1]
+    _walls: cython.Py_ssize_t
+    # The returns of the scan by bearing: place, range, age, and whether a gap in the bearings
+    # follows.
+    _count: cython.Py_ssize_t
+    _lidar_x: cython.double
+    _lidar_y: cython.double
+    _x: cython.double[::1]
+    _y: cython.double[::1]
+    _ranges: cython.double[::1]
+    _bearings: cython.double[::1]
+    _ages: cython.double[::1]
+    _is_gap: cython.longlong[::1]
+    # The surfaces in order: first and last return of each. The first may begin before 0, among the
+    # last returns.
+    _first: cython.longlong[::1]
+    _last: cython.longlong[::1]
 
     def __init__(self, platform: Platform) -> None:
         spec = platform.scan
         outer = float(np.hypot(*platform.footprint.T).max())
-        self._offset, self._latency = spec.offset, spec.latency
+        self._offset_x, self._offset_y = spec.offset
+        self._latency = spec.latency
         barrier = platform.protection.get("barrier") or {}
         self._fastest = float(barrier.get("others_speed", platform.limits.linear))
         self._widest = _COMPACT * outer
         self._spacing = 2.0 * math.pi / max(len(spec.bearings), 1)
-        self._history: deque[Odometry] = deque(maxlen=HISTORY)
-        self._filters: list[_Filter] = []
-        self._walls = np.empty((0, 2))  # in the frame of the odometry
+        self._history = deque(maxlen=HISTORY)
+        self._filters = []
         self._next = 1
+        self._is_gap, self._first, self._last = _places(0), _places(0), _places(0)
+        self._wall_x, self._wall_y = _doubles(0), _doubles(0)
 
     def reset(self) -> None:
         """Forget all objects."""
-        self._filters, self._walls = [], np.empty((0, 2))
+        self._filters, self._walls = [], 0
         self._history.clear()
+        self._latest = None
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all objects are forgotten."""
-        history = self._history
-        if history and (odometry.stamp <= history[-1].stamp or odometry.jumps_from(history[-1])):
-            if odometry.stamp == history[-1].stamp:
+        latest = self._latest
+        if latest is not None and (odometry.stamp <= latest.stamp or odometry.jumps_from(latest)):
+            if odometry.stamp == latest.stamp:
                 return
             self.reset()
-        history.append(odometry)
+        self._history.append(odometry)
+        self._latest = odometry
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan that has arrived at the time of `context`."""
-        if not self._history or context.odometry_age is None:
+        if self._latest is None or context.odometry_age is None:
             return
         newest = self._latency if scan.newest_age is None else scan.newest_age
-        at = self._history[-1].stamp + context.odometry_age - newest - context.scan_delay
+        at: cython.double = self._latest.stamp + context.odometry_age - newest - context.scan_delay
         pose = self._pose(at)
-        clusters, ranges, bearings, walls = self._clusters(scan, pose, at)
-        clusters += self._told(context)
+        cluster: _Cluster
+        one: _Filter
+        self._walls = 0
+        self._sort(scan, pose)
+        clusters: list = self._clusters(at)
+        self._tell(clusters, context)
         for one in self._filters:
             one.predict(at)
-        is_used = self._associate(clusters)
-        self._end_missed(pose, at, ranges, bearings)
-        for cluster, is_known in zip(clusters, is_used, strict=True):
-            if is_known:
-                continue
-            if self._is_part(cluster):
+        self._associate(clusters)
+        self._end_missed(pose, at)
+        for cluster in clusters:
+            if cluster.is_used or self._is_part(cluster):
                 continue
             if cluster.ends == 0:  # the part of a wall between two nearer objects
-                walls.append((cluster.x, cluster.y))
+                self._add_wall(cluster.x, cluster.y)
             else:
-                self._filters.append(_Filter(self._next, cluster, self._fastest))
+                one = _Filter()
+                one.id, one.fastest = self._next, self._fastest
+                one.begin(cluster)
+                self._filters.append(one)
                 self._next += 1
-        self._walls = np.array(walls, np.float64).reshape(-1, 2)
 
     def surroundings(self, context: DecisionContext) -> Surroundings:
         """The objects at the time of `context`, and the walls, in the base frame."""
-        if not self._history or context.odometry_age is None:
+        if self._latest is None or context.odometry_age is None:
             return Surroundings((), np.empty((0, 2)))
-        at = self._history[-1].stamp + context.odometry_age
+        at: cython.double = self._latest.stamp + context.odometry_age
         pose = self._pose(at)
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        i: cython.Py_ssize_t
+        one: _Filter
         tracks = []
         for one in self._filters:
             if one.hits < _CONFIRMED:
                 continue
-            ahead = min(max(at - one.at, 0.0), 1.0)
-            dx, dy = one.x + one.vx * ahead - pose.x, one.y + one.vy * ahead - pose.y
+            ahead: cython.double = min(max(at - one.at, 0.0), _MAX_AHEAD)
+            dx: cython.double = one.x + one.vx * ahead - x
+            dy: cython.double = one.y + one.vy * ahead - y
             tracks.append(
                 Track(
                     one.id,
-                    cos * dx + sin * dy,
-                    cos * dy - sin * dx,
-                    cos * one.vx + sin * one.vy,
-                    cos * one.vy - sin * one.vx,
+                    c * dx + s * dy,
+                    c * dy - s * dx,
+                    c * one.vx + s * one.vy,
+                    c * one.vy - s * one.vx,
                     one.radius,
-                    math.sqrt(one.vv),
+                    sqrt(one.vv),
                 )
             )
-        walls = self._walls - (pose.x, pose.y)
-        walls = np.stack(
-            (cos * walls[:, 0] + sin * walls[:, 1], cos * walls[:, 1] - sin * walls[:, 0]), axis=1
-        )
+        walls = np.empty((self._walls, 2))
+        places: cython.double[:, ::1] = walls if cython.compiled else memoryview(walls)
+        for i in range(self._walls):
+            dx, dy = self._wall_x[i] - x, self._wall_y[i] - y
+            places[i, 0], places[i, 1] = c * dx + s * dy, c * dy - s * dx
         return Surroundings(tuple(tracks), walls)
 
-    def _pose(self, at: float) -> Pose:
+    @cython.cfunc
+    def _pose(self, at: cython.double):
         """The pose at a time, interpolated, or extrapolated from the last reading."""
-        later = self._history[-1]
-        if at >= later.stamp or len(self._history) == 1:
-            seconds = min(max(at - later.stamp, -MAX_EXTRAPOLATION), MAX_EXTRAPOLATION)
+        later = self._latest
+        stamp: cython.double = later.stamp
+        if at >= stamp or len(self._history) == 1:
+            seconds: cython.double = at - stamp
+            seconds = min(max(seconds, -_max_extrapolation), _max_extrapolation)
             twist, pose = later.twist, later.pose
-            yaw = pose.yaw + 0.5 * seconds * twist.angular
-            cos, sin = math.cos(yaw), math.sin(yaw)
+            yaw: cython.double = pose.yaw + 0.5 * seconds * twist.angular
+            c: cython.double = cos(yaw)
+            s: cython.double = sin(yaw)
             return Pose(
-                pose.x + seconds * (cos * twist.linear - sin * twist.lateral),
-                pose.y + seconds * (sin * twist.linear + cos * twist.lateral),
+                pose.x + seconds * (c * twist.linear - s * twist.lateral),
+                pose.y + seconds * (s * twist.linear + c * twist.lateral),
                 pose.yaw + seconds * twist.angular,
             )
         for earlier in reversed(self._history):
-            if earlier.stamp <= at:
-                share = (at - earlier.stamp) / max(later.stamp - earlier.stamp, 1e-9)
+            stamp = earlier.stamp
+            if stamp <= at:
+                share: cython.double = (at - stamp) / max(later.stamp - stamp, 1e-9)
                 here, there = earlier.pose, later.pose
-                turn = math.remainder(there.yaw - here.yaw, 2.0 * math.pi)
+                turn: cython.double = remainder(there.yaw - here.yaw, _TURN)
                 return Pose(
                     here.x + share * (there.x - here.x),
                     here.y + share * (there.y - here.y),
@@ -264,137 +406,262 @@ class Tracker:
             later = earlier
         return later.pose
 
-    def _told(self, context: DecisionContext) -> list[_Cluster]:
-        """The obstacles that others tell of; a told radius contains the error."""
-        found, now = [], self._history[-1].stamp + (context.odometry_age or 0.0)
-        for one in context.told:
-            pose = self._pose(now - one.age)
-            cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-            x, y = pose.x + cos * one.x - sin * one.y, pose.y + sin * one.x + cos * one.y
-            way = math.hypot(one.x, one.y)
-            found.append(_Cluster(x, y, 0.0, 0.0, one.radius, way, 1, now - one.age, True))
-        return found
+    @cython.cfunc
+    def _tell(self, clusters: list, context):
+        """Add the obstacles that others tell of; a told radius contains the error."""
+        if not context.told:
+            return
+        now: cython.double = self._latest.stamp + context.odometry_age
+        for told in context.told:
+            pose = self._pose(now - told.age)
+            yaw: cython.double = pose.yaw
+            c: cython.double = cos(yaw)
+            s: cython.double = sin(yaw)
+            x: cython.double = told.x
+            y: cython.double = told.y
+            one: _Cluster = _Cluster()
+            one.x, one.y = pose.x + c * x - s * y, pose.y + s * x + c * y
+            one.half, one.range, one.ends = told.radius, hypot(x, y), 1
+            one.at, one.is_told = now - told.age, True
+            clusters.append(one)
 
-    def _clusters(
-        self, scan: Scan, pose: Pose, at: float
-    ) -> tuple[list[_Cluster], Array, Array, list[tuple[float, float]]]:
-        """The compact objects, the returns in order of bearings, and places of walls."""
+    @cython.cfunc
+    def _add_wall(self, x: cython.double, y: cython.double) -> cython.int:
+        k: cython.Py_ssize_t = self._walls
+        self._wall_x[k], self._wall_y[k] = x, y
+        self._walls = k + 1
+        return 0
+
+    @cython.cfunc
+    def _sort(self, scan, pose) -> cython.int:
+        """Take the returns of a scan by bearing, with their places in the frame of the odometry."""
         ranges, bearings = scan.ranges, scan.bearings
-        rays = np.flatnonzero(np.isfinite(ranges) & (ranges > 0.0))
-        rays = rays[np.argsort(bearings[rays], kind="stable")]
-        ranges, bearings = ranges[rays], bearings[rays]
-        n, walls = len(rays), list[tuple[float, float]]()
-        if n < 2:
-            return [], ranges, bearings, walls
+        rays = ((ranges > 0.0) & (ranges < np.inf)).nonzero()[0]
+        bearings = bearings[rays]
+        order = bearings.argsort(kind="stable")
+        rays, bearings = rays[order], bearings[order].astype(np.float64, copy=False)
+        ranges = ranges[rays].astype(np.float64, copy=False)
         angles = bearings + pose.yaw
-        directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-        ox, oy = self._offset
-        lidar = pose.x + cos * ox - sin * oy, pose.y + sin * ox + cos * oy
-        points = lidar + ranges[:, None] * directions
-        ages = np.zeros(n) if scan.ages is None else scan.ages[rays]
-        after = np.roll(points, -1, axis=0) - points
-        near = np.minimum(ranges, np.roll(ranges, -1))
-        steps = (np.roll(bearings, -1) - bearings) % (2.0 * math.pi)
-        apart = np.hypot(after[:, 0], after[:, 1])
-        is_last = apart > _JUMP + near * steps / _GRAZING
-        is_gap = steps > _LOST * self._spacing
-        is_last |= is_gap
-        ends = np.flatnonzero(is_last)
-        if not len(ends):
-            return [], ranges, bearings, [(float(x), float(y)) for x, y in points[::10]]
-        clusters, width = [], self._widest
-        for rows in self._bridged(points, ranges, ends):
-            some = ranges[rows]
-            if some.min() > REACH:
-                continue
-            one, other = points[rows[0]], points[rows[-1]]
-            mean = points[rows].mean(axis=0)
-            chord = math.hypot(one[0] - other[0], one[1] - other[1])
-            distance = float(some.mean())
-            if chord > width or some.max() - some.min() > width:
-                walls += self._nearest_places(points[rows], some, bearings[rows])
-                continue
-            if len(rows) == 1 or chord < _LEAST_WIDTH:
-                walls.append((float(mean[0]), float(mean[1])))
-                continue
-            one_end, other_end = int(rows[0]), int(rows[-1])
-            free = int(is_gap[one_end - 1] or ranges[one_end - 1] > ranges[one_end])
-            free += int(is_gap[other_end] or ranges[(other_end + 1) % n] > ranges[other_end])
-            dx, dy = mean[0] - lidar[0], mean[1] - lidar[1]
-            way = max(math.hypot(dx, dy), 1e-6)
-            half = 0.5 * (chord + distance * self._spacing)
-            seen = at - float(ages[rows].mean())
-            place = float(mean[0]), float(mean[1]), float(dx / way), float(dy / way)
-            clusters.append(_Cluster(*place, half, distance, free, seen))
-        return clusters, ranges, bearings, walls
+        yaw: cython.double = pose.yaw
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        x: cython.double = pose.x + c * self._offset_x - s * self._offset_y
+        y: cython.double = pose.y + s * self._offset_x + c * self._offset_y
+        self._count, self._lidar_x, self._lidar_y = len(rays), x, y
+        self._x, self._y = _view(x + ranges * np.cos(angles)), _view(y + ranges * np.sin(angles))
+        self._ranges, self._bearings = _view(ranges), _view(bearings)
+        ages = np.zeros(self._count) if scan.ages is None else scan.ages[rays]
+        self._ages = _view(ages)
+        if len(self._is_gap) < self._count:
+            self._is_gap, self._first = _places(self._count), _places(self._count)
+            self._last = _places(self._count)
+            # No wall without a return of its own.
+            self._wall_x, self._wall_y = _doubles(self._count), _doubles(self._count)
+        return 0
 
-    def _bridged(self, points: Array, ranges: Array, ends: NDArray[np.intp]) -> Iterator[_Rows]:
-        """The rows of the surfaces that end at `ends`; one outlier does not cut a surface."""
-        n = len(ranges)
-        runs: list[list[int]] = []
-        last = int(ends[-1]) - n
-        for end in ends.tolist():
-            runs.append([last + 1, end])
-            last = end
-        index = 0
-        while index < len(runs):
-            rows = [runs[index]]
-            while index + 2 < len(runs) and runs[index + 1][0] == runs[index + 1][1]:
-                one, other = points[runs[index][1]], points[runs[index + 2][0]]
-                near = min(ranges[runs[index][1]], ranges[runs[index + 2][0]])
-                off = math.hypot(one[0] - other[0], one[1] - other[1])
-                if off > _JUMP + 2.0 * near * self._spacing / _GRAZING:
-                    break
-                index += 2
-                rows.append(runs[index])
-            yield np.concatenate([np.arange(first, end + 1) for first, end in rows]) % n
-            index += 1
+    @cython.cfunc
+    def _cut(self) -> cython.Py_ssize_t:
+        """Cut the returns into surfaces; how many there are."""
+        n: cython.Py_ssize_t = self._count
+        runs: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        widest: cython.double = _LOST * self._spacing
+        for i in range(n):
+            j = i + 1 if i + 1 < n else 0
+            step: cython.double = self._bearings[j] - self._bearings[i]
+            if j == 0:
+                step -= floor(step / _TURN) * _TURN
+            near: cython.double = min(self._ranges[i], self._ranges[j])
+            apart: cython.double = _JUMP + near * step / _GRAZING
+            dx: cython.double = self._x[j] - self._x[i]
+            dy: cython.double = self._y[j] - self._y[i]
+            self._is_gap[i] = step > widest
+            if self._is_gap[i] or dx * dx + dy * dy > apart * apart:
+                self._last[runs] = i
+                self._first[runs] = self._last[runs - 1] + 1 if runs > 0 else 0
+                runs += 1
+        if runs > 0:
+            self._first[0] = self._last[runs - 1] + 1 - n
+        return runs
 
-    def _nearest_places(
-        self, points: Array, ranges: Array, bearings: Array
-    ) -> list[tuple[float, float]]:
-        """The nearest place of a wall in each of some directions."""
-        sectors = np.floor(bearings * (_SECTORS / (2.0 * math.pi))).astype(np.int64)
-        order = np.lexsort((ranges, sectors))
-        first = np.concatenate(([True], np.diff(sectors[order]) != 0))
-        near = order[first]
-        near = near[ranges[near] <= REACH]
-        return [(float(x), float(y)) for x, y in points[near]]
+    @cython.cfunc
+    def _clusters(self, at: cython.double) -> list:
+        """The compact objects; the places of walls are noted."""
+        clusters: list = []
+        n: cython.Py_ssize_t = self._count
+        if n < 2:
+            return clusters
+        runs: cython.Py_ssize_t = self._cut()
+        i: cython.Py_ssize_t
+        end: cython.Py_ssize_t
+        if runs == 0:
+            for i in range(0, n, 10):
+                self._add_wall(self._x[i], self._y[i])
+            return clusters
+        index: cython.Py_ssize_t = 0
+        while index < runs:
+            end = self._bridged(index, runs)
+            self._judge(clusters, index, end, at)
+            index = end + 1
+        return clusters
 
-    def _associate(self, clusters: list[_Cluster]) -> list[bool]:
-        """Update each filter by the nearest cluster within its gate; which clusters were used."""
-        pairs = []
-        for row, one in enumerate(self._filters):
+    @cython.cfunc
+    def _bridged(self, index: cython.Py_ssize_t, runs: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """The last run of the surface that begins with a run; one outlier does not cut a surface.
+
+        The surface has every other run from the first to the last.
+        """
+        while index + 2 < runs and self._first[index + 1] == self._last[index + 1]:
+            i: cython.Py_ssize_t = self._last[index]
+            j: cython.Py_ssize_t = self._first[index + 2]
+            near: cython.double = min(self._ranges[i], self._ranges[j])
+            apart: cython.double = _JUMP + 2.0 * near * self._spacing / _GRAZING
+            dx: cython.double = self._x[i] - self._x[j]
+            dy: cython.double = self._y[i] - self._y[j]
+            if dx * dx + dy * dy > apart * apart:
+                break
+            index += 2
+        return index
+
+    @cython.cfunc
+    def _judge(
+        self,
+        clusters: list,
+        index: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        at: cython.double,
+    ) -> cython.int:
+        """Note the surface of every other run from `index` to `end`: an object, or a wall."""
+        xs: cython.double[::1] = self._x
+        ys: cython.double[::1] = self._y
+        ranges: cython.double[::1] = self._ranges
+        ages: cython.double[::1] = self._ages
+        n: cython.Py_ssize_t = self._count
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        row: cython.Py_ssize_t
+        first: cython.Py_ssize_t = (self._first[index] + n) % n
+        last: cython.Py_ssize_t = self._last[end]
+        nearest: cython.double = INFINITY
+        farthest: cython.double = 0.0
+        for k in range(index, end + 1, 2):
+            for i in range(self._first[k], self._last[k] + 1):
+                nearest = min(nearest, ranges[i if i >= 0 else i + n])
+                farthest = max(farthest, ranges[i if i >= 0 else i + n])
+        if nearest > REACH:
+            return 0
+        chord: cython.double = hypot(xs[first] - xs[last], ys[first] - ys[last])
+        if chord > self._widest or farthest - nearest > self._widest:
+            return self._note_wall(index, end)
+        x: cython.double = 0.0
+        y: cython.double = 0.0
+        distance: cython.double = 0.0
+        age: cython.double = 0.0
+        rows: cython.Py_ssize_t = 0
+        for k in range(index, end + 1, 2):
+            for i in range(self._first[k], self._last[k] + 1):
+                row = i if i >= 0 else i + n
+                x, y = x + xs[row], y + ys[row]
+                distance, age = distance + ranges[row], age + ages[row]
+                rows += 1
+        x, y, distance = x / rows, y / rows, distance / rows
+        if rows == 1 or chord < _LEAST_WIDTH:
+            return self._add_wall(x, y)
+        one: _Cluster = _Cluster()
+        before: cython.Py_ssize_t = first - 1 if first > 0 else n - 1
+        after: cython.Py_ssize_t = last + 1 if last + 1 < n else 0
+        if self._is_gap[before] or ranges[before] > ranges[first]:
+            one.ends += 1
+        if self._is_gap[last] or ranges[after] > ranges[last]:
+            one.ends += 1
+        dx: cython.double = x - self._lidar_x
+        dy: cython.double = y - self._lidar_y
+        way: cython.double = max(hypot(dx, dy), 1e-6)
+        one.x, one.y, one.dx, one.dy = x, y, dx / way, dy / way
+        one.half, one.range = 0.5 * (chord + distance * self._spacing), distance
+        one.at = at - age / rows
+        clusters.append(one)
+        return 0
+
+    @cython.cfunc
+    def _note_wall(self, index: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+        """Note the nearest place of a wall in each direction, in the order of bearings."""
+        ranges: cython.double[::1] = self._ranges
+        bearings: cython.double[::1] = self._bearings
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._count
+        nearest: cython.Py_ssize_t = -1
+        sector: cython.double = 0.0
+        for k in range(index, end + 3, 2):
+            # The returns of the first run that are the last of all come last.
+            first: cython.Py_ssize_t = self._first[k] if k <= end else self._first[index] + n
+            last: cython.Py_ssize_t = self._last[k] if k <= end else n - 1
+            for i in range(max(first, 0), last + 1):
+                own: cython.double = floor(bearings[i] * _SECTOR)
+                if nearest < 0 or own != sector:
+                    self._note_place(nearest)
+                    nearest, sector = i, own
+                elif ranges[i] < ranges[nearest]:
+                    nearest = i
+        return self._note_place(nearest)
+
+    @cython.cfunc
+    def _note_place(self, i: cython.Py_ssize_t) -> cython.int:
+        """Note the place of a return of a wall that is near; -1: no return."""
+        if i >= 0 and self._ranges[i] <= REACH:
+            return self._add_wall(self._x[i], self._y[i])
+        return 0
+
+    @cython.cfunc
+    def _associate(self, clusters: list) -> cython.int:
+        """Update each filter by the nearest cluster within its gate."""
+        row: cython.Py_ssize_t
+        index: cython.Py_ssize_t
+        one: _Filter
+        seen: _Cluster
+        pairs: list = []
+        for row in range(len(self._filters)):
+            one = self._filters[row]
             one.misses += 1
-            for index, seen in enumerate(clusters):
-                x, y = one.middle(seen)
-                late = one.at - seen.at
-                off = math.hypot(x + one.vx * late - one.x, y + one.vy * late - one.y)
-                gate = _GATE * math.sqrt(one.pp + _POSITION_NOISE**2) + _GATE_SLACK
+            gate: cython.double = _GATE * sqrt(one.pp + _POSITION_NOISE * _POSITION_NOISE)
+            gate += _GATE_SLACK
+            for index in range(len(clusters)):
+                seen = clusters[index]
+                off: cython.double = one.off(seen, gate)
                 if off <= gate:
                     pairs.append((off / gate, row, index))
-        is_used, done = [False] * len(clusters), set[int]()
-        for _, row, index in sorted(pairs):
-            if row not in done and not is_used[index]:
-                done.add(row)
-                is_used[index] = True
-                self._filters[row].update(clusters[index])
-        return is_used
+        pairs.sort()
+        for _, row, index in pairs:
+            one, seen = self._filters[row], clusters[index]
+            if one.misses and not seen.is_used:
+                seen.is_used = True
+                one.update(seen)
+        return 0
 
-    def _is_part(self, cluster: _Cluster) -> bool:
+    @cython.cfunc
+    def _is_part(self, cluster: _Cluster) -> cython.bint:
         """True if a cluster is a part of an object that another part has shown."""
-        return any(
-            math.hypot(one.x - cluster.x, one.y - cluster.y)
-            < (max(one.radius, cluster.half) if cluster.is_told else one.radius) + _PART
-            for one in self._filters
-        )
-
-    def _end_missed(self, pose: Pose, at: float, ranges: Array, bearings: Array) -> None:
-        """End each track whose place is seen to be empty, or that was hidden for too long."""
-        kept = []
+        one: _Filter
         for one in self._filters:
-            if one.misses and not self._is_hidden(one, pose, ranges, bearings):
+            radius: cython.double = one.radius
+            if cluster.is_told:
+                radius = max(radius, cluster.half)
+            radius += _PART
+            dx: cython.double = one.x - cluster.x
+            dy: cython.double = one.y - cluster.y
+            if dx * dx + dy * dy < radius * radius:
+                return True
+        return False
+
+    @cython.cfunc
+    def _end_missed(self, pose, at: cython.double) -> cython.int:
+        """End each track whose place is seen to be empty, or that was hidden for too long."""
+        one: _Filter
+        kept: list = []
+        for one in self._filters:
+            if one.misses and not self._is_hidden(one, pose):
                 if one.misses >= _MISSES or one.hits < _CONFIRMED:
                     continue
             elif one.misses:
@@ -402,13 +669,28 @@ class Tracker:
             if at - one.seen_at <= _HIDDEN_TIME:
                 kept.append(one)
         self._filters = kept
+        return 0
 
-    def _is_hidden(self, one: _Filter, pose: Pose, ranges: Array, bearings: Array) -> bool:
-        """True if a nearer object hides the middle of a track, given the returns by bearing."""
-        if not len(ranges):
+    @cython.cfunc
+    def _is_hidden(self, one: _Filter, pose) -> cython.bint:
+        """True if a nearer object hides the middle of a track."""
+        n: cython.Py_ssize_t = self._count
+        if n == 0:
             return False
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-        dx, dy = one.x - pose.x, one.y - pose.y
-        x, y = cos * dx + sin * dy - self._offset[0], cos * dy - sin * dx - self._offset[1]
-        index = int(np.searchsorted(bearings, math.atan2(y, x))) % len(ranges)
-        return bool(ranges[index] < math.hypot(x, y) - one.radius)
+        yaw: cython.double = pose.yaw
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        dx: cython.double = one.x - pose.x
+        dy: cython.double = one.y - pose.y
+        x: cython.double = c * dx + s * dy - self._offset_x
+        y: cython.double = c * dy - s * dx - self._offset_y
+        bearing: cython.double = atan2(y, x)
+        low: cython.Py_ssize_t = 0  # the first return whose bearing is not below
+        high: cython.Py_ssize_t = n
+        while low < high:
+            middle: cython.Py_ssize_t = (low + high) // 2
+            if self._bearings[middle] < bearing:
+                low = middle + 1
+            else:
+                high = middle
+        return self._ranges[low if low < n else 0] < hypot(x, y) - one.radius

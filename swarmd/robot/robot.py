@@ -17,7 +17,17 @@ from swarmd.core.events import Input
 from swarmd.core.goal import GoalRecord, HeldGoal
 from swarmd.core.host_messages import TrialDone
 from swarmd.core.kernels import load_kernel
-from swarmd.core.messages import Epoch, Latch, Motion, Reason, State, Status
+from swarmd.core.messages import (
+    MAX_TRACKS,
+    Epoch,
+    Latch,
+    Motion,
+    Reason,
+    ShownTrack,
+    State,
+    Status,
+    Tracks,
+)
 from swarmd.core.values import Platform, Scalar, Scan, SharedPose
 from swarmd.protection.decision import Decision
 from swarmd.protection.protection import Protection
@@ -336,6 +346,15 @@ class Robot(Ticker):
             gap=decision.min_gap,
             rows=decision.rows[:3],
         )
+
+    def tracks(self, now: float) -> Tracks | None:
+        """The nearest tracks, for viewers; None while the robot does not avoid."""
+        found = self._protection.tracks(self._sensors.context(now))
+        if found is None:
+            return None
+        near = sorted(found, key=lambda one: math.hypot(one.x, one.y))[:MAX_TRACKS]
+        shown = (ShownTrack(one.x, one.y, one.vx, one.vy, one.radius) for one in near)
+        return Tracks(self.id, tuple(shown))
 
     @property
     def scan(self) -> Scan | None:

@@ -56,7 +56,7 @@ from swarmd.core.messages import (
     Reply,
     State,
 )
-from swarmd.core.values import Scalar
+from swarmd.core.values import Scalar, TouchZone
 from swarmd.core.verbs import (
     MAX_LATE,
     ParamRequest,
@@ -313,7 +313,7 @@ class Lifecycle:
         assert running is not None
         granted = self.identity.settings.touch.get(loading.pattern)
         zone, text = effective_zone(loading.pattern, event.touches, granted)
-        running.permit = Permit(_may_recover(event.params), zone, event.scan_delay)
+        running.permit = _permit(event.params, zone, event.scan_delay)
         if text:
             self.log(f"{loading.pattern} {text}", effects.now)
         if event.scan_delay > 0.0:
@@ -372,7 +372,7 @@ class Lifecycle:
             return
         running.values = event.params
         permit = running.permit
-        running.permit = Permit(_may_recover(event.params), permit.touch, permit.scan_delay)
+        running.permit = _permit(event.params, permit.touch, permit.scan_delay)
         running.params = {**running.params, **request.params}
         names = ", ".join(request.params)
         self.goals.note(f"param set by {request.operator}: {names}"[:MAX_TEXT])
@@ -681,7 +681,11 @@ class Lifecycle:
         return hold
 
 
-def _may_recover(params: host_messages.ParamSources) -> bool:
-    """True if the parameters of a pattern permit recovery."""
+def _permit(
+    params: host_messages.ParamSources, touch: TouchZone | None, scan_delay: float
+) -> Permit:
+    """What a pattern with these parameters permits."""
     may_recover, _ = params.get("recovery", (False, ""))
-    return may_recover is True
+    avoidance, _ = params.get("avoidance", ("platform", ""))
+    avoids = None if avoidance == "platform" else avoidance == "orca"
+    return Permit(may_recover is True, touch, scan_delay, avoids)

@@ -15,7 +15,7 @@ from msgspec.structs import astuple, replace
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import is_id
-from swarmd.core.messages import Motion, Presence, Status
+from swarmd.core.messages import Motion, Presence, Status, Tracks
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
 from swarmd.network.operator.members_view import MembersView, SeenMember
@@ -35,7 +35,10 @@ MAX_LINKED = 64
 GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
 """Why a robot that is not alive is shown so."""
 
+TRACKS_AGE = 1.5  # s after which tracks are not shown
+
 _motion = Decoder(Motion)
+_tracks = Decoder(Tracks)
 
 
 class LiveSource:
@@ -55,6 +58,7 @@ class LiveSource:
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
         self._scans: dict[str, Scan] = {}
+        self._tracks: dict[str, tuple[float, Tracks]] = {}
         self._platforms: dict[str, Platform | None] = {}
         self._watched: frozenset[str] = frozenset()
         self._links: frozenset[tuple[str, str]] = frozenset()
@@ -130,6 +134,7 @@ class LiveSource:
                     "safe": list(motion.safe),
                     "rows": [list(astuple(one)) for one in motion.rows],
                 }
+            row["tracks"] = self._tracks_of(name)
             platform = self._platform(status.platform)
             if platform is not None:
                 limits = platform.limits
@@ -175,13 +180,16 @@ class LiveSource:
         }
 
     def select(self, names: Sequence[str]) -> None:
-        """Watch the scans of these robots and of no others."""
+        """Watch the scans and tracks of these robots and of no others."""
         wanted = frozenset(names)
         for name in self._watched - wanted:
             self._operator.unwatch("scan", name)
+            self._operator.unwatch("tracks", name)
             self._scans.pop(name, None)
+            self._tracks.pop(name, None)
         for name in wanted - self._watched:
             self._operator.watch("scan", self._on_scan, name)
+            self._operator.watch("tracks", self._on_tracks, name)
         self._watched = wanted
 
     # What robots tell
@@ -204,6 +212,18 @@ class LiveSource:
         platform = self._platform(self._robots[index].platform)
         if platform is not None:
             self._scans[robot] = decode_scan(payload, platform.scan)
+
+    def _on_tracks(self, robot: str, payload: bytes) -> None:
+        found = _tracks(payload)
+        if found.robot == robot:
+            self._tracks[robot] = time.monotonic(), found
+
+    def _tracks_of(self, name: str) -> list[list[float]]:
+        """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
+        at, found = self._tracks.get(name, (-math.inf, None))
+        if found is None or time.monotonic() - at > TRACKS_AGE:
+            return []
+        return [[round(value, 3) for value in astuple(one)] for one in found.tracks]
 
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
         """List robots; a robot without a status has a plain footprint until one comes."""

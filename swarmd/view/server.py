@@ -55,7 +55,7 @@ STOPS = ("stop", "estop", "end_estop")
 PAGE = "page"
 _FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
 # Keys of rows that only the details of a selected robot show.
-DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits"})
+DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits", "tracks"})
 MAX_WAITING = 128
 """Connections without a role, such as those of files; a new one takes the place of the oldest."""
 MAX_UNREAD = 8 * 2**20

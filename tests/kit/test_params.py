@@ -61,7 +61,7 @@ def test_schema_has_all_declared_properties() -> None:
 def test_schema_has_types_choices_and_optionals() -> None:
     specs = {spec.name: spec for spec in schema(Swirl)}
     assert [spec.type for spec in specs.values()] == [
-        *("float", "int", "bool", "str", "str", "float", "float", "bool")
+        *("float", "int", "bool", "str", "str", "float", "float", "bool", "str")
     ]
     assert specs["shape"].choices == ("round", "square")
     assert [name for name, spec in specs.items() if spec.is_optional] == ["seconds"]
@@ -123,7 +123,7 @@ def test_an_integer_given_for_a_float_becomes_one() -> None:
             "parameter seconds is -1 s (from test); expected a float from 0 to 1e+06 s or none",
         ),
         ({"radios": 1.0}, "no parameter 'radios'; did you mean 'radius'? (from test)"),
-        ({"zzz": 1.0}, "no parameter 'zzz'; there are: free, is_left, label, radius"),
+        ({"zzz": 1.0}, "no parameter 'zzz'; there are: avoidance, free, is_left, label, radius"),
     ],
 )
 def test_a_wrong_value_is_refused_in_one_line(values: dict[str, Value], line: str) -> None:

@@ -76,6 +76,7 @@ WRONG = (  # what is replaced, by what, the line of the fault, and what it must 
     (STAY, "then: stay\nparameters: {__init__: vote.window}", 11, "parameters.__init__"),
     (STAY, "then: stay\nparameters: {a: vote.window, b: vote.window}", 11, "parameters.b", "a"),
     (STAY, "then: stay\nparameters: {a: go.recovery}", 11, "parameters.a", "recovery"),
+    (STAY, "then: stay\nparameters: {a: go.avoidance}", 11, "parameters.a", "avoidance"),
 )
 
 

@@ -11,11 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
-from swarmd.protection.avoidance import Avoidance, Line, excess, nearest
+from swarmd.core.kernels import load_kernel
+from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
+from swarmd.protection import velocity_obstacles as interpreted
+from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import Permit
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
+from swarmd.protection.velocity_obstacles import Line, excess, nearest
 from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
@@ -148,6 +151,31 @@ def test_the_velocity_is_the_nearest_that_keeps_all_lines(
     assert math.hypot(x - wanted[0], y - wanted[1]) <= best + 1e-6
 
 
+compiled = load_kernel("swarmd.protection.velocity_obstacles")
+
+
+@settings(max_examples=examples(200))
+@given(
+    st.lists(st.tuples(UNIT, UNIT, UNIT, UNIT, st.floats(0.05, 0.6)), max_size=8),
+    st.lists(st.tuples(UNIT, UNIT), max_size=8),
+    st.tuples(UNIT, UNIT),
+)
+def test_compiled_and_interpreted_code_give_the_same_lines_and_velocities(
+    discs: list[tuple[float, float, float, float, float]],
+    places: list[tuple[float, float]],
+    wanted: tuple[float, float],
+) -> None:
+    walls, found = np.array(places).reshape(-1, 2), []
+    for module in (interpreted, compiled):
+        lines = module.wall_lines(walls, 0.1, *wanted, 0.12, 0.5, 0.8)
+        fixed = len(lines)
+        lines += [module.line_of(*disc[:4], *wanted, disc[4], 0.5, 1.8) for disc in discs]
+        rows = [(one.x, one.y, one.dx, one.dy) for one in lines]
+        velocity = module.nearest(lines, fixed, *wanted, 0.22)
+        found.append((rows, velocity, module.width_between(walls, -0.2, 0.35, 0.3)))
+    assert found[0] == found[1]
+
+
 def test_where_no_velocity_keeps_all_lines_walls_go_first() -> None:
     wall = Line(0.0, 0.0, 0.0, 1.0)  # x <= 0
     other = Line(0.5, 0.0, 0.0, -1.0)  # x >= 0.5
@@ -178,3 +206,12 @@ def test_a_robot_beside_an_object_recovers_later(is_alone: bool, least: float, m
         ride = FilterSim(platform, shapes).run(AHEAD, 8.0, Permit(may_recover=True))
         begin.append(next(time for time, decision in ride.decisions if decision.is_recovering))
     assert least <= begin[1] - begin[0] <= most
+
+
+@pytest.mark.parametrize("platform", [BURGER, AVOIDING], ids=["none", "orca"])
+@pytest.mark.parametrize("avoids", [True, False])
+def test_the_permit_of_a_run_comes_before_the_platform(platform: Platform, avoids: bool) -> None:
+    sim = FilterSim(platform, [pole(0.1, Pose(1.0))])
+    permit = Permit(may_recover=True, avoids=avoids)
+    decisions = [decision for _, decision in sim.run(AHEAD, 3.0, permit).decisions]
+    assert any(decision.avoided is not None for decision in decisions) is avoids

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.protection.tracks import Surroundings, Tracker
@@ -49,8 +50,9 @@ class Watch:
         rate: float = 5.0,
         noise: float = 0.0,
         lost: float = 0.0,
+        kind: type[Tracker] = Tracker,
     ) -> None:
-        self.tracker, self.discs, self.own = Tracker(BURGER), discs, own
+        self.tracker, self.discs, self.own = kind(BURGER), discs, own
         self.rate, self.noise, self.lost = rate, noise, lost
         self.rng = np.random.default_rng(1)
         self.now, self.scans, self.ticks, self.wall = 0.0, 0, 0, WALL
@@ -209,3 +211,23 @@ def test_an_object_that_is_told_no_longer_is_forgotten() -> None:
     assert len(watch.run(2.0).tracks) == 1
     watch.told = None
     assert watch.run(2.0).tracks == ()
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.3])
+@pytest.mark.parametrize("own", [Twist(0.2), Twist(0.05, 0.8)], ids=["drives", "turns"])
+def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: float) -> None:
+    found = []
+    for kind in (Tracker, load_kernel("swarmd.protection.tracks").Tracker):
+        discs: list[tuple[Way, float]] = [
+            (crossing, 0.1),
+            (lambda t: (0.6, 0.5 - 0.1 * t), 0.15),
+            (lambda t: (1.2, 0.05 * t), 0.1),
+            (lambda t: (-0.7, -0.4), 0.2),
+        ]
+        watch = Watch(discs, own=own, noise=0.01, lost=lost, kind=kind)
+        watch.told = lambda t: (-0.9, 0.3 * t - 0.5)
+        some = [watch.run(0.1) for _ in range(40)]
+        found.append([([tuple(one) for one in each.tracks], each.walls.tolist()) for each in some])
+    assert found[0] == found[1]
+    assert max(len(tracks) for tracks, _ in found[0]) >= 4
+    assert all(walls for _, walls in found[0][3:])

@@ -6,7 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from swarmd.api import (
     CombinedPattern,
@@ -22,6 +24,7 @@ from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Reason, State
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
 from swarmd.protection.protection import Protection
+from swarmd.testing.scans import Disc, scan_of
 from tests.support.robot_harness import RobotHarness
 
 ZONE = TouchZone(0.0, math.radians(20.0), 0.1)
@@ -219,6 +222,35 @@ def test_parameter_recovery_overrides_the_default(pattern: str, value: str) -> N
     harness.advance(0.1)
     assert permit(harness).may_recover is (value == "true")
     assert harness.status.params["recovery"].source == "request"
+
+
+def test_parameter_avoidance_says_whether_the_robot_avoids() -> None:
+    harness = make_harness()
+    run_pattern(harness, "forward")
+    assert permit(harness).avoids is None
+    for value, wanted in (("orca", True), ("none", False), ("platform", None)):
+        harness.ask("param", params={"avoidance": value})
+        harness.advance(0.1)
+        assert permit(harness).avoids is wanted
+    run_pattern(harness, "forward", params={"avoidance": "orca"})
+    assert permit(harness).avoids is True
+    assert "platform, orca, none" in harness.refused("param", params={"avoidance": "rvo"}).text
+
+
+def test_a_robot_shows_the_tracks_by_which_it_avoids() -> None:
+    harness = make_harness()
+    noise = np.random.default_rng(1)
+    harness.scans = lambda seq, now: replace(
+        scan_of(harness.platform, [Disc(1.0, 0.5, 0.1)], seq=seq, noise=0.005, rng=noise), stamp=now
+    )
+    run_pattern(harness, "forward")
+    harness.advance(1.0)
+    assert harness.robot.tracks(harness.now) is None
+    harness.ask("param", params={"avoidance": "orca"})
+    harness.advance(1.5)
+    found = harness.robot.tracks(harness.now)
+    assert found is not None
+    assert [(one.x, one.y) for one in found.tracks] == [pytest.approx((1.0, 0.5), abs=0.1)]
 
 
 def test_a_pattern_may_go_on_with_late_scans() -> None:

@@ -127,7 +127,7 @@ class ZenohBus:
                 congestion_control=zenoh.CongestionControl.DROP,
                 express=True,
             )
-            for name in ("status", "motion", "scan", "log")
+            for name in ("status", "motion", "scan", "tracks", "log")
         }
         # To ask Zenoh for subscribers takes 50 us: the daemon asks only after a change.
         self._watched = dict.fromkeys(self._publishers, False)
@@ -140,7 +140,8 @@ class ZenohBus:
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
         """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
 
-        `name`: status, motion, scan or log. A `payload` of None: there is nothing to publish.
+        `name`: status, motion, scan, tracks or log. A `payload` of None: there is nothing to
+        publish.
         """
         publisher = self._publishers[name]
         if self._is_closed:

@@ -4,6 +4,7 @@ import { Colouring, scale } from './colours.js';
 import { Gestures } from './gestures.js';
 
 const LIMIT = '#d55e00'; // of an obstacle that limits a robot
+const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const MANY = 60; // robots from which on only some names and trails are drawn
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
@@ -145,6 +146,7 @@ export class SwarmMap {
     for (const robot of robots) if (model.selected.has(robot.name) && robot.scan && now - robot.scanned < OLD) this.drawScan(robot, zoom);
     for (const robot of robots) if (model.selected.has(robot.name)) this.drawLimits(robot, zoom);
     this.drawRobots(robots, now, zoom, text);
+    for (const robot of robots) if (model.selected.has(robot.name)) this.drawTracks(robot, zoom);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     if (this.shows.names) this.drawNames(this.named(robots), text, dim);
     if (this.ruler) this.drawRuler(text);
@@ -272,6 +274,22 @@ export class SwarmMap {
       ctx.arc(robot.x, robot.y, far, angle - 0.25, angle + 0.25);
       ctx.stroke();
     }
+  }
+
+  // The moving objects that a robot avoids: a circle, and where the object is in a second.
+  drawTracks(robot, zoom) {
+    const { ctx } = this, c = Math.cos(robot.yaw), s = Math.sin(robot.yaw);
+    ctx.strokeStyle = TRACK;
+    ctx.lineWidth = 1.5 * this.ratio / zoom;
+    ctx.beginPath();
+    for (const [u, v, vx, vy, radius] of robot.row.tracks || []) {
+      const x = robot.x + c * u - s * v, y = robot.y + s * u + c * v;
+      ctx.moveTo(x + radius, y);
+      ctx.arc(x, y, radius, 0, 2 * Math.PI);
+      ctx.moveTo(x, y);
+      ctx.lineTo(x + c * vx - s * vy, y + s * vx + c * vy);
+    }
+    ctx.stroke();
   }
 
   // One path for each colour: a path for each robot takes longer to draw.

@@ -6,12 +6,12 @@ import math
 
 import pytest
 
-from studies.safety.encounters import MODES, TASKS, Found, perform, table
+from studies.safety.encounters import MODES, TASKS, Found, perform, scenario_for, table
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_each_task_is_a_scenario_in_each_mode(task: str) -> None:
-    robots = {len(TASKS[task](mode).robots) for mode in MODES}
+    robots = {len(scenario_for(task, mode).robots) for mode in MODES}
     assert len(robots) == 1
     assert robots.pop() >= 1
 
@@ -36,6 +36,12 @@ def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
     assert "40%" in text
     assert "3 of 8" in text
     assert "0 of 1 runs" in text
+
+
+def test_with_true_places_robots_that_meet_pass_each_other() -> None:
+    found = perform("two that meet", "orca_true", 3)
+    assert (found.arrived, found.touches) == (2, 0)
+    assert found.goals > perform("two that meet", "barrier", 3).goals
 
 
 @pytest.mark.parametrize("task", ["two that meet", "past a parked robot"])

@@ -1,0 +1,277 @@
+"""The velocities that lead into something, and the nearest one that does not. Pure.
+
+A track or a wall forbids a half plane of velocities (optimal reciprocal collision avoidance: van
+den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance", ISRR 2009). The nearest
+velocity outside of all is found by a linear programme in two variables (de Berg et al.,
+"Computational geometry", chapter 4).
+
+A kernel (see `core/kernels.py`): each decision passes it. avoidance.py calls it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, fabs, hypot, sqrt
+else:
+    from swarmd.core.cython_shadow import INFINITY, fabs, hypot, sqrt
+
+_EPSILON = cython.declare(cython.double, 1e-9)
+
+
+@cython.final
+@cython.cclass
+class Line:
+    """Velocities to the left of the direction `dx`, `dy` through the point `x`, `y` are allowed."""
+
+    x = cython.declare(cython.double, visibility="readonly")
+    y = cython.declare(cython.double, visibility="readonly")
+    dx = cython.declare(cython.double, visibility="readonly")
+    dy = cython.declare(cython.double, visibility="readonly")
+
+    def __init__(
+        self, x: cython.double, y: cython.double, dx: cython.double, dy: cython.double
+    ) -> None:
+        self.x, self.y, self.dx, self.dy = x, y, dx, dy
+
+
+@cython.ccall
+def excess(line: Line, x: cython.double, y: cython.double) -> cython.double:
+    """By how much the velocity violates a line, in m/s; at most 0 if it does not."""
+    return line.dx * (line.y - y) - line.dy * (line.x - x)
+
+
+@cython.ccall
+def line_of(
+    px: cython.double,
+    py: cython.double,
+    vx: cython.double,
+    vy: cython.double,
+    own_x: cython.double,
+    own_y: cython.double,
+    radius: cython.double,
+    share: cython.double,
+    horizon: cython.double,
+) -> Line:
+    """The velocities that do not lead nearer to a place than `radius` within `horizon` s.
+
+    `px`, `py`: the place. `vx`, `vy`: the present velocity relative to the place, of which `own_x`,
+    `own_y` change by a share.
+    """
+    square: cython.double = max(px * px + py * py, _EPSILON)
+    # Within that distance the robot may go aside, and need not go away.
+    radius = min(radius, max(sqrt(square) - 1e-3, 1e-3))
+    wx: cython.double = vx - px / horizon
+    wy: cython.double = vy - py / horizon
+    length: cython.double = hypot(wx, wy)
+    along: cython.double = wx * px + wy * py
+    dx: cython.double
+    dy: cython.double
+    ux: cython.double
+    uy: cython.double
+    if along < 0.0 and along * along > radius * radius * length * length:
+        nx: cython.double = wx / max(length, _EPSILON)
+        ny: cython.double = wy / max(length, _EPSILON)
+        off: cython.double = radius / horizon - length
+        dx, dy, ux, uy = ny, -nx, off * nx, off * ny
+    else:
+        leg: cython.double = sqrt(max(square - radius * radius, 0.0))
+        if px * wy - py * wx > 0.0:
+            dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
+        else:
+            dx, dy = -(px * leg + py * radius) / square, -(py * leg - px * radius) / square
+        way: cython.double = vx * dx + vy * dy
+        ux, uy = way * dx - vx, way * dy - vy
+    return Line(own_x + share * ux, own_y + share * uy, dx, dy)
+
+
+@cython.cfunc
+def _rows(places):
+    """What a view of places (k, 2) is made of; CPython indexes memory faster than arrays."""
+    places = np.ascontiguousarray(places, np.float64)
+    return places if cython.compiled else memoryview(places)
+
+
+def wall_lines(
+    walls,
+    lead: cython.double,
+    own_x: cython.double,
+    own_y: cython.double,
+    radius: cython.double,
+    reach: cython.double,
+    horizon: cython.double,
+) -> list:
+    """A line for each place of a wall (k, 2) within `reach` m of a point `lead` m ahead."""
+    i: cython.Py_ssize_t
+    places: cython.double[:, ::1] = _rows(walls)
+    lines: list = []
+    for i in range(len(places)):
+        x: cython.double = places[i, 0] - lead
+        y: cython.double = places[i, 1]
+        if x * x + y * y < reach * reach:
+            lines.append(line_of(x, y, own_x, own_y, own_x, own_y, radius, 1.0, horizon))
+    return lines
+
+
+def width_between(
+    walls, first: cython.double, last: cython.double, widest: cython.double
+) -> cython.double:
+    """The least width in m between places of walls (k, 2) on both sides; inf without such.
+
+    Of places from `first` to `last` m ahead and within `widest` m to the side.
+    """
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    places: cython.double[:, ::1] = _rows(walls)
+    near: list = []
+    least: cython.double = INFINITY
+    for i in range(len(places)):
+        x: cython.double = places[i, 0]
+        y: cython.double = places[i, 1]
+        if first < x < last and fabs(y) < widest:
+            near.append(i)
+    for i in near:
+        if places[i, 1] > 0.0:
+            for k in near:
+                if places[k, 1] <= 0.0:
+                    dx: cython.double = places[i, 0] - places[k, 0]
+                    dy: cython.double = places[i, 1] - places[k, 1]
+                    least = min(least, hypot(dx, dy))
+    return least
+
+
+def nearest(
+    lines: list, fixed: cython.Py_ssize_t, x: cython.double, y: cython.double, most: cython.double
+) -> tuple:
+    """The velocity nearest to `x`, `y` within all lines and a circle of radius `most`.
+
+    If no velocity keeps all lines: the velocity with the least worst violation of the lines after
+    the first `fixed`.
+    """
+    programme: _Programme = _Programme()
+    programme.most = most
+    failed: cython.Py_ssize_t = programme.solve(lines, x, y, False)
+    if failed < len(lines):
+        programme.relax(lines, fixed, failed)
+    return programme.x, programme.y
+
+
+@cython.final
+@cython.cclass
+class _Programme:
+    """A linear programme: the velocity `x`, `y` within lines and a circle of radius `most`."""
+
+    most: cython.double
+    x: cython.double
+    y: cython.double
+
+    @cython.cfunc
+    def solve(
+        self, lines: list, x: cython.double, y: cython.double, is_direction: cython.bint
+    ) -> cython.Py_ssize_t:
+        """Set the best velocity; the number of lines that could be kept.
+
+        The best one is the nearest to `x`, `y`, or else the farthest in that direction.
+        """
+        i: cython.Py_ssize_t
+        line: Line
+        most: cython.double = self.most
+        length: cython.double = hypot(x, y)
+        if is_direction:
+            self.x, self.y = x * most, y * most
+        elif length > most:
+            self.x, self.y = x * most / length, y * most / length
+        else:
+            self.x, self.y = x, y
+        for i in range(len(lines)):
+            line = lines[i]
+            if excess(line, self.x, self.y) > 0.0 and not self._place(lines, i, x, y, is_direction):
+                return i
+        return len(lines)
+
+    @cython.cfunc
+    def _place(
+        self,
+        lines: list,
+        count: cython.Py_ssize_t,
+        x: cython.double,
+        y: cython.double,
+        is_direction: cython.bint,
+    ) -> cython.bint:
+        """Set the best velocity on a line that keeps the `count` lines before it; False without."""
+        i: cython.Py_ssize_t
+        line: Line = lines[count]
+        other: Line
+        along: cython.double = line.x * line.dx + line.y * line.dy
+        inside: cython.double = along * along + self.most * self.most
+        inside = inside - line.x * line.x - line.y * line.y
+        if inside < 0.0:
+            return False
+        half: cython.double = sqrt(inside)
+        low: cython.double = -along - half
+        high: cython.double = -along + half
+        for i in range(count):
+            other = lines[i]
+            cross: cython.double = line.dx * other.dy - line.dy * other.dx
+            above: cython.double = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
+            if fabs(cross) <= _EPSILON:
+                if above < 0.0:
+                    return False
+                continue
+            if cross >= 0.0:
+                high = min(high, above / cross)
+            else:
+                low = max(low, above / cross)
+            if low > high:
+                return False
+        best: cython.double
+        if is_direction:
+            best = high if x * line.dx + y * line.dy > 0.0 else low
+        else:
+            best = min(max(line.dx * (x - line.x) + line.dy * (y - line.y), low), high)
+        self.x, self.y = line.x + best * line.dx, line.y + best * line.dy
+        return True
+
+    @cython.cfunc
+    def relax(self, lines: list, fixed: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
+        """Set the velocity whose worst violation of the lines after `fixed` is least."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        line: Line
+        other: Line
+        worst: cython.double = 0.0
+        for i in range(begin, len(lines)):
+            line = lines[i]
+            if excess(line, self.x, self.y) <= worst:
+                continue
+            projected: list = lines[:fixed]
+            for k in range(fixed, i):
+                other = lines[k]
+                cross: cython.double = line.dx * other.dy - line.dy * other.dx
+                x: cython.double
+                y: cython.double
+                if fabs(cross) <= _EPSILON:
+                    if line.dx * other.dx + line.dy * other.dy > 0.0:
+                        continue
+                    x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
+                else:
+                    at: cython.double = other.dx * (line.y - other.y)
+                    at = (at - other.dy * (line.x - other.x)) / cross
+                    x, y = line.x + at * line.dx, line.y + at * line.dy
+                dx: cython.double = other.dx - line.dx
+                dy: cython.double = other.dy - line.dy
+                length: cython.double = max(hypot(dx, dy), _EPSILON)
+                projected.append(Line(x, y, dx / length, dy / length))
+            before_x: cython.double = self.x
+            before_y: cython.double = self.y
+            if self.solve(projected, -line.dy, line.dx, True) < len(projected):
+                self.x, self.y = before_x, before_y
+            worst = excess(line, self.x, self.y)
+        return 0
