@@ -54,6 +54,8 @@ class FedSwarm:
         self.silent = set(silent)
         self.lock = threading.Lock()
         self.states = dict.fromkeys(self.names, State.RUNNING)
+        self.changes: dict[str, Mapping[str, Any]] = {}
+        """By robot what its status has instead; set by `change`."""
         self.patterns = {name: PATTERNS[i % 3] for i, name in enumerate(self.names)}
         self.watched: dict[tuple[str, str], Callable[[str, bytes], object]] = {}
         self._ending = threading.Event()
@@ -79,20 +81,27 @@ class FedSwarm:
         }
         is_running = state is State.RUNNING
         latch = Latch(issuer="anna@desk", scope="swarm", reason="from the page")
-        return status(
-            name,
-            state=state,
-            reason=reasons.get(state),
-            detail="" if is_running else "by anna@desk",
-            pattern=self.patterns[name] if is_running else None,
-            latches={"e1": latch} if state is State.ESTOPPED else {},
-            labels=("red",) if index % 2 else ("blue",),
-            report={"opinion": "AB"[index % 2], "votes": index % 7},
-            readings={"battery": 0.2 + 0.8 * (index % 10) / 10.0},
-            decision=DecisionSummary(
+        usual = {
+            "state": state,
+            "reason": reasons.get(state),
+            "detail": "" if is_running else "by anna@desk",
+            "pattern": self.patterns[name] if is_running else None,
+            "latches": {"e1": latch} if state is State.ESTOPPED else {},
+            "labels": ("red",) if index % 2 else ("blue",),
+            "report": {"opinion": "AB"[index % 2], "votes": index % 7},
+            "readings": {"battery": 0.2 + 0.8 * (index % 10) / 10.0},
+            "decision": DecisionSummary(
                 requested_linear=0.2, safe_linear=0.1, is_active=index % 5 == 0, min_gap=0.4
             ),
-        )
+        }
+        return status(name, **(usual | self.changes.get(name, {})))
+
+    def change(self, name: str, state: State, **changes: Any) -> None:
+        """Set the state of a robot and other values of its status, and publish it at once."""
+        with self.lock:
+            self.states[name], self.changes[name] = state, changes
+        self._made = {key: one for key, one in self._made.items() if key[0] != name}
+        self._publish("status", name, self.member(name)[1])
 
     def member(self, name: str) -> tuple[SeenMember, bytes]:
         """What an operator sees of the robot, and its status as it is published."""
@@ -137,7 +146,7 @@ class FedSwarm:
         for step in itertools.count():
             for i, name in enumerate(self.names):
                 with self.lock:
-                    moves = self.states[name] is State.RUNNING
+                    moves = self.states[name] is State.RUNNING and name not in self.changes
                 self._publish("motion", name, self._motions[i][step % LAP if moves else 0])
                 if step % 10 == i % 10:
                     self._publish("status", name, self.member(name)[1])
@@ -237,7 +246,7 @@ class FedOperator:
 
 CHANGING = (
     *("state", "reason", "detail", "pattern", "latches", "labels", "report"),
-    *("readings", "decision"),
+    *("readings", "decision", "health"),
 )
 
 
