@@ -6,7 +6,7 @@ import math
 import time
 import zlib
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,15 +47,15 @@ class Moment:
 class History:
     """The moments of a living swarm within SPAN, each PERIOD."""
 
-    def __init__(self, source: Source) -> None:
-        self._source = source
+    def __init__(self, source: Source, clock: Callable[[], float] = time.monotonic) -> None:
+        self._source, self._clock = source, clock
         self._moments: deque[Moment] = deque(maxlen=round(SPAN / PERIOD))
         self._before: tuple[float, Array] | None = None
         self._count = 0
 
     def advance(self, sequence: int) -> None:
         """Keep the present moment if it is due; pages have the frame `sequence` now."""
-        now = time.monotonic()
+        now = self._clock()
         if self._moments and now - self._moments[-1].time < PERIOD - 0.01:
             return
         source = self._source

@@ -17,6 +17,7 @@ import numpy as np
 
 from swarmd.cli.web import WebOptions, serve
 from swarmd.core.codec import encode
+from swarmd.core.errors import unknown
 from swarmd.core.messages import (
     Code,
     DecisionSummary,
@@ -81,7 +82,7 @@ class FedSwarm:
         }
         is_running = state is State.RUNNING
         latch = Latch(issuer="anna@desk", scope="swarm", reason="from the page")
-        usual = {
+        usual: dict[str, Any] = {
             "state": state,
             "reason": reasons.get(state),
             "detail": "" if is_running else "by anna@desk",
@@ -94,7 +95,7 @@ class FedSwarm:
                 requested_linear=0.2, safe_linear=0.1, is_active=index % 5 == 0, min_gap=0.4
             ),
         }
-        return status(name, **(usual | self.changes.get(name, {})))
+        return status(name, **{**usual, **self.changes.get(name, {})})
 
     def change(self, name: str, state: State, **changes: Any) -> None:
         """Set the state of a robot and other values of its status, and publish it at once."""
@@ -200,12 +201,29 @@ class FedOperator:
     def request(
         self, kind: type[AnyRequest], targets: Mapping[str, Epoch | None], **fields: Any
     ) -> Outcome:
+        if kind is RunRequest and (refused := self._refused(targets, fields["pattern"])):
+            return Outcome(refused, reached=len(refused))
         state = State.RUNNING if kind is RunRequest else State.IDLE
         for name in targets:
             if name not in self._swarm.silent and kind.__name__ != "ParamRequest":
                 with self._swarm.lock:
                     self._swarm.states[name] = state
         return self._outcome(targets)
+
+    def _refused(self, targets: Collection[str], pattern: str) -> dict[str, Reply]:
+        """The replies to a run if robots refuse it: of an unknown pattern, or estopped."""
+        texts = {
+            name: (Refusal.ESTOPPED, "estopped (estop) by anna@desk; reset it first")
+            for name in targets
+            if self._swarm.states[name] is State.ESTOPPED
+        }
+        if pattern not in PATTERNS:
+            text = unknown("pattern", pattern, PATTERNS)
+            texts = dict.fromkeys(targets, (Refusal.UNKNOWN_PATTERN, text))
+        return {
+            name: Reply(id="1", robot=name, code=Code.REFUSED, refusal=refusal, text=text)
+            for name, (refusal, text) in texts.items()
+        }
 
     def send_stop(
         self,

@@ -78,7 +78,10 @@ export class Actions {
 
   propose({ pattern, reset }, button) {
     if (reset) this.reset(reset, button);
-    else if (pattern) { this.form.choose(pattern); element('run-open').click(); }
+    else if (pattern) {
+      this.form.choose(pattern);
+      if (element('commands').hidden) element('run-open').click();
+    }
   }
 
   act(verb, fields) {

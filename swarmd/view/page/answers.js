@@ -3,6 +3,7 @@
 import { plain } from './states.js';
 
 const MAX_ANSWERS = 8, MAX_NAMES = 12;
+const NO_ANSWER = 'no answer';
 
 export const made = (tag, text, className = '') => {
   const element = document.createElement(tag);
@@ -40,7 +41,7 @@ export class Answers {
       while (this.box.children.length > MAX_ANSWERS) this.box.lastChild.remove();
     }
     line.classList.toggle('bad', isBad);
-    line.firstChild.textContent = groups.length === 1 && isBad ? `${text}: ${groups[0][0]}` : text;
+    line.firstChild.textContent = isBad && groups.length === 1 ? `${text}: ${shortOf(...groups[0])}` : text;
     line.firstChild.title = line.firstChild.textContent;
     line.querySelector('ul').replaceChildren(...groups.map(([words, names]) => made('li', `${names.length} ${words} (${namesOf(names)})`)));
     for (const old of line.querySelectorAll('button')) old.remove();
@@ -58,7 +59,9 @@ export class Answers {
   take(message, fields) {
     const groups = groupsOf(message);
     const isBad = message.is_final && !message.is_good;
-    const line = this.show(message.id, plain(message.line), groups, isBad, isBad ? proposalOf(message, fields) : null);
+    // The names are below: of fifty robots they would fill the line.
+    const text = plain(message.line).replace(/ \([^)]*\)/g, '').replace(' 0 applied,', '');
+    const line = this.show(message.id, text, groups, isBad, isBad ? proposalOf(message, fields) : null);
     line.dataset.final = message.is_final;
     return line;
   }
@@ -68,7 +71,7 @@ export class Answers {
 function groupsOf({ replies, missing }) {
   const groups = new Map();
   const add = (text, name) => { if (!groups.has(text)) groups.set(text, []); groups.get(text).push(name); };
-  for (const name of missing) add('without an answer', name);
+  for (const name of missing) add(NO_ANSWER, name);
   for (const [name, code, text] of replies) if (code !== 'applied' || text) add(text ? `${code}: ${plain(text)}` : code, name);
   return [...groups];
 }
@@ -79,6 +82,12 @@ function proposalOf({ line, replies }, fields) {
   if (close && fields && fields.verb === 'run') return { text: `Choose ${close[1]}`, pattern: close[1] };
   const names = replies.filter(([, , text]) => /reset it first|swarmctl reset/.test(text)).map(([name]) => name);
   return names.length ? { text: names.length === 1 ? `Reset ${names[0]}` : `Reset ${names.length}`, reset: names } : null;
+}
+
+// The only group of an answer, whose line has its code and number.
+function shortOf(words, names) {
+  const text = words.replace(/^\w+: /, '');
+  return words === NO_ANSWER ? namesOf(names) : names.length === 1 ? `${text} (${names[0]})` : text;
 }
 
 function namesOf(names) {
