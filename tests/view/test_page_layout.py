@@ -82,7 +82,7 @@ def test_refusals_are_one_line_with_what_to_do(
         page.click("#run-open")
         page.type("#pattern", "disperson")
         page.click("#run")
-        wanted = "run: 7 targeted, 7 refused: no pattern 'disperson'"
+        wanted = "run: 7 refused: no pattern 'disperson'"
         page.until(f'{LINE}.startsWith("{wanted}")', "one reason for seven robots")
         page.click(".proposal")
         page.until("document.getElementById('pattern').value === 'dispersion'", "chosen")

@@ -37,6 +37,7 @@ export class Answers {
       line = made('div', '', 'answer');
       line.id = `answer-${id}`;
       line.append(made('span', '', 'line'), made('ul', ''));
+      line.firstChild.addEventListener('click', () => this.open(!this.isOpen));
       this.box.prepend(line);
       while (this.box.children.length > MAX_ANSWERS) this.box.lastChild.remove();
     }
@@ -60,7 +61,8 @@ export class Answers {
     const groups = groupsOf(message);
     const isBad = message.is_final && !message.is_good;
     // The names are below: of fifty robots they would fill the line.
-    const text = plain(message.line).replace(/ \([^)]*\)/g, '').replace(' 0 applied,', '');
+    const text = plain(message.line).replace(/ \([^)]*\)/g, '').replace(' 0 applied,', '')
+      .replace(/(\d+) targeted, (?=\1 [a-z ]+$)/, '');
     const line = this.show(message.id, text, groups, isBad, isBad ? proposalOf(message, fields) : null);
     line.dataset.final = message.is_final;
     return line;

@@ -11,7 +11,8 @@ const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const OLD = 3000; // ms after which a scan is not shown
 const EDGE = 0.6; // m around what is shown by Fit
-const SIGN = 4; // pixels from the middle of a sign to its edge, at least
+const SMALL = 11; // pixels of a robot's radius below which its sign has its colour
+const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
 
@@ -308,9 +309,10 @@ export class SwarmMap {
         if (!path) paths.set(colour, path = new Path2D());
         const sign = SIGNS[word];
         if (sign) {
-          if (!signs.has(word)) signs.set(word, new Path2D());
+          const isSmall = radius * this.scale < SMALL, look = isSmall ? colour : '';
+          if (!signs.has(look)) signs.set(look, new Path2D());
           const [u, v] = robot.middle;
-          sign(signs.get(word), x + c * u - s * v, y + s * u + c * v, Math.max(0.7 * radius, SIGN * this.ratio / zoom));
+          sign(signs.get(look), x + c * u - s * v, y + s * u + c * v, Math.max(0.7 * radius, SIGN * this.ratio / zoom));
         }
         if (robot.row.lost) ring(lost, x, y, 1.4 * radius * grown);
       }
@@ -343,9 +345,9 @@ export class SwarmMap {
     ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
     stroke(silent, 1, text); // an empty outline where it was last
     ctx.setLineDash([]);
-    for (const path of signs.values()) { // a dark sign with a light edge, on any colour
-      stroke(path, 5, '#ffffff');
-      stroke(path, 2.5, '#16191d');
+    for (const [colour, path] of signs) { // a dark sign with a light edge; of a small robot in its colour
+      stroke(path, colour ? 4 : 5, colour ? '#16191d' : '#ffffff');
+      stroke(path, 2.5, colour || '#16191d');
     }
     stroke(lost, 4, LOST);
     stroke(chosen, 3, text);

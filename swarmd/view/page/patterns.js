@@ -63,7 +63,6 @@ export class PatternForm {
     const note = element('params-note');
     note.textContent = known && known.params ? `Empty: the default of the robot, here that of a ${known.platform}.` : '';
     if (known && known.params) {
-      // What a pattern needs first, then what is its own, then what all patterns have.
       this.fields.replaceChildren(...known.params.map(fieldOf));
     } else if (this.pattern) {
       const label = made('label', 'Parameters'), input = made('input', '');

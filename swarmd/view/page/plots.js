@@ -1,6 +1,7 @@
 // What the swarm does over time: a lane for each value, a tick for each event, and the time shown.
 
 const SPAN = 300; // s of a living swarm
+const LEAST = 60; // s that are shown from the beginning on
 const NOW = 1.5; // s before the last moment that count as now
 const TITLES = { clusters: ['clusters', ''], speed: ['mean speed', ' m/s'], active: ['protection active', ' %'] };
 const NEAR = 7; // pixels between the mouse and the tick of an event
@@ -37,7 +38,9 @@ export class Plots {
 
   range() {
     const { playback } = this.model;
-    return playback ? [0, Math.max(playback.duration, 0.1)] : [this.latest() - SPAN, this.latest()];
+    if (playback) return [0, Math.max(playback.duration, 0.1)];
+    const latest = this.latest(), first = this.model.plots.times[0] ?? latest;
+    return [Math.max(latest - SPAN, Math.min(first, latest - LEAST)), latest];
   }
 
   to(time) {
@@ -142,7 +145,7 @@ export class Plots {
       ctx.lineTo(place, h - axis);
       ctx.stroke();
       ctx.textAlign = mark === first ? 'left' : at >= until ? 'right' : 'center';
-      const words = isLive ? (mark ? `${mark / 60} min` : 'now') : step >= 60 ? ago(mark) : `${mark} s`;
+      const words = isLive ? (mark ? Math.abs(mark) < 60 ? `${mark} s` : `${mark / 60} min` : 'now') : step >= 60 ? ago(mark) : `${mark} s`;
       ctx.fillText(words, place, h - 0.25 * rem);
     }
   }
@@ -209,6 +212,8 @@ export class Plots {
   drawBack() {
     const { past, playback } = this.model, isPast = past !== null && !playback;
     const back = isPast ? this.latest() - past : 0;
+    const [from, until] = this.range();
+    this.back.min = Math.round(from - until);
     if (document.activeElement !== this.back || !isPast) this.back.value = -back;
     element('back-at').textContent = isPast ? `${ago(back)} ago` : 'now';
     element('now').disabled = !isPast;
