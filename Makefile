@@ -19,7 +19,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants ros2-router ros-study lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -41,6 +41,7 @@ help:
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
 	@echo "make films       a short film of each pattern; a few minutes"
+	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
 	@echo "make kernel-mutants  the same for the kernels; ARGS=40 draws so many; 2 min each if no test notices"
@@ -140,6 +141,11 @@ voting: $(VENV)/tools
 # A short film of each pattern, in build/films; ARGS=docs/figures replaces those of the docs.
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
+
+# The page in Chromium: light and dark, 3 to 200 robots, three widths, each panel. ARGS="--figure
+# docs/figures/page.png" makes the picture of docs/watching.md anew.
+screens: $(VENV)/tools
+	@$(BIN)/python -m studies.page_screens $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it; --attack-share sets how many of them are among attackers.

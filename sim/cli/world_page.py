@@ -40,6 +40,7 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
     if web is None:
         yield None
         return
+    from swarmd.cli.plugin_check import describe_patterns
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.plugins import pattern_names
@@ -55,7 +56,9 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
     with ExitStack() as opened:
         operator = opened.enter_context(make())
         world = opened.enter_context(WorldView(spec.swarm, fleet.endpoint))
-        source = WorldSource(operator, sorted(pattern_names(spec.plugin_dir)), fleet, world)
+        describe = functools.partial(describe_patterns, (), spec.plugin_dir)
+        names = sorted(pattern_names(spec.plugin_dir))
+        source = WorldSource(operator, names, fleet, world, describe)
         opened.callback(source.close)
         source.start()
         commander = LiveCommander(make, source.expected)

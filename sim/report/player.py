@@ -18,14 +18,20 @@ import numpy as np
 from swarmd.core.values import Array
 from swarmd.view.source import Source, hello_of
 
-MODULES = ("colours.js", "gestures.js", "model.js", "map.js", "timeline.js")
+MODULES = (
+    *("states.js", "colours.js", "gestures.js", "legend.js"),
+    *("model.js", "map.js", "timeline.js"),
+)
 """The modules of the page that the player uses, each after those that it imports."""
 MAX_RATE = 10.0  # samples of poses per s
 MAX_POSES = 90_000  # of all robots and boxes together, 6 bytes each
 ROW_PERIOD = 0.5  # s between two samples of values
 MAX_ROWS = 20_000  # of all robots together
 _MAX_LINKED = 50  # robots up to which links are kept
-_KEPT = ("presence", "state", "why", "pattern", "protection", "report", "touches")
+_KEPT = (
+    *("presence", "state", "stands", "why", "pattern", "protection", "report"),
+    "touches",
+)
 _LARGEST, _ABSENT = 32767, -32768
 _IMPORT = re.compile(r"^import \{ ([\w, ]+) \} from '\./([\w.]+)';$", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?:class|function|const) (\w+)", re.MULTILINE)

@@ -18,6 +18,7 @@ from swarmd.settings.platforms import load_platform, platform_of
 from swarmd.sim.experiments.manifest import NAME as MANIFEST
 from swarmd.sim.experiments.results import load_results
 from swarmd.sim.experiments.store import trace_path
+from swarmd.sim.metrics.aggregation import cluster_link
 from swarmd.sim.metrics.contacts import Contact, contact_list
 from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.scenarios.environment import fields_of
@@ -25,12 +26,13 @@ from swarmd.sim.trace import Trace, load_trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field
+from swarmd.view.event_feed import EventLine, together
 from swarmd.view.playback import Playback
-from swarmd.view.source import ShownArena, ShownRobot, points_of
+from swarmd.view.source import ShownArena, ShownRobot, points_of, standing_of
 
 CONTACT_TIME = 1.0
 """Seconds for which a contact is shown after its last step: rows go to the page twice a second."""
-MAX_EVENTS = 20
+MAX_EVENTS, MAX_MARKS = 20, 400
 _NO_LINKS: Sequence[tuple[int, int]] = ()
 
 
@@ -48,6 +50,7 @@ class TraceSource:
 
     kind = "run"
     patterns: Sequence[str] = ()
+    descriptions: Mapping[str, Mapping[str, Any]] = {}
 
     def __init__(
         self,
@@ -80,6 +83,15 @@ class TraceSource:
     def arena(self) -> ShownArena | None:
         """The arena of the run."""
         return self._shown.arena
+
+    @property
+    def link(self) -> float | None:
+        """The distance within which the metric `clusters` links two robots."""
+        return self._shown.link
+
+    def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
+        """Contacts, and changes of states."""
+        return self._shown.marks
 
     def frame(self) -> tuple[float, Array]:
         """Poses at the present time, interpolated."""
@@ -129,6 +141,8 @@ class _ShownRun:
         self._names, self._patterns = patterns_of(trace)
         self._limits = _largest(trace)
         self._index = {name: i for i, name in enumerate(trace.ids)}
+        self.link = cluster_link(trace)
+        self.marks = self._marks()
         self._sensors: RangeSensors | None = None
         with suppress(ConfigError):  # platforms of another machine
             names = set(trace.platforms)
@@ -217,6 +231,19 @@ class _ShownRun:
         ]
         return {"values": values, "events": events[: -MAX_EVENTS - 1 : -1]}
 
+    def _marks(self) -> list[tuple[float, str, Sequence[str]]]:
+        ids, state = self._trace.ids, self._trace.state
+        lines = [
+            EventLine(one.start - self._start, one.a, "event", f"touches {_other(one, one.a)}")
+            for one in self._contacts
+        ]
+        if state is not None and len(self._t):
+            for at, i in np.argwhere(state[1:] != state[:-1]).tolist():
+                word = str(state[at + 1, i])
+                lines.append(EventLine(float(self._t[at + 1]), ids[i], "event", word))
+        found = together(lines)[:MAX_MARKS]
+        return [(round(one.at, 2), one.text, robots) for one, robots in found]
+
     def _at(self, now: float) -> int:
         return min(int(np.searchsorted(self._t, now)), len(self._t) - 1)
 
@@ -229,6 +256,7 @@ class _ShownRun:
             "presence": "alive" if is_present else "absent",
             "state": state if is_present else "",
             "why": reason.replace("_", " ") if is_present else "no daemon at this time",
+            "stands": standing_of(state, reason) if is_present else "",
             "pattern": self._names[self._patterns[at, i]] if state == "running" else "",
             "limits": self._limits,
             "safe": _rounded(trace.safe[at, i]),

@@ -12,9 +12,10 @@ from swarmd.network.operator.operator import Operator
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
+from swarmd.sim.metrics.aggregation import LINKS
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.arena import parse_arena
-from swarmd.view.live import LiveSource
+from swarmd.view.live import Describe, LiveSource
 from swarmd.view.source import ShownRobot
 
 
@@ -24,9 +25,14 @@ class WorldSource(LiveSource):
     kind = "world"
 
     def __init__(
-        self, operator: Operator, patterns: Sequence[str], fleet: Fleet, world: WorldView
+        self,
+        operator: Operator,
+        patterns: Sequence[str],
+        fleet: Fleet,
+        world: WorldView,
+        describe: Describe | None = None,
     ) -> None:
-        super().__init__(operator, patterns)
+        super().__init__(operator, patterns, describe)
         spec = fleet.spec
         scenario = None if spec.scenario is None else spec.scenario.scenario
         arena = parse_arena(spec.arena) if scenario is None else scenario.arena
@@ -34,6 +40,8 @@ class WorldSource(LiveSource):
         self._shapes = {name: box.shape for name, box in arena.movable_boxes}
         self._radio_range = spec.radio_range if scenario is None else scenario.radio.range
         self._state: WorldState | None = None
+        thresholds = [one.protection.get("threshold", 0.0) for one in spec.platforms().values()]
+        self.link = LINKS * max(thresholds, default=0.0) or None
         for name, kind in spec.platforms().items():
             self._platforms[kind.name] = kind
             self._index[name] = len(self._robots)

@@ -1,4 +1,4 @@
-"""`python -m studies.safety hours | progress | encounters | tracks | one`: see docs/evidence/safety.md.
+"""`python -m studies.safety hours | progress | encounters | tracks | one`: docs/evidence/safety.md.
 
 hours: robot-hours over all scenes. progress: goals reached in each mode. encounters: how robots get
 past each other in each mode. tracks: the errors of tracks. one: a single run with every collision

@@ -23,6 +23,7 @@ from swarmd.cli.send import exit_code_of, gap, known_members, named_now
 from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.messages import STATUS_SILENCE, Presence, ProcessUsage, Status
 from swarmd.texts.values import NOTHING, megabytes, seconds
+from swarmd.texts.why import lost_base
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -90,6 +91,7 @@ def records(view: MembersView, names: Sequence[str], known: Known) -> Iterator[d
             "robot": name,
             "answered": True,
             "state": status.state,
+            "lost": lost_base(status),
             "pattern": status.pattern,
             **_usage("", health.usage),
             **_usage("pattern_", health.pattern_usage),
@@ -121,7 +123,7 @@ def _row(one: Mapping[str, Any]) -> list[str]:
     ]
     return [
         one["robot"],
-        one["state"],
+        f"{one['state']}, base lost" if one["lost"] else one["state"],
         *cpu,
         *memory,
         seconds(one["loop_p99"]),
@@ -196,7 +198,9 @@ def _lines(watch: SwarmWatch, targets: Targets, sort: str, size: tuple[int, int]
     names = _names(view, targets)
     table = table_lines(HEADER, rows(view, names, known, sort))
     answered = sum(_is_present(view, name, known) for name in names)
-    title = f"{len(names)} robots, {answered} answer, by {sort}"
+    lost = [n for n in names if _is_present(view, n, known) and lost_base(known[n][0])]
+    gone = f", BASE LOST: {', '.join(lost)}" if lost else ""
+    title = f"{len(names)} robots, {answered} answer{gone}, by {sort}"
     letters = "  ".join(f"{letter} {name}" for letter, name in SORTS.items())
     room = max(size[1] - 3, 1)
     rest = len(table) - room

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,11 +58,13 @@ def _live(
 ) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
     """The swarm as views show it, and what carries their commands out; latches keep `reason`."""
     from swarmd.cli.known_robots import remember
+    from swarmd.cli.plugin_check import describe_patterns
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
     with options.operator() as operator:
-        source = LiveSource(operator, sorted(pattern_names(None)))
+        describe = partial(describe_patterns, (), None)
+        source = LiveSource(operator, sorted(pattern_names(None)), describe)
         commander = LiveCommander(options.operator, source.expected, reason)
         source.start()
         try:

@@ -163,10 +163,14 @@ def protection_word(*, is_active: bool, is_recovering: bool, avoiding: str = "")
     return f"avoiding {avoiding}" if avoiding else "active" if is_active else "clear"
 
 
+def lost_base(status: Status) -> str:
+    """Why the base of a robot is lost now, so that it may be moved by others; else empty."""
+    return "" if status.health.driver_up else status.health.driver
+
+
 def _lost(status: Status) -> str:
-    """Why the base of a standing robot is lost now: it may be moved by others."""
-    health = status.health
-    return "" if health.driver_up or not health.driver else f"; driver lost: {health.driver}"
+    lost = lost_base(status)
+    return f"; driver lost: {lost}" if lost else ""
 
 
 def _peer(status: Status) -> str:

@@ -17,6 +17,7 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from swarmd.view.history import History, Moment, Survey
 from swarmd.view.source import Source, hello_of, pack_scan
 
 DETAIL_PERIOD = 1.0
@@ -47,6 +48,10 @@ class Client:
         self.connection = connection
         self.role = role
         self.selected: list[str] = []
+        self.past: float | None = None
+        """The time that the page looks back at; None for the present."""
+        self._plotted = 0
+        self._looked: Moment | None = None
         self.sent = 0
         """Frames that were sent."""
         self._unacked = 0
@@ -77,6 +82,14 @@ class Client:
         if not self._is_sending:
             self._sending = asyncio.create_task(self._send([], [], None))
 
+    def plot(self, history: History | Survey) -> None:
+        """Add what is new in the plots to what is sent next, unless the page is behind."""
+        if self._is_sending:
+            return
+        self._plotted, message = history.since(self._plotted)
+        if message is not None:
+            self._answers.append(json.dumps(message))
+
     def advance(self, source: Source, frame: bytes, rows: Rows | None, now: float) -> None:
         """Send what is due, unless the page is behind."""
         if self._is_sending:
@@ -88,12 +101,28 @@ class Client:
             if texts or self._answers:
                 self._sending = asyncio.create_task(self._send(texts, [], None))
             return
+        self._looked = None
         if rows is not None:
             texts += self._changes(rows)
         texts += self._details(source, now)
         self._unacked += 1
         self.sent += 1
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
+
+    def look_back(self, moment: Moment) -> None:
+        """Send a moment of the past once, with the number that its frame had.
+
+        A command that quotes that number is as late as the picture is old.
+        """
+        if self._is_sending or self._unacked >= MAX_UNACKED:
+            return
+        self._rows, self._others = {}, ()  # the present is sent anew
+        if moment is not self._looked:
+            self._unacked += 1
+            self._sending = asyncio.create_task(self._send([moment.text], [], moment.frame))
+        elif self._answers:
+            self._sending = asyncio.create_task(self._send([], [], None))
+        self._looked = moment
 
     def end(self) -> None:
         """Send nothing more."""
@@ -107,6 +136,7 @@ class Client:
     def _hello(self, source: Source) -> str:
         self._known = source.revision
         self._rows, self._others = {}, ()
+        self._plotted *= source.playback is None  # another run has other moments
         return json.dumps({"kind": "hello", **hello_of(source, self.role)})
 
     def _changes(self, rows: Rows) -> list[str]:

@@ -6,14 +6,15 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from msgspec.structs import astuple, replace
 
 from swarmd.core.codec import Decoder
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Motion, Presence, Status, Tracks
 from swarmd.core.values import Array, Platform, Scan
@@ -23,6 +24,8 @@ from swarmd.network.operator.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.texts.status import sections
 from swarmd.texts.why import absence, why
+from swarmd.view.event_feed import EventFeed, EventLine, together
+from swarmd.view.history import SPAN
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
 from swarmd.view.swarm_watch import SwarmWatch
 
@@ -36,6 +39,10 @@ GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still m
 """Why a robot that is not alive is shown so."""
 
 TRACKS_AGE = 1.5  # s after which tracks are not shown
+MAX_MARKS = 200
+"""Events that pages mark on the time; of more, the last ones."""
+Describe = Callable[[str], Sequence[Mapping[str, Any]]]
+"""Gives the patterns as they are on a platform, as `Source.descriptions`; it may take seconds."""
 
 _motion = Decoder(Motion)
 _tracks = Decoder(Tracks)
@@ -47,10 +54,18 @@ class LiveSource:
     kind = "live"
     arena: ShownArena | None = None
     playback = None
+    link: float | None = None
 
-    def __init__(self, operator: Operator, patterns: Sequence[str]) -> None:
+    def __init__(
+        self, operator: Operator, patterns: Sequence[str], describe: Describe | None = None
+    ) -> None:
         self.swarm = operator.settings.swarm
         self.patterns = patterns
+        self.descriptions: Mapping[str, Mapping[str, Any]] = {}
+        self._describe = describe
+        self._described = 0
+        self._feed = EventFeed(SPAN)
+        self._lines: deque[EventLine] = deque(maxlen=MAX_MARKS)
         self._robots: list[ShownRobot] = []
         self._operator = operator
         self._index: dict[str, int] = {}
@@ -62,7 +77,7 @@ class LiveSource:
         self._platforms: dict[str, Platform | None] = {}
         self._watched: frozenset[str] = frozenset()
         self._links: frozenset[tuple[str, str]] = frozenset()
-        self._watch = SwarmWatch(operator, on_view=self._on_view)
+        self._watch = SwarmWatch(operator, on_status=self._on_status, on_view=self._on_view)
 
     def start(self) -> None:
         """Begin to look."""
@@ -97,8 +112,8 @@ class LiveSource:
 
     @property
     def revision(self) -> int:
-        """Changes when a robot is found, or its platform."""
-        return self._revision
+        """Changes when a robot is found, or its platform, and when patterns are described."""
+        return self._revision + self._described
 
     def frame(self) -> tuple[float, Array]:
         """The last pose of each robot."""
@@ -163,6 +178,13 @@ class LiveSource:
         index = self._index
         return [(index[a], index[b]) for a, b in self._links if a in index and b in index]
 
+    def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
+        """What robots logged and what became of them, a line for robots that tell the same."""
+        with self._lock:
+            self._lines.extend(self._feed.advance(time.monotonic()))
+            lines = [line for line in self._lines if line.kind != "gap"]
+        return [(round(one.at, 1), one.text, robots) for one, robots in together(lines)]
+
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """What `swarmctl describe` tells."""
         known, member = self.statuses().get(name), self.view.members.get(name)
@@ -194,8 +216,14 @@ class LiveSource:
 
     # What robots tell
 
+    def _on_status(self, status: Status) -> None:
+        with self._lock:
+            self._lines.extend(self._feed.on_status(status, time.monotonic()))
+
     def _on_view(self, view: MembersView) -> None:
         """Called after each look, on its thread."""
+        with self._lock:
+            self._lines.extend(self._feed.on_view(view, time.monotonic()))
         is_few = len(view.members) <= MAX_LINKED
         self._links = self._operator.links() if is_few else frozenset()
 
@@ -237,11 +265,24 @@ class LiveSource:
             found = self._platform(platform) if platform else None
             shape = PLAIN if found is None else found.footprint
             self._revision += 1
+            if platform and self._describe is not None:
+                describe, self._describe = self._describe, None
+                threading.Thread(
+                    target=self._take_patterns, args=(describe, platform), daemon=True
+                ).start()
             if index is None:
                 self._index[name] = index = len(self._robots)
                 self._robots.append(ShownRobot(name, index, platform, shape))
             else:
                 self._robots[index] = ShownRobot(name, index, platform, shape)
+
+    def _take_patterns(self, describe: Describe, platform: str) -> None:
+        """Learn the patterns' parameters, with their defaults on the first robot's platform."""
+        with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine
+            found = [one for one in describe(platform) if "error" not in one]
+            keys = ("summary", "platform", "params")
+            self.descriptions = {one["name"]: {key: one[key] for key in keys} for one in found}
+            self._described = 1
 
     def _platform(self, name: str) -> Platform | None:
         """The platform of that name; None if it is not known on this machine."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 MIN_SPEED, MAX_SPEED = 0.01, 100.0
@@ -31,6 +32,7 @@ class Playback:
         self.speed = 1.0
         self._clock = clock
         self._offset, self._since = 0.0, clock()
+        self._looked: float | None = None
 
     def load(self, run: str, duration: float) -> None:
         """Begin another run; whether it plays, and how fast, stays."""
@@ -40,6 +42,8 @@ class Playback:
     @property
     def time(self) -> float:
         """Seconds into the run; it stays at the end of the run."""
+        if self._looked is not None:
+            return self._looked
         rate = self.speed if self.is_playing else 0.0
         return min(self._offset + rate * (self._clock() - self._since), self.duration)
 
@@ -56,6 +60,15 @@ class Playback:
         """Go to a time in s, within the run. ValueError for NaN and infinity."""
         _check(time)
         self._offset, self._since = min(max(time, 0.0), self.duration), self._clock()
+
+    @contextmanager
+    def looking_at(self, time: float) -> Iterator[None]:
+        """Another `time` for the caller alone, such as a sample of the whole run."""
+        self._looked = time
+        try:
+            yield
+        finally:
+            self._looked = None
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""

@@ -15,11 +15,14 @@ from swarmd.core.values import Array, Twist
 from swarmd.recording import messages
 from swarmd.texts.status import sections
 from swarmd.texts.why import protection_word
+from swarmd.view.event_feed import EventLine, together
 from swarmd.view.playback import Playback
-from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
+from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of, standing_of
 from swarmd.view.timeline import Track, read_timeline
 
 MAX_EVENTS = 20
+MAX_MARKS = 200
+"""Events of all robots that are marked on the time; of more, the last ones."""
 
 
 class RecordingSource:
@@ -28,7 +31,10 @@ class RecordingSource:
     kind = "recording"
     arena: ShownArena | None = None
     patterns: Sequence[str] = ()
+    descriptions: Mapping[str, Mapping[str, Any]] = {}
+    link: float | None = None
     revision = 0
+    _marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
 
     def __init__(self, paths: Sequence[Path], clock: Callable[[], float] = time.monotonic) -> None:
         """SwarmError as `read_timeline`."""
@@ -74,6 +80,20 @@ class RecordingSource:
     def links(self) -> Sequence[tuple[int, int]]:
         """Not known."""
         return ()
+
+    def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
+        """The last events that robots logged, a line for robots that tell the same."""
+        if self._marks is None:
+            end, tracks = self.playback.duration, self.timeline.tracks
+            lines = [
+                EventLine(at, name, "event", text)
+                for name, track in tracks.items()
+                for at, text in track.events(end, MAX_MARKS)
+                if at >= 0.0
+            ]
+            found = together(lines)[-MAX_MARKS:]
+            self._marks = [(round(one.at, 2), one.text, robots) for one, robots in found]
+        return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """What `describe` told, and the last lines of the robot's log."""
@@ -121,6 +141,7 @@ def _decided(decision: Any, row: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "state": decision.state,
         "why": row["why"] if reason and is_same else reason,
+        "stands": standing_of(decision.state, decision.reason),
         "protection": protection * is_running,
         "requested": _plain(messages.twist_of(decision.requested)),
         "safe": _plain(messages.twist_of(decision.safe)),

@@ -1,9 +1,10 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `playback`, `notice`, `answer` and `estop`
-as JSON, frames and scans as bytes (see `source.pack_frame`). From the page: `ack` of a frame,
-`select`, `play`, `seek`, `choose` and `act`, a command. The server keeps the emergency stop that
-lacks acknowledgements, so that a page which opens later shows it too.
+To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `playback`, `plots`, `marks`, `notice`,
+`answer` and `estop` as JSON, frames and scans as bytes (see `source.pack_frame`). From the page:
+`ack` of a frame, `select`, `play`, `seek`, `choose`, `past`, a time to look back at, and `act`, a
+command. The server keeps the emergency stop that lacks acknowledgements, so that a page which opens
+later shows it too.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ from websockets.http11 import Request, Response
 from swarmd.core.errors import SwarmError
 from swarmd.view.access import HEADERS, Access, check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
+from swarmd.view.history import History, Survey
 from swarmd.view.playback import Playback
-from swarmd.view.source import CommandProgress, Source, json_of, pack_frame
+from swarmd.view.source import DETAIL_KEYS, CommandProgress, Source, json_of, pack_frame
 
 log = logging.getLogger(__name__)
 
@@ -54,8 +56,6 @@ WRONG_TOKEN, ENDED = 4401, 4410
 STOPS = ("stop", "estop", "end_estop")
 PAGE = "page"
 _FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
-# Keys of rows that only the details of a selected robot show.
-DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits", "tracks"})
 MAX_WAITING = 128
 """Connections without a role, such as those of files; a new one takes the place of the oldest."""
 MAX_UNREAD = 8 * 2**20
@@ -94,6 +94,7 @@ class ViewServer:
         self._waiting: dict[ServerConnection, None] = {}
         self._watched: list[str] = []
         self._fault = ""
+        self._past = History(source) if source.playback is None else Survey(source)
 
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> str:
         """Listen, and return the address of the page. Raises as `check_address`."""
@@ -200,6 +201,9 @@ class ViewServer:
         elif kind in ("play", "seek", "choose") and client.role == "operator":
             if (playback := self.source.playback) is not None:
                 self._begin(self._play(client, playback, kind, message))
+        elif kind == "past":
+            time = message.get("time")
+            client.past = float(time) if isinstance(time, int | float) else None
         elif kind == "act":
             self._begin(self._act(client, message))
 
@@ -279,6 +283,7 @@ class ViewServer:
                     self._tell_selection()
                 if self._clients:
                     rows_at = self._send_frame(due, rows_at)
+                self._past.advance(self.frames)
             except Exception as error:  # the next one may succeed; without any the page says so
                 if repr(error) != self._fault:
                     log.exception("the page got no frame")
@@ -286,8 +291,8 @@ class ViewServer:
 
     def _send_frame(self, now: float, rows_at: float) -> float:
         """Send a frame to each page, and rows if they are due; the time of the last rows."""
-        time, places = self.source.frame()
-        frame = pack_frame(self.frames + 1, time, places)
+        at, places = self.source.frame()
+        frame = pack_frame(self.frames + 1, at, places)
         is_few = len(self.source.robots) <= FEW_ROBOTS
         rows = None
         if now - rows_at >= (FEW_ROWS_PERIOD if is_few else ROWS_PERIOD) - 1e-3:
@@ -295,7 +300,12 @@ class ViewServer:
         self.frames += 1
         self._sent_at.append((self.frames, now))
         for client in list(self._clients):
-            client.advance(self.source, frame, rows, now)
+            client.plot(self._past)
+            moment = None if client.past is None else self._past.at(client.past)
+            if moment is None:
+                client.advance(self.source, frame, rows, now)
+            else:
+                client.look_back(moment)
         return rows_at
 
     def _rows(self) -> Rows:
@@ -313,6 +323,7 @@ class ViewServer:
         others = [json_of({"kind": "links", "links": list(self.source.links())})]
         boxes = [{"shape": shape.tolist(), "pose": pose} for shape, pose in self.source.boxes()]
         others.append(json_of({"kind": "boxes", "boxes": boxes}))
+        others.append(json_of({"kind": "marks", "marks": self.source.marks()}))
         if self.source.playback is not None:
             others.append(json_of({"kind": "playback", **self.source.playback.plain()}))
         return Rows(short, whole, ages, others)

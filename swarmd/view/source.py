@@ -11,13 +11,15 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from swarmd.core.messages import Status
+from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Array
-from swarmd.texts.why import protection_word_of
+from swarmd.texts.why import lost_base, protection_word_of
 from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
 """Kinds of binary messages to the page."""
+DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits", "tracks"})
+"""Keys of rows that only the details of a selected robot show."""
 PLACE = np.dtype([("index", "<u4"), ("x", "<f4"), ("y", "<f4"), ("yaw", "<f4")])
 
 
@@ -88,6 +90,8 @@ class Source(Protocol):
     """`live`, `world`, `run` or `recording`."""
     swarm: str
     patterns: Sequence[str]
+    descriptions: Mapping[str, Mapping[str, Any]]
+    """By pattern, if known, `summary` and `params`: what `patterns show -o json` prints of each."""
 
     @property
     def arena(self) -> ShownArena | None:
@@ -96,6 +100,10 @@ class Source(Protocol):
     @property
     def playback(self) -> Playback | None:
         """The time of recorded runs; None for what happens now."""
+
+    @property
+    def link(self) -> float | None:
+        """The distance in m within which two robots are of one cluster; None: no shared frame."""
 
     @property
     def revision(self) -> int:
@@ -120,6 +128,12 @@ class Source(Protocol):
     def links(self) -> Sequence[tuple[int, int]]:
         """Pairs of indices of robots that hear each other."""
 
+    def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
+        """Events in order of time: the time in s, a text and the robots.
+
+        The time is that of the run, or of the machine's monotonic clock for what happens now.
+        """
+
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """`sections`: titles with pairs of name and text; `events`: pairs of age and text.
 
@@ -139,7 +153,7 @@ def hello_of(source: Source, role: str) -> dict[str, Any]:
         "role": role,
         "robots": [robot.plain() for robot in source.robots],
         "arena": None if source.arena is None else source.arena.plain(),
-        "patterns": list(source.patterns),
+        "patterns": [{**source.descriptions.get(p, {}), "name": p} for p in source.patterns],
         "runs": [] if playback is None else list(playback.runs),
         "playback": None if playback is None else playback.plain(),
     }
@@ -176,6 +190,8 @@ def row_of(status: Status) -> dict[str, Any]:
         "presence": "alive",
         "state": status.state.value,
         "why": _reason(status),
+        "stands": standing_of(status.state, status.reason or ""),
+        "lost": lost_base(status),
         "pattern": status.pattern or "",
         "protection": protection if status.state == "running" else "",
         "report": dict(status.report),
@@ -195,10 +211,19 @@ def row_of(status: Status) -> dict[str, Any]:
     return row
 
 
+def standing_of(state: str, reason: str) -> str:
+    """How a robot stands that runs: `at rest` as its pattern wants, or `held`; else empty."""
+    if state != State.RUNNING or not reason:
+        return ""
+    return "at rest" if reason == Reason.NO_REQUESTED_COMMAND else "held"
+
+
 def _reason(status: Status) -> str:
     """Why a robot does not move, in words; empty while it moves."""
     reason = "" if status.reason is None else status.reason.value.replace("_", " ")
-    return f"{reason}: {status.detail}" if reason and status.detail else reason or status.detail
+    lost = lost_base(status) if status.reason is not Reason.DRIVER_LOST else ""
+    parts = (reason, status.detail, f"base lost ({lost})" if lost else "")
+    return ": ".join(filter(None, parts))
 
 
 def json_of(value: Any) -> str:

@@ -11,6 +11,7 @@ from rich.text import Text
 
 from swarmd.core.messages import State, Status
 from swarmd.texts.values import printable
+from swarmd.texts.why import lost_base
 from swarmd.view.scene import Area, Scene
 
 ARROWS = "→↗↑↖←↙↓↘"
@@ -25,6 +26,8 @@ COLUMNS = (("state", 9), ("reason", 18), ("pattern", 13), ("scan", 7), ("loop99"
 NUMBERS = frozenset({"scan", "loop99", "near"})
 NAME_WIDTH, MAX_NAME_WIDTH = 11, 24
 TABLE_WIDTH = NAME_WIDTH + sum(1 + width for _, width in COLUMNS)
+LOST = "bold white on magenta"
+"""The style of a base that is lost: the robot takes no command, whatever its state."""
 GAP = 2  # between the table and the map
 MARGIN = 5  # the map's frame and the gap beside the table
 MAX_MAP = (48, 22)  # columns and rows
@@ -152,7 +155,8 @@ def _row(scene: Scene, robot: str, mark: str, name_width: int) -> Text:
     for (title, width), text in zip(COLUMNS, _values(status), strict=True):
         is_number = title in NUMBERS
         shown = text.rjust(width) if is_number else _cell(text, width)
-        row.append(f" {shown}", COLOURS[status.state] if title == "state" else "")
+        style = COLOURS[status.state] if title == "state" else ""
+        row.append(f" {shown}", LOST if title == "reason" and lost_base(status) else style)
     return row
 
 
@@ -160,7 +164,7 @@ def _values(status: Status) -> tuple[str, ...]:
     near = status.decision.min_gap
     return (
         status.state.value,
-        status.reason.value if status.reason else "",
+        "base lost" if lost_base(status) else status.reason.value if status.reason else "",
         status.pattern or "",
         f"{status.health.scan_rate:.1f} Hz",
         f"{1000 * status.health.loop_p99:.1f} ms",

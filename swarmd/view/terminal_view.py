@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
-from swarmd.texts.why import absence, why
+from swarmd.texts.why import absence, lost_base, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
@@ -202,6 +202,8 @@ class TerminalView:
         states = [one.state.value for one in statuses.values()]
         counts = [f"{states.count(state)} {state}" for state in sorted(set(states))]
         counts += [f"{len(notes)} silent"] if notes else []
+        lost = sum(bool(lost_base(one)) for one in statuses.values())
+        counts += [f"{lost} WITHOUT THEIR BASE"] if lost else []
         parts = [f"{swarm}: {len(states) + len(notes)} robots: {', '.join(counts)}"]
         if controls.selected:
             hidden = len(controls.selected.difference(self._robots))

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from swarmd.cli.swarmctl import cli
 from swarmd.cli.top import HEADER, SORTS, records, rows
-from swarmd.core.messages import Presence, ProcessUsage, Status
+from swarmd.core.messages import Presence, ProcessUsage, State, Status
 from swarmd.network.operator.members_view import MembersView
 from tests.support.statuses import RUNNING, make_member, status
 
@@ -53,6 +53,14 @@ def test_a_daemon_without_figures_has_none() -> None:
     (one,) = records(VIEW, ["d"], {"d": (status("d"), 0.0)})
     assert one["cpu"] is one["pattern_memory"] is None
     assert rows(VIEW, ["d"], {"d": (status("d"), 0.0)}, "cpu")[0][2] == "-"
+
+
+def test_a_lost_base_is_shown_whatever_the_state() -> None:
+    health = replace(RUNNING.health, driver="no such device", driver_up=False)
+    lost = {"d": (status("d", state=State.ESTOPPED, health=health), 0.0)}
+    (one,) = records(VIEW, ["d"], lost)
+    assert (one["state"], one["lost"]) == ("estopped", "no such device")
+    assert rows(VIEW, ["d"], lost, "cpu")[0][1] == "estopped, base lost"
 
 
 def test_without_a_terminal_it_is_one_line() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 
 from swarmd.cli.web import WebOptions, serve
 from swarmd.core.codec import encode
+from swarmd.core.errors import unknown
 from swarmd.core.messages import (
     Code,
     DecisionSummary,
@@ -54,6 +55,8 @@ class FedSwarm:
         self.silent = set(silent)
         self.lock = threading.Lock()
         self.states = dict.fromkeys(self.names, State.RUNNING)
+        self.changes: dict[str, Mapping[str, Any]] = {}
+        """By robot what its status has instead; set by `change`."""
         self.patterns = {name: PATTERNS[i % 3] for i, name in enumerate(self.names)}
         self.watched: dict[tuple[str, str], Callable[[str, bytes], object]] = {}
         self._ending = threading.Event()
@@ -79,20 +82,27 @@ class FedSwarm:
         }
         is_running = state is State.RUNNING
         latch = Latch(issuer="anna@desk", scope="swarm", reason="from the page")
-        return status(
-            name,
-            state=state,
-            reason=reasons.get(state),
-            detail="" if is_running else "by anna@desk",
-            pattern=self.patterns[name] if is_running else None,
-            latches={"e1": latch} if state is State.ESTOPPED else {},
-            labels=("red",) if index % 2 else ("blue",),
-            report={"opinion": "AB"[index % 2], "votes": index % 7},
-            readings={"battery": 0.2 + 0.8 * (index % 10) / 10.0},
-            decision=DecisionSummary(
+        usual: dict[str, Any] = {
+            "state": state,
+            "reason": reasons.get(state),
+            "detail": "" if is_running else "by anna@desk",
+            "pattern": self.patterns[name] if is_running else None,
+            "latches": {"e1": latch} if state is State.ESTOPPED else {},
+            "labels": ("red",) if index % 2 else ("blue",),
+            "report": {"opinion": "AB"[index % 2], "votes": index % 7},
+            "readings": {"battery": 0.2 + 0.8 * (index % 10) / 10.0},
+            "decision": DecisionSummary(
                 requested_linear=0.2, safe_linear=0.1, is_active=index % 5 == 0, min_gap=0.4
             ),
-        )
+        }
+        return status(name, **{**usual, **self.changes.get(name, {})})
+
+    def change(self, name: str, state: State, **changes: Any) -> None:
+        """Set the state of a robot and other values of its status, and publish it at once."""
+        with self.lock:
+            self.states[name], self.changes[name] = state, changes
+        self._made = {key: one for key, one in self._made.items() if key[0] != name}
+        self._publish("status", name, self.member(name)[1])
 
     def member(self, name: str) -> tuple[SeenMember, bytes]:
         """What an operator sees of the robot, and its status as it is published."""
@@ -137,7 +147,7 @@ class FedSwarm:
         for step in itertools.count():
             for i, name in enumerate(self.names):
                 with self.lock:
-                    moves = self.states[name] is State.RUNNING
+                    moves = self.states[name] is State.RUNNING and name not in self.changes
                 self._publish("motion", name, self._motions[i][step % LAP if moves else 0])
                 if step % 10 == i % 10:
                     self._publish("status", name, self.member(name)[1])
@@ -191,12 +201,29 @@ class FedOperator:
     def request(
         self, kind: type[AnyRequest], targets: Mapping[str, Epoch | None], **fields: Any
     ) -> Outcome:
+        if kind is RunRequest and (refused := self._refused(targets, fields["pattern"])):
+            return Outcome(refused, reached=len(refused))
         state = State.RUNNING if kind is RunRequest else State.IDLE
         for name in targets:
             if name not in self._swarm.silent and kind.__name__ != "ParamRequest":
                 with self._swarm.lock:
                     self._swarm.states[name] = state
         return self._outcome(targets)
+
+    def _refused(self, targets: Collection[str], pattern: str) -> dict[str, Reply]:
+        """The replies to a run if robots refuse it: of an unknown pattern, or estopped."""
+        texts = {
+            name: (Refusal.ESTOPPED, "estopped (estop) by anna@desk; reset it first")
+            for name in targets
+            if self._swarm.states[name] is State.ESTOPPED
+        }
+        if pattern not in PATTERNS:
+            text = unknown("pattern", pattern, PATTERNS)
+            texts = dict.fromkeys(targets, (Refusal.UNKNOWN_PATTERN, text))
+        return {
+            name: Reply(id="1", robot=name, code=Code.REFUSED, refusal=refusal, text=text)
+            for name, (refusal, text) in texts.items()
+        }
 
     def send_stop(
         self,
@@ -237,7 +264,7 @@ class FedOperator:
 
 CHANGING = (
     *("state", "reason", "detail", "pattern", "latches", "labels", "report"),
-    *("readings", "decision"),
+    *("readings", "decision", "health"),
 )
 
 

@@ -12,7 +12,7 @@ from swarmd.cli.web import Served, WebOptions
 from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.view.commander import LiveCommander
-from swarmd.view.live import LiveSource
+from swarmd.view.live import Describe, LiveSource
 from tests.support.chromium import FOUND, Page
 from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
 from tests.support.processes import wait_until
@@ -32,11 +32,12 @@ def shown(
     capsys: pytest.CaptureFixture[str],
     silent: Collection[str] = (),
     tokens: tuple[str, str] = ("", ""),
+    describe: Describe | None = None,
 ) -> Iterator[tuple[FedSwarm, list[str]]]:
     """A fed swarm and the addresses of its page."""
     with FedSwarm(count, silent) as swarm:
         make = cast("Callable[[], Operator]", lambda: FedOperator(swarm))
-        source = LiveSource(make(), PATTERNS)
+        source = LiveSource(make(), PATTERNS, describe)
         commander = LiveCommander(make, source.expected)
         source.start()
         try:
@@ -64,12 +65,15 @@ def rows(page: Page) -> Any:
 def test_commands_to_500_robots_are_counted(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
     with shown(500, capsys) as (swarm, (address,)):
         ready(page, address, 500)
+        page.click("#robots-open")
+        page.until("document.querySelectorAll('tr[data-name]').length > 5", "the table")
         assert len(rows(page)) < 60  # only what is seen
+        page.click("#run-open")
         page.type("#pattern", "drive")
         page.click("#run")
         page.until(f"{ANSWER}.startsWith('run: 500 targeted, 499 applied, 1 refused')", "counted")
         first = "document.querySelector('.answer li').textContent"
-        assert page.evaluate(first) == "tb3-500: refused: busy"
+        assert page.evaluate(first) == "1 refused: busy (tb3-500)"
         page.click("#estop")
         page.until(f"{ESTOP}.className === 'good' || {ESTOP}.className === 'bad'", "acknowledged")
         assert set(swarm.states.values()) == {State.ESTOPPED}
@@ -158,6 +162,7 @@ def test_a_command_of_an_old_picture_starts_nothing(
 def test_list_and_map_share_one_selection(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
     with shown(7, capsys, ["tb3-005"]) as (_, (address,)):
         ready(page, address, 7)
+        page.click("#robots-open")
         page.until("document.querySelectorAll('tr.stale').length === 1", "one is silent")
         page.type("#filter", "silent")
         page.until("document.querySelectorAll('tr[data-name]').length === 1", "filtered")

@@ -22,6 +22,7 @@ pytestmark = [
 
 STALE = "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'"
 ANSWER = "document.querySelector('.answer')"
+SPEED = "#params [name=speed]"
 LAST = "document.querySelector('.answer[data-final=\"true\"]')"
 
 
@@ -48,7 +49,7 @@ def shown(page: Page, name: str, state: str) -> None:
 
 def answered(page: Page, verb: str) -> str:
     """The final answer to a command."""
-    page.until(f"{LAST}.querySelector('summary').textContent.startsWith('{verb}:')", verb)
+    page.until(f"{LAST}.querySelector('.line').textContent.startsWith('{verb}:')", verb)
     return str(page.evaluate(f"{LAST}.textContent"))
 
 
@@ -62,8 +63,11 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         for name in names:
             shown(page, name, "idle")
         page.until("swarm.model.links.length === 1", "they hear each other")
-        page.type("#pattern", "drive")
-        page.type("#params", "speed=0.05")
+        page.click("#run-open")
+        page.until("!!document.querySelector('#pattern-list [data-name=\"drive\"]')", "the list")
+        page.click("#pattern-list [data-name='drive']")
+        page.until(f"!!document.querySelector('{SPEED}')", "the parameters of the pattern")
+        page.type(SPEED, "0.05")
         page.click("#run")
         assert "2 targeted, 2 applied" in answered(page, "run")
         for name in names:

@@ -34,6 +34,8 @@ class OneRobot:
 
     kind, swarm, arena, playback, revision = "live", "one", None, None, 1
     patterns: Sequence[str] = ()
+    descriptions: Mapping[str, Mapping[str, Any]] = {}
+    link = None
 
     def __init__(self) -> None:
         self.robots = [ShownRobot("r1", 0, "burger", np.ones((4, 2)))]
@@ -55,6 +57,9 @@ class OneRobot:
         return ()
 
     def links(self) -> Sequence[Any]:
+        return ()
+
+    def marks(self) -> Sequence[Any]:
         return ()
 
     def detail(self, name: str) -> None:

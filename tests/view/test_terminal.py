@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from swarmd.core.messages import Reason, State
+from swarmd.core.messages import Health, Reason, State
 from swarmd.view.scene import Area, Scene, area_around
 from swarmd.view.terminal import cell_of, lines_of, map_of, map_size, render
 from tests.support.statuses import status
@@ -33,6 +33,13 @@ def test_a_row_has_the_status_of_the_robot() -> None:
     assert row.split("│")[0].split() == (
         ["1", "a", "running", "drive", "5.0", "Hz", "4.1", "ms", "0.61", "m"]
     )
+
+
+def test_a_lost_base_is_shown_whatever_the_state() -> None:
+    health = Health(driver="no such device", driver_up=False)
+    lost = {"a": status("a", state=State.ESTOPPED, health=health)}
+    shown_row = shown(Scene("estop", ARENA, {"a": (0.0, 0.0, 0.0)}, lost))
+    assert "base lost" in shown_row
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 // Plays the run that is embedded in the report, on the map of the page of a swarm.
 
 import { Colouring } from './colours.js';
+import { Legend } from './legend.js';
 import { SwarmMap } from './map.js';
 import { Model } from './model.js';
 import { Timeline } from './timeline.js';
@@ -15,6 +16,7 @@ const robots = data.hello.robots.length, bodies = robots + data.boxes.length;
 
 const model = new Model();
 const map = new SwarmMap(element('map'), model);
+const legend = new Legend(element('legend'), map);
 let at = 0, applied = -1, last = null;
 
 // x and y in m and yaw in rad of a body at a time, between two samples; null where it is not there.
@@ -78,15 +80,6 @@ function send(message) {
   }
 }
 
-function legend() {
-  element('legend').replaceChildren(...map.legend().map(([colour, text]) => {
-    const item = document.createElement('span'), mark = document.createElement('i');
-    mark.style.background = colour;
-    item.append(mark, text);
-    return item;
-  }));
-}
-
 // Without walls, Fit shows every place of the run.
 if (!data.hello.arena) {
   map.fit = () => {
@@ -110,7 +103,7 @@ for (const rows of data.rows) {
   for (const row of Object.values(rows)) for (const key of Object.keys(row.report || {})) keys.add(`report:${key}`);
 }
 element('colour').append(...[...keys].map((key) => new Option(key, key)));
-const recolour = () => { map.colouring = new Colouring(element('colour').value); map.wake(); legend(); };
+const recolour = () => { map.colouring = new Colouring(element('colour').value); map.wake(); legend.draw(); };
 element('colour').value = keys.has('report:opinion') ? 'report:opinion' : 'state';
 element('colour').addEventListener('change', recolour);
 element('trails').addEventListener('change', (event) => { map.shows.trails = event.target.checked; map.wake(); });
@@ -122,5 +115,5 @@ element('player').addEventListener('wheel', (event) => {
 }, { capture: true, passive: true });
 map.shows.names = element('names').checked = innerWidth >= 600; // on a phone they would overlap
 recolour();
-setInterval(legend, 500);
+setInterval(() => legend.draw(), 500);
 window.swarm = { model, map, timeline }; // for tests

@@ -1,39 +1,38 @@
-// Commands to robots, and the counted answer of each. The emergency stop never asks.
+// Commands to robots. The emergency stop never asks.
 
-const MAX_ANSWERS = 8;
-const CONFIRM = 5000; // ms in which the second click on Reset counts
+import { Answers, made } from './answers.js';
+import { PatternForm } from './patterns.js';
+
+const CONFIRM = 5000; // ms in which the second click on a reset counts
+const element = (id) => document.getElementById(id);
 let last = 0;
-
-const made = (tag, text, className = '') => {
-  const element = document.createElement(tag);
-  element.textContent = text;
-  element.className = className;
-  return element;
-};
 
 export class Actions {
   constructor(model, send) {
     this.model = model;
     this.send = send; // False without a link
-    this.box = document.getElementById('answers');
-    this.waiting = new Map(); // entries without a final answer, by id
-    const on = (id, act) => document.getElementById(id).addEventListener('click', act);
+    this.waiting = new Map(); // fields of commands without a final answer, by id
+    this.answers = new Answers((proposal, button) => this.propose(proposal, button));
+    this.form = new PatternForm(model);
+    const on = (id, act) => element(id).addEventListener('click', act);
     on('estop', () => this.estop());
     on('stop', () => this.act('stop', { targets: this.chosen() }));
-    on('reset', () => this.reset());
-    on('param', () => this.act('param', { targets: this.named(), params: this.params() }));
-    on('estop-end', () => (this.isStopping ? this.send({ kind: 'act', id: '', verb: 'end_estop' }) : this.hideEstop()));
-    document.getElementById('run-form').addEventListener('submit', (event) => {
-      event.preventDefault();
-      const pattern = document.getElementById('pattern').value.trim();
-      if (pattern) this.act('run', { targets: this.named(), pattern, params: this.params() });
-      else document.getElementById('pattern').focus();
+    on('reset', () => this.reset(this.named(), element('reset')));
+    on('param', () => {
+      if (element('run-form').reportValidity()) this.act('param', { targets: this.named(), params: this.form.params() });
     });
-    document.getElementById('label-form').addEventListener('submit', (event) => {
+    on('estop-end', () => (this.isStopping ? this.send({ kind: 'act', id: '', verb: 'end_estop' }) : this.hideEstop()));
+    element('run-form').addEventListener('submit', (event) => {
       event.preventDefault();
-      const labels = document.getElementById('labels').value.trim();
+      const { pattern } = this.form;
+      if (pattern) this.act('run', { targets: this.named(), pattern, params: this.form.params() });
+      else element('pattern').focus();
+    });
+    element('label-form').addEventListener('submit', (event) => {
+      event.preventDefault();
+      const labels = element('labels').value.trim();
       if (labels) this.act('label', { targets: this.named(), labels });
-      else document.getElementById('labels').focus();
+      else element('labels').focus();
     });
     for (const news of ['selection', 'hello']) model.addEventListener(news, () => this.show());
     model.addEventListener('hello', () => this.returned());
@@ -44,26 +43,24 @@ export class Actions {
 
   named() { return this.chosen() || [...this.model.robots.keys()]; }
 
-  params() { return document.getElementById('params').value.trim(); }
-
   show() {
     const count = this.model.selected.size, all = this.model.robots.size;
-    document.getElementById('targets').textContent = count
-      ? `Commands go to ${count === 1 ? this.chosen()[0] : `the ${count} selected robots`}.`
-      : `Commands go to all ${all} robots.`;
-    const list = document.getElementById('patterns');
-    if (list.children.length !== this.model.patterns.length) {
-      list.replaceChildren(...this.model.patterns.map((name) => new Option(name)));
-    }
     this.disarm();
+    const targets = count === 1 ? this.chosen()[0] : count ? `the ${count} selected robots` : `all ${all} robots`;
+    const short = count === 1 ? this.chosen()[0] : count ? `${count} robots` : `all ${all}`;
+    document.querySelector('.targets').textContent = targets;
+    element('targets').textContent = `Commands go to ${targets}.`;
+    for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset']]) element(id).textContent = `${verb} ${short}`;
   }
 
   // A second click confirms: a dialog would keep the emergency stop from being clicked.
-  reset() {
-    const button = document.getElementById('reset'), names = this.named();
-    if (names.length > 1 && !this.isArmed) {
-      this.isArmed = true;
-      button.textContent = `Reset ${names.length}: may all move? Click again`;
+  reset(names, button) {
+    if (names.length > 1 && this.armed !== button) {
+      this.disarm();
+      this.armed = button;
+      this.unarmed = button.textContent;
+      button.textContent = `May all ${names.length} move? Reset`;
+      button.classList.add('armed');
       this.timer = setTimeout(() => this.disarm(), CONFIRM);
       return;
     }
@@ -73,17 +70,31 @@ export class Actions {
 
   disarm() {
     clearTimeout(this.timer);
-    this.isArmed = false;
-    document.getElementById('reset').textContent = 'Reset';
+    if (!this.armed) return;
+    this.armed.textContent = this.unarmed;
+    this.armed.classList.remove('armed');
+    this.armed = null;
+  }
+
+  propose({ pattern, reset }, button) {
+    if (reset) this.reset(reset, button);
+    else if (pattern) {
+      this.form.choose(pattern);
+      if (element('commands').hidden) element('run-open').click();
+    }
   }
 
   act(verb, fields) {
     last += 1;
     const id = `${Date.now().toString(36)}-${last}`;
+    if (this.model.past !== null && !['stop', 'estop'].includes(verb)) {
+      this.answers.show(id, `${verb}: not sent: the map shows the past; go back to now`, [], true);
+      return false;
+    }
     // The frame that the operator saw: the server refuses to start motion long after it.
     const isSent = this.send({ kind: 'act', id, verb, seen: this.model.sequence, ...fields });
-    if (!isSent) this.entry(id, `${verb}: not sent: no link to the server`, [], true);
-    else if (verb !== 'estop') this.waiting.set(id, this.entry(id, `${verb} ...`, []));
+    if (!isSent) this.answers.show(id, `${verb}: not sent: no link to the server`, [], true);
+    else if (verb !== 'estop') { this.waiting.set(id, { verb, ...fields }); this.answers.show(id, `${verb} ...`); }
     return isSent;
   }
 
@@ -97,8 +108,8 @@ export class Actions {
   connected() { if (this.isUnsent) this.estop(); }
 
   lost(hasEnded) {
-    for (const [id, line] of this.waiting) {
-      this.entry(id, `${line.querySelector('summary').textContent} the link was lost: not known what came of it`, [], true);
+    for (const [id, { verb }] of this.waiting) {
+      this.answers.show(id, `${verb} ... the link was lost: not known what came of it`, [], true);
     }
     this.waiting.clear();
     if (this.isStopping) {
@@ -117,33 +128,10 @@ export class Actions {
     this.showEstop(`Emergency stop: the link was lost and is back, and the server repeats no emergency stop now. ${this.lacking()}`, this.missing, 'bad');
   }
 
-  entry(id, text, replies, isBad = false) {
-    let line = document.getElementById(`answer-${id}`);
-    if (!line) {
-      line = made('details', '', 'answer');
-      line.id = `answer-${id}`;
-      line.append(made('summary', ''), made('ul', ''));
-      this.box.prepend(line);
-      while (this.box.children.length > MAX_ANSWERS) this.box.lastChild.remove();
-    }
-    line.querySelector('summary').textContent = text;
-    line.querySelector('ul').replaceChildren(...replies.map((one) => made('li', one)));
-    line.classList.toggle('bad', isBad);
-    line.classList.toggle('empty', !replies.length);
-    return line;
-  }
-
   answer(message) {
-    if (message.id.startsWith('estop-') && !message.is_final) return; // shown above
-    const order = ([, code]) => (code === 'applied' ? 1 : 0);
-    const replies = [...message.replies].sort((one, other) => order(one) - order(other));
-    const texts = replies.map(([name, code, text]) => `${name}: ${code}${text ? `: ${text}` : ''}`);
-    const line = this.entry(message.id, message.line, [
-      ...message.missing.map((name) => `${name}: no answer`), ...texts,
-    ], message.is_final && !message.is_good);
-    line.dataset.final = message.is_final;
+    if (message.id.startsWith('estop-') && !message.is_final) return; // shown above the map
+    this.answers.take(message, this.waiting.get(message.id));
     if (message.is_final) this.waiting.delete(message.id);
-    line.open = message.is_final && !message.is_good && line.querySelectorAll('li').length < 20;
   }
 
   // The emergency stop under way, whichever page began it.
@@ -162,21 +150,21 @@ export class Actions {
   }
 
   showEstop(text, missing, className) {
-    const pane = document.getElementById('estop-state');
+    const pane = element('estop-state');
     pane.hidden = false;
     pane.className = className;
-    document.getElementById('estop-text').textContent = text;
-    document.getElementById('estop-missing').replaceChildren(...missing.map((name) => {
+    element('estop-text').textContent = text;
+    element('estop-missing').replaceChildren(...missing.map((name) => {
       const item = made('li', ''), button = made('button', name);
       button.type = 'button';
       button.addEventListener('click', () => this.model.select([name]));
       item.append(button);
       return item;
     }));
-    const end = document.getElementById('estop-end');
+    const end = element('estop-end');
     end.hidden = this.isStopping && (this.model.role !== 'operator' || !this.model.isConnected);
     end.textContent = this.isStopping ? 'Repeat it no longer' : 'Close';
   }
 
-  hideEstop() { document.getElementById('estop-state').hidden = true; this.isUnsent = false; }
+  hideEstop() { element('estop-state').hidden = true; this.isUnsent = false; }
 }

@@ -1,15 +1,10 @@
-// Colours that people with colour blindness can tell apart (Okabe and Ito 2008), each with a sign.
+// The colour of robots by their state or by any value, and its legend.
 
-const PALETTE = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#f0e442', '#999999'];
-const STATES = {
-  running: ['#009e73', '\u25b6'], idle: ['#56b4e9', '\u25cb'], stopped: ['#e69f00', '\u25a0'],
-  estopped: ['#d55e00', '\u2716'], faulted: ['#cc79a7', '\u26a0'],
-};
-const UNKNOWN = ['#999999', '?'];
+import { SHADE, UNKNOWN, byOrder, colourOf, signOf, wordOf } from './states.js';
+
+const PALETTE = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#f0e442', '#7f5539'];
 const STEPS = 64;
 const MAX_WORDS = 40; // texts with a colour of their own; a robot may report another one each second
-
-export function stateColour(state) { return STATES[state] || UNKNOWN; }
 
 // The colour of each robot by one value: of words by palette, of numbers along one scale.
 export class Colouring {
@@ -20,7 +15,7 @@ export class Colouring {
   }
 
   value(robot) {
-    if (this.key === 'state') return robot.row.state;
+    if (this.key === 'state') return wordOf(robot.row);
     if (this.key === 'labels') return (robot.row.labels || []).join(', ');
     if (this.key === 'platform') return robot.platform;
     const [kind, name] = this.key.split(/:(.*)/); // pattern, or report:opinion
@@ -29,33 +24,45 @@ export class Colouring {
 
   of(robot) {
     const value = this.value(robot);
-    if (this.key === 'state') return stateColour(value)[0];
-    if (value === undefined || value === null || value === '') return UNKNOWN[0];
+    if (this.key === 'state') return colourOf(value);
+    if (isNone(value)) return UNKNOWN;
     if (typeof value === 'number') {
       this.low = Math.min(this.low, value);
       this.high = Math.max(this.high, value);
       return scale((value - this.low) / Math.max(this.high - this.low, 1e-9));
     }
     const word = String(value);
-    if (!this.words.has(word) && this.words.size >= MAX_WORDS) return UNKNOWN[0];
+    if (!this.words.has(word) && this.words.size >= MAX_WORDS) return UNKNOWN;
     if (!this.words.has(word)) this.words.set(word, PALETTE[this.words.size % PALETTE.length]);
     return this.words.get(word);
   }
 
+  // Entries with colour, text and, where these are few words, the robots.
   legend(robots) {
-    for (const robot of robots) this.of(robot);
-    if (this.key === 'state') {
-      const seen = new Set([...robots].map((one) => one.row.state).filter(Boolean));
-      return [...seen].map((state) => [stateColour(state)[0], `${stateColour(state)[1]} ${state}`]);
+    const groups = new Map(), none = [];
+    for (const robot of robots) {
+      const value = this.value(robot), colour = this.of(robot);
+      if (isNone(value)) none.push(robot);
+      else if (typeof value !== 'number') {
+        const text = colour === UNKNOWN && this.key !== 'state' ? 'others' : String(value);
+        if (!groups.has(text)) groups.set(text, { colour, text, robots: [] });
+        groups.get(text).robots.push(robot);
+      }
     }
-    const found = [...this.words].map(([word, colour]) => [colour, word]);
-    if (found.length === MAX_WORDS) found.push([UNKNOWN[0], 'others']);
+    const isState = this.key === 'state';
+    const found = isState
+      ? [...groups.values()].sort((one, other) => byOrder(one.text, other.text))
+        .map((one) => ({ ...one, sign: signOf(one.text), shade: one.text === 'at rest' ? SHADE : 1 }))
+      : [...groups.values()];
     if (this.high >= this.low) {
-      found.push([scale(0), this.low.toPrecision(3)], [scale(1), this.high.toPrecision(3)]);
+      found.push({ colour: scale(0), text: this.low.toPrecision(3) }, { colour: scale(1), text: this.high.toPrecision(3) });
     }
+    if (none.length) found.push({ colour: UNKNOWN, text: `no ${this.key.replace(/^\w+:/, '')}`, robots: none });
     return found;
   }
 }
+
+function isNone(value) { return value === undefined || value === null || value === ''; }
 
 // Dark blue to yellow, even in lightness.
 export function scale(share) {

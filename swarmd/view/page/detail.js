@@ -1,6 +1,6 @@
 // One robot in detail: why it stands, what it asked for, what protection made of it, and its events.
 
-import { stateColour } from './colours.js';
+import { colourOf, plain, reasonOf, signOf, wordOf } from './states.js';
 
 const PERIOD = 200; // ms between two updates
 const LIMIT = '#d55e00';
@@ -26,8 +26,7 @@ export class Detail {
     const set = (id, text) => { document.getElementById(id).textContent = text; };
     document.getElementById('detail-pane').classList.toggle('empty', !robot);
     if (!robot) {
-      set('detail-name', 'No robot selected');
-      set('detail-why', 'Select a robot on the map or in the list.');
+      for (const id of ['detail-name', 'detail-why']) set(id, '');
       for (const id of ['detail-values', 'events']) document.getElementById(id).replaceChildren();
       this.dial.hidden = true;
       this.shown = null;
@@ -36,10 +35,14 @@ export class Detail {
     set('detail-name', selected.size > 1 ? `${name}, and ${selected.size - 1} more` : name);
     const { row } = robot, detail = robot.detail || {};
     const isHeard = this.model.isHeard(robot, performance.now());
-    const short = `${row.state || '?'}${row.why ? `: ${row.why}` : ''}${row.touches ? `; touches ${row.touches}` : ''}`;
+    const reason = reasonOf(row), word = wordOf(row);
+    const short = `${word || '?'}${reason ? `: ${reason}` : ''}${row.touches ? `; touches ${row.touches}` : ''}`;
     const age = this.model.age(robot, performance.now());
     const old = isHeard ? '' : `Not heard ${Number.isFinite(age) ? `for ${age.toFixed(0)} s` : 'at all'}; before that: `;
-    set('detail-why', `${stateColour(row.state)[1]} ${old}${detail.why || short}`);
+    const isLong = detail.why && word !== 'at rest' && this.model.past === null;
+    set('detail-why', `${signOf(word)} ${old}${isLong ? plain(detail.why) : short}`);
+    const needsReset = isHeard && ['estopped', 'faulted'].includes(row.state) && this.model.past === null;
+    document.getElementById('detail-reset').hidden = !needsReset;
     if (this.shown !== detail) this.drawValues(detail);
     this.shown = detail;
     this.drawDial(robot);
@@ -105,7 +108,7 @@ export class Detail {
       arc(reach + 9, -Math.PI / 2 - Math.max(turn, 0), -Math.PI / 2 - Math.min(turn, 0), colour, width);
     };
     draw(requested, dim, 10);
-    draw(safe, stateColour(robot.row.state)[0], 5);
+    draw(safe, colourOf(wordOf(robot.row)), 5);
     ctx.font = '13px system-ui, sans-serif';
     ctx.textAlign = 'center';
     for (const [bearing, gap] of rows.slice(0, 3)) {

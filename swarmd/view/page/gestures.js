@@ -35,7 +35,7 @@ export class Gestures {
 
   move(event) {
     const last = this.pointers.get(event.pointerId);
-    if (!last) return;
+    if (!last) { this.hover(event); return; }
     const [dx, dy] = [event.clientX - last[0], event.clientY - last[1]];
     if (Math.hypot(dx, dy) < 3 && !this.hasMoved) return;
     this.hasMoved = true;
@@ -48,6 +48,14 @@ export class Gestures {
       this.map.centre = [this.map.centre[0] - dx / this.map.scale, this.map.centre[1] + dy / this.map.scale];
       this.map.isTouched = true;
     }
+    this.map.wake();
+  }
+
+  // The robot below the mouse has its name.
+  hover(event) {
+    const robot = event.pointerType === 'mouse' ? this.robotAt(event) : null;
+    if (robot === this.map.hovered) return;
+    this.map.hovered = robot;
     this.map.wake();
   }
 

@@ -1,6 +1,6 @@
 // The list of robots: sorted, filtered, and drawn only where it is seen. It repeats what the map shows.
 
-import { stateColour } from './colours.js';
+import { colourOf, reasonOf, signOf, wordOf } from './states.js';
 
 const ROW = 30; // px, until a row is drawn
 const PERIOD = 250; // ms between two updates
@@ -11,8 +11,8 @@ const heard = (age) => (age < 2 ? 'now' : Number.isFinite(age) ? `${age.toFixed(
 
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
-  ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? robot.row.state || '?' : 'silent')],
-  ['why', 'Why', (robot) => robot.row.why || ''],
+  ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? wordOf(robot.row) || '?' : 'silent')],
+  ['why', 'Why', (robot) => reasonOf(robot.row)],
   ['pattern', 'Pattern', (robot) => robot.row.pattern || ''],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
   ['battery', 'Battery', (robot) => number(robot.row.battery == null ? NaN : 100 * robot.row.battery, 0, ' %')],
@@ -81,7 +81,7 @@ export class RobotList {
     const now = performance.now();
     const matches = (robot) => {
       const { row } = robot;
-      const text = [robot.name, row.state, row.why, row.pattern, row.protection, row.presence, this.model.isHeard(robot, now) ? '' : 'silent', ...(row.labels || [])].join(' ').toLowerCase();
+      const text = [robot.name, row.state, wordOf(row), reasonOf(row), row.lost ? 'base lost' : '', row.pattern, row.protection, row.presence, this.model.isHeard(robot, now) ? '' : 'silent', ...(row.labels || [])].join(' ').toLowerCase();
       return this.words.every((word) => text.includes(word));
     };
     const robots = [...this.model.robots.values()].filter(matches);
@@ -123,15 +123,17 @@ export class RobotList {
     }
     COLUMNS.forEach(([key, , text], i) => {
       const cell = row.children[i], value = text(robot, now, this.model);
+      if (key === 'state' && robot.row.lost) set(cell, 'className', 'state lost');
+      else if (key === 'state') set(cell, 'className', 'state');
       if (key !== 'state') {
         if (cell.firstChild.data !== value) { cell.firstChild.data = value; cell.title = value; }
         return;
       }
-      const [colour, sign] = stateColour(isHeard ? robot.row.state : '');
       if (cell.dataset.shown === value) return;
       cell.dataset.shown = cell.title = value;
-      cell.firstChild.style.background = colour;
-      cell.lastChild.data = `${sign} ${value}`;
+      cell.firstChild.style.background = colourOf(isHeard ? value : '');
+      cell.firstChild.className = value === 'at rest' ? 'shade' : '';
+      cell.lastChild.data = `${signOf(isHeard ? value : '')} ${value}`;
     });
   }
 

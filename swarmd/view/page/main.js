@@ -1,9 +1,13 @@
 import { Actions } from './actions.js';
 import { Detail } from './detail.js';
+import { Legend } from './legend.js';
 import { RobotList } from './list.js';
 import { SwarmMap } from './map.js';
 import { Model } from './model.js';
+import { Panels } from './panels.js';
+import { Plots } from './plots.js';
 import { Link } from './socket.js';
+import { byOrder, wordOf } from './states.js';
 import { Timeline } from './timeline.js';
 
 const element = (id) => document.getElementById(id);
@@ -11,7 +15,15 @@ const model = new Model();
 const map = new SwarmMap(element('map'), model);
 const list = new RobotList(model);
 new Detail(model);
+const legend = new Legend(element('legend'), map, (robots) => model.select(robots.map((one) => one.name)));
+const panels = new Panels(map);
 const banner = element('banner');
+const free = () => { // what the map shows by Fit is not covered
+  map.insets = ['tools', 'legend'].map((id) => (element(id).offsetHeight ? element(id).offsetHeight + 12 : 0));
+  document.documentElement.style.setProperty('--legend', `${map.insets[1]}px`);
+  if (map.hasFitted && !map.isTouched) map.fit();
+};
+for (const id of ['tools', 'legend']) new ResizeObserver(free).observe(element(id));
 
 const actions = new Actions(model, (message) => link.send(message));
 const link = new Link(model, {
@@ -20,17 +32,20 @@ const link = new Link(model, {
     const old = model.robots.size ? ' What is shown is old.' : '';
     banner.textContent = why ? why + old : 'No link to the server: what is shown is old. Connecting again ...';
     banner.hidden = false;
+    model.lookAt(null);
     actions.lost(Boolean(why));
   },
   message(message, now) {
     if (message.kind === 'hello') model.hello(message);
-    else if (message.kind === 'rows') model.rows(message, now);
+    else if (message.kind === 'rows') { model.rows(message, now); lost(); }
     else if (message.kind === 'links') { model.links = message.links; map.wake(); }
     else if (message.kind === 'detail') {
       const robot = model.robots.get(message.name);
       if (robot) robot.detail = message;
       model.tell('detail');
     } else if (message.kind === 'boxes') model.boxes = message.boxes;
+    else if (message.kind === 'plots') model.plot(message);
+    else if (message.kind === 'marks') { model.marks = message.marks; model.tell('plots'); }
     else if (message.kind === 'playback') { model.playback = message; model.tell('playback'); }
     else if (message.kind === 'answer') actions.answer(message);
     else if (message.kind === 'estop') actions.estopped(message);
@@ -41,7 +56,9 @@ const link = new Link(model, {
   },
 });
 const choose = () => link.send({ kind: 'select', names: [...model.selected].slice(-20) });
+model.sendPast = (time) => link.send({ kind: 'past', time });
 const timeline = new Timeline(model, (message) => link.send(message));
+const plots = new Plots(model, (time) => timeline.to(time));
 
 const isByOdometry = () => ['live', 'recording'].includes(model.source);
 
@@ -53,27 +70,32 @@ function counts() {
   let silent = 0;
   const now = performance.now();
   for (const robot of model.robots.values()) {
+    const { row } = robot;
     if (!model.isHeard(robot, now)) silent += 1;
-    else states.set(robot.row.state, (states.get(robot.row.state) || 0) + 1);
+    else states.set(wordOf(row), (states.get(wordOf(row)) || 0) + 1);
   }
-  const parts = [...states].map(([state, count]) => `${count} ${state}`);
-  if (silent) parts.push(`${silent} not heard`);
-  show('counts', `${model.robots.size} robots: ${parts.join(', ') || '-'}`);
-  show('clock', model.source === 'live' ? '' : `${model.time.toFixed(1)} s`);
+  const parts = [...states].sort(([one], [other]) => byOrder(one, other)).map(([state, count]) => `${count} ${state}`);
+  if (silent) parts.push(`${silent} silent`);
+  const size = model.robots.size;
+  show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${parts.join(', ') || '-'}`);
+  show('clock', clock());
   if (!map.mode) hint(isByOdometry() && model.overlaps() ? OVERLAP : '');
-  legend();
+  legend.draw();
 }
 
-function legend() {
-  const entries = map.legend(), text = JSON.stringify(entries);
-  if (text === legend.text) return;
-  legend.text = text;
-  element('legend').replaceChildren(...entries.map(([colour, name]) => {
-    const item = document.createElement('span'), mark = document.createElement('i');
-    mark.style.background = colour;
-    item.append(mark, name);
-    return item;
-  }));
+function clock() {
+  if (model.source === 'live') return `Clock ${plots.clockOf(plots.shown())}`;
+  return `${model.source === 'world' ? 'Simulated time' : 'Time of the run'} ${model.time.toFixed(1)} s`;
+}
+
+// A robot whose base is lost takes no command, also no stop: it is told at once, whatever its state.
+function lost() {
+  const now = performance.now();
+  const robots = [...model.robots.values()].filter((one) => one.row.lost && model.isHeard(one, now));
+  const some = robots.slice(0, 5).map((one) => `${one.name} (${wordOf(one.row)}; ${one.row.lost})`);
+  const rest = robots.length > 5 ? `, and ${robots.length - 5} more` : '';
+  show('lost', robots.length ? `Base lost: ${some.join(', ')}${rest}. It takes no command: look at the robot.` : '');
+  element('lost').hidden = !robots.length;
 }
 
 // What robots report may be chosen as their colour, and a label selects its robots.
@@ -90,11 +112,12 @@ function choices() {
     return [key, key !== name && keys.has(name) ? `reported ${name}` : name];
   }));
   element('label-choice').hidden = !labels.size;
-  fill(element('label'), [['', 'select ...'], ...[...labels].sort().map((one) => [one, one])]);
+  const size = (label) => [...model.robots.values()].filter(({ row }) => (row.labels || []).includes(label)).length;
+  fill(element('label'), [['', 'select ...'], ...[...labels].sort().map((one) => [one, `${one} (${size(one)})`])]);
 }
 
 function fill(select, entries) {
-  if ([...select.options].map((one) => one.value).join() === entries.map(([key]) => key).join()) return;
+  if ([...select.options].map((one) => one.value + one.text).join() === entries.map(([key, text]) => key + text).join()) return;
   const chosen = select.value;
   select.replaceChildren(...entries.map(([key, text]) => new Option(text, key)));
   if (entries.some(([key]) => key === chosen)) select.value = chosen;
@@ -105,6 +128,7 @@ model.addEventListener('hello', () => {
   document.title = element('title').textContent;
   document.body.classList.toggle('operator', model.role === 'operator' && !model.playback);
   element('align').hidden = !isByOdometry();
+  element('back-row').hidden = Boolean(model.playback);
   const fields = Object.keys((model.arena || {}).fields || {});
   element('fields').hidden = !fields.length;
   fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
@@ -149,29 +173,39 @@ for (const name of ['trails', 'links', 'names']) {
   element(name).addEventListener('change', (event) => { map.shows[name] = event.target.checked; map.wake(); });
 }
 element('field').addEventListener('change', (event) => map.showField(event.target.value));
-element('colour').addEventListener('change', (event) => { map.colourBy(event.target.value); legend(); });
+element('colour').addEventListener('change', (event) => { map.colourBy(event.target.value); legend.draw(); });
 element('all').addEventListener('click', () => model.select(list.chosen().map((robot) => robot.name)));
 element('none').addEventListener('click', () => model.select([]));
-
-const kept = (key, value) => { try { if (value !== undefined) localStorage.setItem(key, value); return localStorage.getItem(key); } catch { return null; } };
-for (const [name, usual] of [['dark', matchMedia('(prefers-color-scheme: dark)').matches], ['large', false]]) {
-  const box = element(name);
-  box.checked = (kept(name) ?? String(usual)) === 'true';
-  const paint = () => { document.documentElement.classList.toggle(name, box.checked); map.resize(); map.wake(); };
-  box.addEventListener('change', () => { kept(name, box.checked); paint(); });
-  paint();
-}
+element('detail-close').addEventListener('click', () => model.select([]));
+element('detail-reset').addEventListener('click', () => actions.reset([[...model.selected].at(-1)], element('detail-reset')));
+element('present').addEventListener('click', () => panels.present());
 
 document.addEventListener('keydown', (event) => {
   if (event.key === 'Escape' && event.shiftKey && document.body.matches('.operator')) { actions.estop(); return; }
-  if (event.target.matches('input, select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.key === ' ' && event.target.matches('button, summary')) return; // presses what has the focus
-  const keys = { f: 'fit', o: 'follow', m: 'measure', a: 'align', ' ': 'play' };
-  if (keys[event.key] && !element(keys[event.key]).closest('[hidden]')) {
+  if (event.key === 'Escape' && panels.closed()) return;
+  if (event.target.matches('input:not([type="checkbox"], [type="range"]), select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === ' ' && event.target.matches('button, summary, input')) return; // presses what has the focus
+  const keys = {
+    f: 'present', 0: 'fit', o: 'follow', m: 'measure', a: 'align', t: 'robots-open', p: 'time-open', l: 'look-open', r: 'run-open', ' ': 'play',
+  };
+  const target = keys[event.key];
+  if (target && isUsable(target)) {
     event.preventDefault();
-    element(keys[event.key]).click();
-  } else if (event.key === 'Escape') model.select([]);
-  else if (event.key === '/') { event.preventDefault(); element('filter').focus(); }
+    element(target).click();
+  } else if (event.key === 'Escape') {
+    if (document.body.matches('.present')) panels.present(false);
+    else model.select([]);
+  } else if (event.key === '/') {
+    event.preventDefault();
+    panels.open('list-pane', true);
+    element('filter').focus();
+  }
 });
 
-window.swarm = { model, map, list, actions, timeline }; // for tests
+// A key does what its button does; of the commands only on a page that may command.
+function isUsable(id) {
+  if (element(id).closest('[hidden]')) return false;
+  return id !== 'run-open' || document.body.matches('.operator');
+}
+
+window.swarm = { model, map, list, actions, timeline, panels, plots }; // for tests

@@ -2,14 +2,18 @@
 
 import { Colouring, scale } from './colours.js';
 import { Gestures } from './gestures.js';
+import { LOST, SHADE, wordOf } from './states.js';
 
 const LIMIT = '#d55e00'; // of an obstacle that limits a robot
 const TRACK = '#0072b2'; // of a moving object that a robot avoids
-const MANY = 60; // robots from which on only some names and trails are drawn
+const MANY = 60; // robots from which on only some trails are drawn
+const NAMED = 15; // robots in view up to which all have names
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const OLD = 3000; // ms after which a scan is not shown
 const EDGE = 0.6; // m around what is shown by Fit
+const SMALL = 11; // pixels of a robot's radius below which its sign has its colour
+const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
 
@@ -24,6 +28,9 @@ export class SwarmMap {
     this.shows = { trails: true, links: false, names: true };
     this.mode = ''; // '', measure, align
     this.isFollowing = false;
+    this.hovered = null; // the robot below the mouse
+    this.nameSize = 0.78; // rem
+    this.insets = [0, 0]; // pixels above and below that something covers
     this.hasFitted = false;
     this.ruler = null;
     this.field = ''; // the name of the field behind the robots
@@ -62,12 +69,23 @@ export class SwarmMap {
 
   // Colours and what they mean.
   legend() {
-    const now = performance.now();
-    const found = this.colouring.legend([...this.model.robots.values()].filter((one) => this.model.isHeard(one, now)));
-    if ([...this.model.robots.values()].some((robot) => robot.row.touches)) found.push([CONTACT, 'in contact']);
+    const now = performance.now(), all = [...this.model.robots.values()];
+    const heard = all.filter((one) => this.model.isHeard(one, now)), silent = all.filter((one) => !this.model.isHeard(one, now));
+    const found = this.colouring.legend(heard);
+    const mark = (colour, text, line, robots) => { if (robots.length) found.push({ colour, text, line, robots }); };
+    if (this.colouring.key !== 'state') { // the signs are on the map whatever the colours mean
+      for (const [word, sign] of [['estopped', '\u2716'], ['stopped', '\u25a0'], ['held', '\u2016'], ['faulted', '\u26a0']]) {
+        const robots = heard.filter((one) => wordOf(one.row) === word);
+        if (robots.length) found.push({ colour: 'transparent', text: word, sign, robots });
+      }
+    }
+    mark(LOST, 'base lost', 'ring', heard.filter((one) => one.row.lost));
+    mark(CONTACT, 'in contact', 'ring', heard.filter((one) => one.row.touches));
+    mark('transparent', 'silent', 'dashed', silent);
+    if (this.chosen().some((one) => (one.row.rows || []).length)) found.push({ colour: LIMIT, text: 'limits it', line: 'arc' });
     if (this.fieldPicture && this.colouring.key !== `readings:${this.field}`) {
       const [low, high] = rangeOf(this.model.arena.fields[this.field]);
-      found.push([scale(0), `${this.field} ${low.toPrecision(3)}`], [scale(1), `${this.field} ${high.toPrecision(3)}`]);
+      found.push({ colour: scale(0), text: `${this.field} ${low.toPrecision(3)}` }, { colour: scale(1), text: `${this.field} ${high.toPrecision(3)}` });
     }
     return found;
   }
@@ -108,9 +126,10 @@ export class SwarmMap {
     const arena = this.model.arena;
     if (arena) { take(-arena.size[0] / 2, -arena.size[1] / 2); take(arena.size[0] / 2, arena.size[1] / 2); }
     if (left > right) return;
-    this.centre = [(left + right) / 2, (bottom + top) / 2];
-    const { clientWidth: w, clientHeight: h } = this.canvas;
-    this.scale = Math.min(w / (right - left + 2 * EDGE), h / (top - bottom + 2 * EDGE), 160);
+    const { clientWidth: w, clientHeight: h } = this.canvas, [above, below] = this.insets;
+    const edge = arena ? EDGE / 3 : EDGE;
+    this.scale = Math.min(w / (right - left + 2 * edge), Math.max(h - above - below, 60) / (top - bottom + 2 * edge), 220);
+    this.centre = [(left + right) / 2, (bottom + top) / 2 + (above - below) / 2 / this.scale];
     this.hasFitted = true;
     this.isTouched = false; // until then, robots that join move the view
     this.wake();
@@ -148,7 +167,7 @@ export class SwarmMap {
     this.drawRobots(robots, now, zoom, text);
     for (const robot of robots) if (model.selected.has(robot.name)) this.drawTracks(robot, zoom);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
-    if (this.shows.names) this.drawNames(this.named(robots), text, dim);
+    this.drawNames(this.named(robots), text, dim, back);
     if (this.ruler) this.drawRuler(text);
   }
 
@@ -295,7 +314,7 @@ export class SwarmMap {
   // One path for each colour: a path for each robot takes longer to draw.
   drawRobots(robots, now, zoom, text) {
     const { ctx, model } = this, filled = new Map(), silent = new Path2D(), heads = new Path2D();
-    const touched = new Path2D(), chosen = new Path2D();
+    const touched = new Path2D(), chosen = new Path2D(), lost = new Path2D(), shaded = new Map(), signs = new Map();
     const ring = (path, x, y, radius) => { path.moveTo(x + radius, y); path.arc(x, y, radius, 0, 2 * Math.PI); };
     for (const robot of robots) {
       const { x, y, radius } = robot, isHeard = model.isHeard(robot, now);
@@ -303,9 +322,17 @@ export class SwarmMap {
       const c = grown * Math.cos(robot.yaw), s = grown * Math.sin(robot.yaw);
       let path = silent;
       if (isHeard) {
-        const colour = this.colouring.of(robot);
-        path = filled.get(colour);
-        if (!path) filled.set(colour, path = new Path2D());
+        const colour = this.colouring.of(robot), word = wordOf(robot.row), paths = word === 'at rest' ? shaded : filled;
+        path = paths.get(colour);
+        if (!path) paths.set(colour, path = new Path2D());
+        const sign = SIGNS[word];
+        if (sign) {
+          const isSmall = radius * this.scale < SMALL, look = isSmall ? colour : '';
+          if (!signs.has(look)) signs.set(look, new Path2D());
+          const [u, v] = robot.middle;
+          sign(signs.get(look), x + c * u - s * v, y + s * u + c * v, Math.max(0.7 * radius, SIGN * this.ratio / zoom));
+        }
+        if (robot.row.lost) ring(lost, x, y, 1.4 * radius * grown);
       }
       robot.footprint.forEach(([u, v], i) => path[i ? 'lineTo' : 'moveTo'](x + c * u - s * v, y + s * u + c * v));
       path.closePath();
@@ -320,6 +347,13 @@ export class SwarmMap {
       ctx.strokeStyle = colour;
       ctx.stroke(path);
     };
+    for (const [colour, path] of shaded) {
+      ctx.globalAlpha = SHADE;
+      ctx.fillStyle = colour;
+      ctx.fill(path);
+      ctx.globalAlpha = 1;
+      stroke(path, 1.5, colour);
+    }
     for (const [colour, path] of filled) {
       ctx.fillStyle = colour;
       ctx.fill(path);
@@ -329,25 +363,39 @@ export class SwarmMap {
     ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
     stroke(silent, 1, text); // an empty outline where it was last
     ctx.setLineDash([]);
+    for (const [colour, path] of signs) { // a dark sign with a light edge; of a small robot in its colour
+      stroke(path, colour ? 4 : 5, colour ? '#16191d' : '#ffffff');
+      stroke(path, 2.5, colour || '#16191d');
+    }
+    stroke(lost, 4, LOST);
     stroke(chosen, 3, text);
     stroke(touched, 4, CONTACT);
   }
 
-  // The robots in view if they are few, else the selected ones.
+  // The robots in view if they are few, else the selected ones; always the robot below the mouse.
   named(robots) {
     const [w, h] = [this.canvas.clientWidth / this.scale / 2, this.canvas.clientHeight / this.scale / 2];
     const seen = robots.filter((one) => Math.abs(one.x - this.centre[0]) < w && Math.abs(one.y - this.centre[1]) < h);
-    return seen.length <= MANY ? seen : seen.filter((one) => this.model.selected.has(one.name)).slice(0, MANY);
+    const isAll = this.shows.names && seen.length <= NAMED;
+    const some = isAll ? seen : seen.filter((one) => this.model.selected.has(one.name)).slice(0, MANY);
+    return !this.hovered || some.includes(this.hovered) ? some : [...some, this.hovered];
   }
 
-  drawNames(robots, text, dim) {
+  drawNames(robots, text, dim, back) {
     const { ctx } = this;
-    ctx.font = `${0.75 * this.rem}px system-ui, sans-serif`;
+    ctx.lineJoin = 'round';
+    ctx.font = `${this.nameSize * this.rem}px system-ui, sans-serif`;
     ctx.textAlign = 'center';
     for (const robot of robots) {
       const [x, y] = this.toScreen(robot.x, robot.y);
-      ctx.fillStyle = this.model.selected.has(robot.name) ? text : dim;
-      ctx.fillText(robot.name, x, y + robot.radius * this.scale * this.ratio + 0.9 * this.rem);
+      const isMarked = robot === this.hovered || this.model.selected.has(robot.name);
+      const below = y + Math.max(robot.radius * this.scale, LEAST) * this.ratio + 1.2 * this.nameSize * this.rem;
+      const word = robot === this.hovered ? ` ${this.model.isHeard(robot, performance.now()) ? wordOf(robot.row) : 'silent'}` : '';
+      ctx.lineWidth = 3 * this.ratio;
+      ctx.strokeStyle = back;
+      ctx.strokeText(robot.name + word, x, below); // readable on trails and other robots
+      ctx.fillStyle = isMarked ? text : dim;
+      ctx.fillText(robot.name + word, x, below);
     }
   }
 
@@ -370,6 +418,21 @@ export class SwarmMap {
     return [...this.model.selected].map((name) => this.model.robots.get(name)).filter((one) => one && one.x === one.x);
   }
 }
+
+// The signs of robots that stand and do not mean to, as paths around a place; their shapes differ.
+const SIGNS = {
+  estopped(path, x, y, size) {
+    path.moveTo(x - size, y - size); path.lineTo(x + size, y + size);
+    path.moveTo(x - size, y + size); path.lineTo(x + size, y - size);
+  },
+  stopped(path, x, y, size) { path.rect(x - 0.6 * size, y - 0.6 * size, 1.2 * size, 1.2 * size); },
+  held(path, x, y, size) {
+    for (const side of [-0.35, 0.35]) { path.moveTo(x + side * size, y - 0.7 * size); path.lineTo(x + side * size, y + 0.7 * size); }
+  },
+  faulted(path, x, y, size) {
+    path.moveTo(x, y + 0.9 * size); path.lineTo(x + 0.8 * size, y - 0.6 * size); path.lineTo(x - 0.8 * size, y - 0.6 * size); path.closePath();
+  },
+};
 
 // m from the axle to the outline of a footprint in a direction.
 function edge(footprint, bearing) {

@@ -3,6 +3,7 @@
 export const STALE = 5; // s without news after which a robot is shown as not heard
 const TRAIL = 300; // places kept for each robot
 const TRAIL_STEP = 0.02; // m between two of them
+const KEPT = 300; // moments that are plotted of a living swarm
 
 export class Model extends EventTarget {
   constructor() {
@@ -22,6 +23,10 @@ export class Model extends EventTarget {
     this.links = [];
     this.isConnected = false;
     this.boxes = [];
+    this.plots = { times: [], values: {}, next: 0 };
+    this.marks = []; // events: time, text, robots
+    this.past = null; // the time that a living swarm is looked back at
+    this.sendPast = () => {};
   }
 
   tell(name) { this.dispatchEvent(new Event(name)); }
@@ -41,7 +46,7 @@ export class Model extends EventTarget {
     this.patterns = message.patterns || [];
     this.runs = message.runs;
     this.playback = message.playback;
-    if (isOther) this.boxes = [];
+    if (isOther) { this.boxes = []; this.marks = []; this.plots = { times: [], values: {}, next: 0 }; }
     for (const name of this.selected) if (!this.robots.has(name)) this.selected.delete(name);
     this.tell('hello');
     this.tell('selection');
@@ -53,6 +58,7 @@ export class Model extends EventTarget {
     robot.platform = one.platform;
     robot.footprint = one.footprint;
     robot.radius = Math.max(0.05, ...one.footprint.map(([x, y]) => Math.hypot(x, y)));
+    robot.middle = [0, 1].map((axis) => one.footprint.reduce((sum, corner) => sum + corner[axis], 0) / one.footprint.length);
     robot.x = robot.x ?? NaN;
     robot.index = one.index;
     this.robots.set(one.name, robot);
@@ -77,11 +83,39 @@ export class Model extends EventTarget {
     this.tell('rows');
   }
 
+  // Values of moments that follow those before, or begin anew.
+  plot({ first, times, values }) {
+    const { plots } = this;
+    if (first !== plots.next) this.plots = { times: [], values: {}, next: first };
+    const before = this.plots.times.length;
+    this.plots.times.push(...times);
+    for (const [key, some] of Object.entries(values)) {
+      const all = this.plots.values[key] ||= [];
+      while (all.length < before) all.push(null);
+      all.push(...some);
+    }
+    this.plots.next = first + times.length;
+    const over = this.playback ? 0 : this.plots.times.length - KEPT;
+    if (over > 0) for (const all of [this.plots.times, ...Object.values(this.plots.values)]) all.splice(0, over);
+    this.tell('plots');
+  }
+
+  // Look at a time of the past; null for now.
+  lookAt(time) {
+    if (time === this.past) return;
+    this.past = time;
+    this.forgetTrails();
+    for (const robot of this.robots.values()) robot.scan = null;
+    this.sendPast(time);
+    this.tell('past');
+  }
+
   // A frame: kind 1, sequence, time, then index, x, y, yaw of each robot that was heard.
   frame(view, now) {
     this.sequence = view.getUint32(4, true);
     this.time = view.getFloat64(8, true);
     const count = view.getUint32(16, true);
+    if (this.past !== null) for (const robot of this.robots.values()) robot.x = NaN; // only those that were there
     for (let i = 0, at = 20; i < count; i++, at += 16) {
       const robot = this.byIndex[view.getUint32(at, true)];
       if (!robot) continue;
@@ -116,7 +150,7 @@ export class Model extends EventTarget {
   forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }
 
   // Seconds since the robot told something; Infinity if it never did.
-  age(robot, now) { return this.playback ? 0 : robot.age + (now - robot.heard) / 1000; }
+  age(robot, now) { return this.playback ? 0 : this.past !== null ? robot.age : robot.age + (now - robot.heard) / 1000; }
 
   isHeard(robot, now) {
     return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;

@@ -12,10 +12,7 @@ export class Timeline {
     this.run = element('run-shown');
     this.button.addEventListener('click', () => this.play(!this.model.playback.is_playing));
     element('speed').addEventListener('change', () => this.play(this.model.playback.is_playing));
-    this.seek.addEventListener('input', () => {
-      this.model.forgetTrails();
-      this.send({ kind: 'seek', time: Number(this.seek.value) });
-    });
+    this.seek.addEventListener('input', () => this.to(Number(this.seek.value)));
     this.run.addEventListener('change', () => this.send({ kind: 'choose', run: this.run.value }));
     for (const [id, step] of [['run-before', -1], ['run-after', 1]]) {
       element(id).addEventListener('click', () => {
@@ -55,6 +52,12 @@ export class Timeline {
     if (time + 1e-6 < Number(this.seek.value)) this.model.forgetTrails();
     if (this.seek !== document.activeElement || playback.is_playing) this.seek.value = time;
     element('at').textContent = `${time.toFixed(1)} s of ${playback.duration.toFixed(1)} s`;
+  }
+
+  to(time) {
+    if (this.model.role !== 'operator') return;
+    this.model.forgetTrails();
+    this.send({ kind: 'seek', time });
   }
 
   play(isPlaying) {

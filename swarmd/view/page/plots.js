@@ -1,0 +1,223 @@
+// What the swarm does over time: a lane for each value, a tick for each event, and the time shown.
+
+const SPAN = 300; // s of a living swarm
+const LEAST = 60; // s that are shown from the beginning on
+const NOW = 1.5; // s before the last moment that count as now
+const TITLES = { clusters: ['clusters', ''], speed: ['mean speed', ' m/s'], active: ['protection active', ' %'] };
+const NEAR = 7; // pixels between the mouse and the tick of an event
+const element = (id) => document.getElementById(id);
+
+export const ago = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
+
+export class Plots {
+  // `seek(time)` moves a recorded run; a living swarm is looked back at.
+  constructor(model, seek) {
+    Object.assign(this, { model, seek });
+    this.canvas = element('plots');
+    this.ctx = this.canvas.getContext('2d');
+    this.back = element('back');
+    this.key = element('plot');
+    new ResizeObserver(() => this.wake()).observe(this.canvas);
+    for (const news of ['plots', 'past', 'hello', 'frame']) model.addEventListener(news, () => this.wake());
+    this.canvas.addEventListener('pointerdown', (event) => { this.canvas.setPointerCapture(event.pointerId); this.isHeld = true; this.take(event); });
+    this.canvas.addEventListener('pointermove', (event) => (this.isHeld ? this.take(event) : this.hover(event)));
+    for (const end of ['pointerup', 'pointercancel']) this.canvas.addEventListener(end, () => { this.isHeld = false; });
+    this.canvas.addEventListener('pointerleave', () => this.tell(null));
+    this.back.addEventListener('input', () => this.to(this.latest() + Number(this.back.value)));
+    for (const id of ['now', 'past-now']) element(id).addEventListener('click', () => model.lookAt(null));
+    this.key.addEventListener('change', () => this.wake());
+  }
+
+  wake() {
+    if (this.isWaiting) return;
+    this.isWaiting = true;
+    requestAnimationFrame(() => { this.isWaiting = false; this.draw(); });
+  }
+
+  latest() { return this.model.plots.times.at(-1) || 0; }
+
+  range() {
+    const { playback } = this.model;
+    if (playback) return [0, Math.max(playback.duration, 0.1)];
+    const latest = this.latest(), first = this.model.plots.times[0] ?? latest;
+    return [Math.max(latest - SPAN, Math.min(first, latest - LEAST)), latest];
+  }
+
+  to(time) {
+    if (this.model.playback) this.seek(time);
+    else this.model.lookAt(time > this.latest() - NOW ? null : time);
+  }
+
+  at(event) {
+    const box = this.canvas.getBoundingClientRect(), [from, until] = this.range();
+    const share = (event.clientX - box.left - this.left) / Math.max(box.width - this.left - this.right, 1);
+    return from + Math.min(Math.max(share, 0), 1) * (until - from);
+  }
+
+  take(event) {
+    this.to(this.at(event));
+    this.hover(event);
+  }
+
+  // The events below the mouse.
+  hover(event) {
+    const box = this.canvas.getBoundingClientRect(), [from, until] = this.range(), time = this.at(event);
+    const reach = NEAR * (until - from) / Math.max(box.width - this.left - this.right, 1);
+    const found = this.model.marks.filter(([at]) => Math.abs(at - time) < reach);
+    this.tell(found.length ? found.slice(-4) : null, event.clientX - box.left);
+  }
+
+  tell(marks, x = 0) {
+    const note = element('mark-text');
+    note.hidden = !marks;
+    if (!marks) return;
+    note.textContent = marks.map(([at, text, robots]) => `${this.clockOf(at)} ${robots.length > 3 ? `${robots.length} robots` : robots.join(', ')}: ${text}`).join('\n');
+    note.style.left = `${Math.min(Math.max(x, 20), Math.max(this.canvas.clientWidth - 320, 20))}px`;
+  }
+
+  clockOf(time) {
+    if (this.model.playback) return `${time.toFixed(1)} s`;
+    return new Date(Date.now() - 1000 * (this.latest() - time)).toLocaleTimeString([], { hour12: false });
+  }
+
+  // The lanes: what all swarms have, then what is chosen of reports and readings.
+  lanes() {
+    const { values } = this.model.plots;
+    const others = Object.keys(values).filter((key) => !TITLES[key]).sort();
+    const wanted = ['', ...others];
+    if ([...this.key.options].map((one) => one.value).join() !== wanted.join()) {
+      const chosen = this.key.value;
+      this.key.replaceChildren(...wanted.map((key) => new Option(key ? key.replace(/^\w+:/, '') : 'none', key)));
+      if (wanted.includes(chosen)) this.key.value = chosen;
+    }
+    element('plot-choice').hidden = !others.length;
+    const keys = Object.keys(TITLES).filter((key) => key !== 'clusters' || values.clusters);
+    return this.key.value ? [...keys, this.key.value] : keys;
+  }
+
+  draw() {
+    if (!this.canvas.clientWidth) return;
+    const { canvas, ctx, model } = this, ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const { clientWidth: w, clientHeight: h } = canvas;
+    if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) {
+      [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
+    }
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+    ctx.clearRect(0, 0, w, h);
+    const style = getComputedStyle(document.documentElement), rem = parseFloat(style.fontSize);
+    const [text, dim, line, accent] = ['--text', '--dim', '--line', '--accent'].map((key) => style.getPropertyValue(key));
+    const lanes = this.lanes(), axis = 1.1 * rem, height = (h - axis) / lanes.length, isNarrow = w < 600;
+    [this.left, this.right] = [(isNarrow ? 9 : 12.5) * rem, 0.8 * rem];
+    const [from, until] = this.range(), width = w - this.left - this.right;
+    const x = (time) => this.left + (time - from) / (until - from) * width;
+    this.drawAxis({ x, from, until, text, dim, line, rem, h, axis, isNarrow });
+    this.drawMarks(x, from, until, h - axis, line, dim);
+    lanes.forEach((key, i) => this.drawLane(key, i * height, height, { x, from, until, text, dim, accent, line, rem, isNarrow }));
+    const shown = this.shown();
+    ctx.strokeStyle = ctx.fillStyle = text;
+    ctx.lineWidth = 2;
+    ctx.beginPath();
+    ctx.moveTo(x(shown), 0);
+    ctx.lineTo(x(shown), h - axis);
+    ctx.stroke();
+    this.drawBack();
+  }
+
+  // The time that the map shows.
+  shown() {
+    const { playback, past, time } = this.model;
+    return playback ? time : past ?? this.latest();
+  }
+
+  drawAxis({ x, from, until, dim, line, rem, h, axis }) {
+    const { ctx } = this, span = until - from, isLive = !this.model.playback;
+    const most = Math.max(x(until) - this.left, 60) / (4.5 * rem);
+    const step = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200].find((one) => span / one <= most) || span;
+    ctx.font = `${0.72 * rem}px system-ui, sans-serif`;
+    ctx.fillStyle = dim;
+    ctx.strokeStyle = line;
+    ctx.lineWidth = 1;
+    const first = isLive ? -Math.floor(span / step) * step : 0;
+    for (let mark = first; mark <= (isLive ? 0 : until); mark += step) {
+      const at = isLive ? until + mark : mark, place = x(at);
+      ctx.beginPath();
+      ctx.moveTo(place, 0);
+      ctx.lineTo(place, h - axis);
+      ctx.stroke();
+      ctx.textAlign = mark === first ? 'left' : at >= until ? 'right' : 'center';
+      const words = isLive ? (mark ? Math.abs(mark) < 60 ? `${mark} s` : `${mark / 60} min` : 'now') : step >= 60 ? ago(mark) : `${mark} s`;
+      ctx.fillText(words, place, h - 0.25 * rem);
+    }
+  }
+
+  drawMarks(x, from, until, bottom, line, dim) {
+    const { ctx } = this;
+    ctx.fillStyle = dim;
+    ctx.strokeStyle = dim;
+    ctx.globalAlpha = 0.55;
+    ctx.lineWidth = 1;
+    ctx.setLineDash([2, 3]);
+    ctx.beginPath();
+    const places = new Set(this.model.marks.filter(([at]) => at >= from && at <= until).map(([at]) => Math.round(x(at))));
+    for (const place of places) { ctx.moveTo(place + 0.5, 0); ctx.lineTo(place + 0.5, bottom); }
+    ctx.stroke();
+    ctx.setLineDash([]);
+    ctx.globalAlpha = 1;
+    for (const place of places) {
+      ctx.beginPath();
+      ctx.moveTo(place - 4, bottom); ctx.lineTo(place + 4, bottom); ctx.lineTo(place, bottom - 6);
+      ctx.fill();
+    }
+  }
+
+  drawLane(key, top, height, { x, from, until, text, dim, accent, line, rem, isNarrow }) {
+    const { ctx } = this, { times } = this.model.plots, values = this.model.plots.values[key] || [];
+    const factor = key === 'active' ? 100 : 1;
+    let most = key === 'active' ? 100 : 0, least = 0, now = null;
+    values.forEach((value, i) => {
+      if (value === null || value === undefined || times[i] < from) return;
+      most = Math.max(most, factor * value);
+      least = Math.min(least, factor * value);
+      if (times[i] <= this.shown() + 0.05) now = factor * value;
+    });
+    if (most === least) most = least + 1;
+    const y = (value) => top + height - 3 - (value * factor - least) / (most - least) * (height - 8);
+    ctx.strokeStyle = line;
+    ctx.lineWidth = 1;
+    ctx.beginPath();
+    ctx.moveTo(this.left, top + height - 0.5); ctx.lineTo(x(until), top + height - 0.5);
+    ctx.stroke();
+    ctx.strokeStyle = accent;
+    ctx.lineWidth = 2;
+    ctx.beginPath();
+    let isOn = false;
+    values.forEach((value, i) => {
+      const isThere = value !== null && value !== undefined && times[i] >= from && times[i] <= until;
+      if (isThere) ctx[isOn ? 'lineTo' : 'moveTo'](x(times[i]), y(value));
+      isOn = isThere;
+    });
+    ctx.stroke();
+    const [title, unit] = TITLES[key] || [key.replace(/^\w+:/, ''), ''];
+    const middle = top + height / 2 + 0.28 * rem;
+    ctx.textAlign = 'left';
+    ctx.fillStyle = dim;
+    ctx.font = `${(isNarrow ? 0.68 : 0.8) * rem}px system-ui, sans-serif`;
+    ctx.fillText(isNarrow ? title.replace(/^mean | active$/, '') : title, 0.4 * rem, middle);
+    ctx.fillStyle = text;
+    ctx.textAlign = 'right';
+    ctx.font = `600 ${(isNarrow ? 0.72 : 0.85) * rem}px system-ui, sans-serif`;
+    ctx.fillText(now === null ? '-' : `${Number(now.toPrecision(2))}${unit}`, this.left - 0.5 * rem, middle);
+  }
+
+  drawBack() {
+    const { past, playback } = this.model, isPast = past !== null && !playback;
+    const back = isPast ? this.latest() - past : 0;
+    const [from, until] = this.range();
+    this.back.min = Math.round(from - until);
+    if (document.activeElement !== this.back || !isPast) this.back.value = -back;
+    element('back-at').textContent = isPast ? `${ago(back)} ago` : 'now';
+    element('now').disabled = !isPast;
+    element('past-note').hidden = !isPast;
+    if (isPast) element('past-text').textContent = `The map shows the past: ${this.clockOf(past)}, ${ago(back)} ago.`;
+  }
+}
