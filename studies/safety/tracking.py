@@ -46,7 +46,10 @@ LIDARS: Mapping[str, Lidar] = {
 
 
 def true_tracks(world: World, row: int, reach: float) -> tuple[Track, ...]:
-    """The other robots within `reach` m of one, in its base frame."""
+    """The other robots within `reach` m of one, in its base frame; their radius is that of scans.
+
+    Scans measure nearly half of the diagonal of an outline.
+    """
     poses, twists = world.poses(), world.twists()
     x, y, yaw = poses[row]
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -61,7 +64,7 @@ def true_tracks(world: World, row: int, reach: float) -> tuple[Track, ...]:
         linear, turn, lateral = twists[other]
         vx = ahead * linear - aside * lateral - turn * to_y
         vy = aside * linear + ahead * lateral + turn * to_x
-        radius = 0.25 * float(np.ptp(platform.footprint, axis=0).sum())
+        radius = 0.5 * math.hypot(*np.ptp(platform.footprint, axis=0).tolist())
         place = cos * dx + sin * dy, cos * dy - sin * dx
         found.append(Track(other, *place, cos * vx + sin * vy, cos * vy - sin * vx, radius, 0.0))
     return tuple(found)

@@ -23,6 +23,7 @@ from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan
 from swarmd.protection.decision import DecisionContext
@@ -94,7 +95,7 @@ _SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # of them, 
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 
 
-class Track(NamedTuple):
+class Track(Struct, frozen=True, array_like=True, gc=False):
     """A moving object as seen now: base frame, m and m/s.
 
     `speed_error`: standard deviation of each component of the velocity.

@@ -38,7 +38,6 @@ MAX_LINKED = 64
 GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
 """Why a robot that is not alive is shown so."""
 
-TRACKS_AGE = 1.5  # s after which tracks are not shown
 MAX_MARKS = 200
 """Events that pages mark on the time; of more, the last ones."""
 Describe = Callable[[str], Sequence[Mapping[str, Any]]]
@@ -46,6 +45,7 @@ Describe = Callable[[str], Sequence[Mapping[str, Any]]]
 
 _motion = Decoder(Motion)
 _tracks = Decoder(Tracks)
+_TRACKS_AGE = 1.5  # s after which tracks are not shown
 
 
 class LiveSource:
@@ -249,7 +249,7 @@ class LiveSource:
     def _tracks_of(self, name: str) -> list[list[float]]:
         """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
         at, found = self._tracks.get(name, (-math.inf, None))
-        if found is None or time.monotonic() - at > TRACKS_AGE:
+        if found is None or time.monotonic() - at > _TRACKS_AGE:
             return []
         return [[round(value, 3) for value in astuple(one)] for one in found.tracks]
 

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from msgspec.structs import astuple
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
@@ -227,7 +228,9 @@ def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: fl
         watch = Watch(discs, own=own, noise=0.01, lost=lost, kind=kind)
         watch.told = lambda t: (-0.9, 0.3 * t - 0.5)
         some = [watch.run(0.1) for _ in range(40)]
-        found.append([([tuple(one) for one in each.tracks], each.walls.tolist()) for each in some])
+        found.append(
+            [([astuple(one) for one in each.tracks], each.walls.tolist()) for each in some]
+        )
     assert found[0] == found[1]
     assert max(len(tracks) for tracks, _ in found[0]) >= 4
     assert all(walls for _, walls in found[0][3:])

@@ -5,11 +5,11 @@ import { Gestures } from './gestures.js';
 import { LOST, SHADE, wordOf } from './states.js';
 
 const LIMIT = '#d55e00'; // of an obstacle that limits a robot
-const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const MANY = 60; // robots from which on only some trails are drawn
 const NAMED = 15; // robots in view up to which all have names
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
+const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
 const EDGE = 0.6; // m around what is shown by Fit
 const SMALL = 11; // pixels of a robot's radius below which its sign has its colour
