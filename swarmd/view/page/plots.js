@@ -71,7 +71,7 @@ export class Plots {
     const note = element('mark-text');
     note.hidden = !marks;
     if (!marks) return;
-    note.textContent = marks.map(([at, text, robots]) => `${this.clockOf(at)} ${robots.length > 3 ? `${robots.length} robots` : robots.join(', ')}: ${text}`).join('\n');
+    note.textContent = marks.map(([at, text, robots, count]) => `${this.clockOf(at)} ${count > robots.length ? `${count} robots` : robots.join(', ')}: ${text}`).join('\n');
     note.style.left = `${Math.min(Math.max(x, 20), Math.max(this.canvas.clientWidth - 320, 20))}px`;
   }
 
