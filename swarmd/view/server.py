@@ -204,8 +204,9 @@ class ViewServer:
             if (playback := self.source.playback) is not None:
                 self._begin(self._play(client, playback, kind, message))
         elif kind == "past":
-            time = message.get("time")
-            client.past = float(time) if isinstance(time, int | float) else None
+            client.past = None
+            with suppress(TypeError, ValueError, OverflowError):  # also for null: the present
+                client.past = float(message.get("time"))
         elif kind == "act":
             self._begin(self._act(client, message))
 
