@@ -128,9 +128,9 @@ def panels(browser: Browser, folder: Path) -> None:
 
 
 def figure(browser: Browser, file: Path) -> None:
-    """A simulated world of seven robots that disperse, one selected."""
+    """A simulated world of seven robots that flock, one selected."""
     words = ("demo", "--web", "--headless", "-n", "7", "--seconds", "600", "--port", "0")
-    command = [str(Path(sys.executable).with_name("swarmctl")), *words, "--pattern", "dispersion"]
+    command = [str(Path(sys.executable).with_name("swarmctl")), *words, "--pattern", "flocking"]
     with (
         tempfile.TemporaryDirectory() as folder,
         subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True) as process,
@@ -141,7 +141,7 @@ def figure(browser: Browser, file: Path) -> None:
             lines = iter(process.stderr.readline, "")
             address = next(one for one in lines if one.startswith("page: ")).partition(": ")[2]
             page.open(address.strip())
-            page.until("swarm.model.plots.times.length > 40", "half a minute", 300.0)
+            page.until("swarm.model.plots.times.length > 45", "most of a minute", 300.0)
             page.evaluate("swarm.model.select(['tb3-03'])")
             page.until("document.getElementById('detail-why').textContent.length > 3", "details")
             time.sleep(1.5)

@@ -90,7 +90,7 @@ class TraceSource:
         return self._shown.link
 
     def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
-        """Contacts, and changes of states."""
+        """Contacts, changes of states and the events of the scenario."""
         return self._shown.marks
 
     def frame(self) -> tuple[float, Array]:
@@ -237,6 +237,10 @@ class _ShownRun:
             EventLine(one.start - self._start, one.a, "event", f"touches {_other(one, one.a)}")
             for one in self._contacts
         ]
+        for event in self._trace.meta.get("events", ()):
+            text = " ".join(filter(None, (event["action"], event.get("pattern"))))
+            robots = event.get("robots") or ids
+            lines += [EventLine(float(event["at"]), robot, "event", text) for robot in robots]
         if state is not None and len(self._t):
             for at, i in np.argwhere(state[1:] != state[:-1]).tolist():
                 word = str(state[at + 1, i])

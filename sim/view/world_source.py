@@ -12,11 +12,10 @@ from swarmd.network.operator.operator import Operator
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
-from swarmd.sim.metrics.aggregation import LINKS
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.arena import parse_arena
 from swarmd.view.live import Describe, LiveSource
-from swarmd.view.source import ShownRobot
+from swarmd.view.source import ShownRobot, link_of
 
 
 class WorldSource(LiveSource):
@@ -40,8 +39,7 @@ class WorldSource(LiveSource):
         self._shapes = {name: box.shape for name, box in arena.movable_boxes}
         self._radio_range = spec.radio_range if scenario is None else scenario.radio.range
         self._state: WorldState | None = None
-        thresholds = [one.protection.get("threshold", 0.0) for one in spec.platforms().values()]
-        self.link = LINKS * max(thresholds, default=0.0) or None
+        self.link = link_of(spec.platforms().values())
         for name, kind in spec.platforms().items():
             self._platforms[kind.name] = kind
             self._index[name] = len(self._robots)

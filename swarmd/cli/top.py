@@ -51,6 +51,7 @@ Known = Mapping[str, tuple[Status, float]]
 def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
     """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
 
+    STATE and the first line name a robot whose base is lost, whatever its state.
     CPU and MEM are those of the daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On
     a terminal until q; with -o json a line for each robot and second, until Ctrl-C.
     """

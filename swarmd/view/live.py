@@ -38,8 +38,8 @@ MAX_LINKED = 64
 GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
 """Why a robot that is not alive is shown so."""
 
-MAX_MARKS = 200
-"""Events that pages mark on the time; of more, the last ones."""
+MAX_LINES, MAX_MARKS = 2000, 200
+"""Events of single robots that are kept, and marks that pages get; of more, the last ones."""
 Describe = Callable[[str], Sequence[Mapping[str, Any]]]
 """Gives the patterns as they are on a platform, as `Source.descriptions`; it may take seconds."""
 
@@ -65,7 +65,8 @@ class LiveSource:
         self._describe = describe
         self._described = 0
         self._feed = EventFeed(SPAN)
-        self._lines: deque[EventLine] = deque(maxlen=MAX_MARKS)
+        self._lines: deque[EventLine] = deque(maxlen=MAX_LINES)
+        self._marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
         self._robots: list[ShownRobot] = []
         self._operator = operator
         self._index: dict[str, int] = {}
@@ -181,9 +182,11 @@ class LiveSource:
     def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
         """What robots logged and what became of them, a line for robots that tell the same."""
         with self._lock:
-            self._lines.extend(self._feed.advance(time.monotonic()))
-            lines = [line for line in self._lines if line.kind != "gap"]
-        return [(round(one.at, 1), one.text, robots) for one, robots in together(lines)]
+            self._note(self._feed.advance(time.monotonic()))
+            if self._marks is None:
+                found = together(self._lines)[-MAX_MARKS:]
+                self._marks = [(round(one.at, 1), one.text, robots) for one, robots in found]
+            return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """What `swarmctl describe` tells."""
@@ -218,12 +221,18 @@ class LiveSource:
 
     def _on_status(self, status: Status) -> None:
         with self._lock:
-            self._lines.extend(self._feed.on_status(status, time.monotonic()))
+            self._note(self._feed.on_status(status, time.monotonic()))
+
+    def _note(self, lines: Iterable[EventLine]) -> None:
+        """Keep events; call it with the lock."""
+        if found := [line for line in lines if line.kind != "gap"]:
+            self._lines.extend(found)
+            self._marks = None
 
     def _on_view(self, view: MembersView) -> None:
         """Called after each look, on its thread."""
         with self._lock:
-            self._lines.extend(self._feed.on_view(view, time.monotonic()))
+            self._note(self._feed.on_view(view, time.monotonic()))
         is_few = len(view.members) <= MAX_LINKED
         self._links = self._operator.links() if is_few else frozenset()
 

@@ -17,7 +17,7 @@ from swarmd.texts.status import sections
 from swarmd.texts.why import protection_word
 from swarmd.view.event_feed import EventLine, together
 from swarmd.view.playback import Playback
-from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of, standing_of
+from swarmd.view.source import ShownArena, ShownRobot, link_of, points_of, row_of, standing_of
 from swarmd.view.timeline import Track, read_timeline
 
 MAX_EVENTS = 20
@@ -44,6 +44,8 @@ class RecordingSource:
             ShownRobot(name, i, one.platform.name, one.platform.footprint)
             for i, (name, one) in enumerate(tracks.items())
         ]
+        if self.timeline.is_shared:
+            self.link = link_of(one.platform for one in tracks.values())
         names = list(tracks)
         self.swarm = f"recording of {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
         run = paths[0].name

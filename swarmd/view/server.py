@@ -54,6 +54,8 @@ CLOSE_TIME = 1.0
 WRONG_TOKEN, ENDED = 4401, 4410
 """Codes with which a connection is closed; the page shows the reason."""
 STOPS = ("stop", "estop", "end_estop")
+MAX_NAMES = 3
+"""Robots that a page names of an event; of more it tells the number."""
 PAGE = "page"
 _FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
 MAX_WAITING = 128
@@ -202,8 +204,9 @@ class ViewServer:
             if (playback := self.source.playback) is not None:
                 self._begin(self._play(client, playback, kind, message))
         elif kind == "past":
-            time = message.get("time")
-            client.past = float(time) if isinstance(time, int | float) else None
+            client.past = None
+            with suppress(TypeError, ValueError, OverflowError):  # also for null: the present
+                client.past = float(message.get("time"))
         elif kind == "act":
             self._begin(self._act(client, message))
 
@@ -323,7 +326,8 @@ class ViewServer:
         others = [json_of({"kind": "links", "links": list(self.source.links())})]
         boxes = [{"shape": shape.tolist(), "pose": pose} for shape, pose in self.source.boxes()]
         others.append(json_of({"kind": "boxes", "boxes": boxes}))
-        others.append(json_of({"kind": "marks", "marks": self.source.marks()}))
+        marks = [(*mark, robots[:MAX_NAMES], len(robots)) for *mark, robots in self.source.marks()]
+        others.append(json_of({"kind": "marks", "marks": marks}))
         if self.source.playback is not None:
             others.append(json_of({"kind": "playback", **self.source.playback.plain()}))
         return Rows(short, whole, ages, others)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
 from swarmd.core.messages import Reason, State, Status
-from swarmd.core.values import Array
+from swarmd.core.values import Array, Platform
 from swarmd.texts.why import lost_base, protection_word_of
 from swarmd.view.playback import Playback
 
@@ -142,6 +142,12 @@ class Source(Protocol):
 
     def select(self, names: Sequence[str]) -> None:
         """The robots that any page has selected: whose scans and details are wanted."""
+
+
+def link_of(platforms: Iterable[Platform]) -> float | None:
+    """The `link` of robots in one frame: twice the largest protection threshold, as of metrics."""
+    thresholds = (one.protection.get("threshold", 0.0) for one in platforms)
+    return 2.0 * max(thresholds, default=0.0) or None
 
 
 def hello_of(source: Source, role: str) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         assert swarm.status("tb3-02").state is State.RUNNING
 
         page.click("#param")
-        assert "1 targeted" in answered(page, "param")
+        assert "1 refused: no pattern is running" in answered(page, "param")
         page.type("#labels", "+red -blue")
         page.click("#set-labels")
         assert "1 targeted, 1 applied" in answered(page, "label")
@@ -97,6 +97,9 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         assert "2 applied" in answered(page, "estop")
         for name in names:
             shown(page, name, "estopped")
+        assert page.evaluate("document.getElementById('lost').hidden") is True
+        bodies["tb3-02"].close()
+        page.until("document.getElementById('lost').textContent.includes('tb3-02')", "lost")
         page.click("#reset")
         assert "1 targeted, 1 applied" in answered(page, "reset")
         shown(page, "tb3-01", "idle")

@@ -111,6 +111,11 @@ def test_shows_each_robot_at_its_time(tmp_path: Path) -> None:
     detail = source.detail("tb3-01")
     assert detail is not None
     assert detail["events"] == [["2.0 s", "stopped by anna"]]
+    assert [mark[1:] for mark in source.marks()] == [
+        ("stopped by anna", ("tb3-01",)),
+        ("stopped by anna", ("tb3-02",)),
+    ]
+    assert [mark[0] for mark in source.marks()] == pytest.approx([2.0, 7.0])
 
     source.playback.seek(12.0)
     assert source.rows()["tb3-01"]["presence"] == "absent"

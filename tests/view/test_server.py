@@ -191,8 +191,36 @@ async def test_an_emergency_stop_is_kept_for_pages_that_open_later() -> None:
         assert commander.verbs == ["estop", "stop"]
 
 
+async def test_what_a_page_sees_of_the_past_starts_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("swarmd.view.server.MAX_LATENESS", 0.5)
+    commander = SilentRobots()
+    async with (
+        serving(commander=commander, frame_period=0.01) as (_, address),
+        connect(socket_of(address), max_size=None) as page,
+    ):
+        first = (await message(page, "plots"))["times"][0]
+        await message(page, "plots")  # the first moment is a second old
+        await page.send(json.dumps({"kind": "past", "time": first}))
+        seen = [0]
+        async with asyncio.timeout(CAP):
+            while seen[-1] == max(seen):  # until a frame has a number before the last one's
+                one = await page.recv()
+                if isinstance(one, bytes):
+                    seen.append(int.from_bytes(one[4:8], "little"))
+                    await page.send('{"kind":"ack"}')
+        await page.send(json.dumps({"kind": "act", "id": "1", "verb": "run", "seen": seen[-1]}))
+        assert "too late" in (await message(page, "answer"))["line"]
+        await page.send(json.dumps({"kind": "act", "id": "2", "verb": "stop"}))
+        await message(page, "answer")
+        assert commander.verbs == ["stop"]
+
+
 async def test_nonsense_of_a_page_is_ignored() -> None:
-    nonsense = ("[]", "{}", "1", "x", '{"kind":"select","names":[{}, 1, "r9"]}', "[" * 9999)
+    nonsense = (
+        *("[]", "{}", "1", "x", '{"kind":"select","names":[{}, 1, "r9"]}', "[" * 9999),
+        *(f'{{"kind":"past","time":{one}}}' for one in ("[]", "NaN", "1e999", f"1{'0' * 999}")),
+        '{"kind":"past"}',
+    )
     async with serving() as (_, address), connect(socket_of(address), max_size=None) as page:
         for text in nonsense:
             await page.send(text)

@@ -61,8 +61,8 @@ export class Answers {
     const groups = groupsOf(message);
     const isBad = message.is_final && !message.is_good;
     // The names are below: of fifty robots they would fill the line.
-    const text = plain(message.line).replace(/ \([^)]*\)/g, '').replace(' 0 applied,', '')
-      .replace(/(\d+) targeted, (?=\1 [a-z ]+$)/, '');
+    const counts = plain(message.line).replace(/ \([^)]*\)/g, '');
+    const text = isBad ? counts.replace(' 0 applied,', '').replace(/(\d+) targeted, (?=\1 [a-z ]+$)/, '') : counts;
     const line = this.show(message.id, text, groups, isBad, isBad ? proposalOf(message, fields) : null);
     line.dataset.final = message.is_final;
     return line;

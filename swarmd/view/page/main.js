@@ -48,7 +48,10 @@ const link = new Link(model, {
     else if (message.kind === 'marks') { model.marks = message.marks; model.tell('plots'); }
     else if (message.kind === 'playback') { model.playback = message; model.tell('playback'); }
     else if (message.kind === 'answer') actions.answer(message);
-    else if (message.kind === 'estop') actions.estopped(message);
+    else if (message.kind === 'estop') {
+      if (!message.is_final) model.lookAt(null);
+      actions.estopped(message);
+    }
     else if (message.kind === 'notice') {
       banner.textContent = message.text;
       banner.hidden = !message.text;

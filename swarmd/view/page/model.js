@@ -24,7 +24,7 @@ export class Model extends EventTarget {
     this.isConnected = false;
     this.boxes = [];
     this.plots = { times: [], values: {}, next: 0 };
-    this.marks = []; // events: time, text, robots
+    this.marks = []; // events: time, text, some of the robots, their number
     this.past = null; // the time that a living swarm is looked back at
     this.sendPast = () => {};
   }

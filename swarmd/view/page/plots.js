@@ -7,7 +7,11 @@ const TITLES = { clusters: ['clusters', ''], speed: ['mean speed', ' m/s'], acti
 const NEAR = 7; // pixels between the mouse and the tick of an event
 const element = (id) => document.getElementById(id);
 
-export const ago = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
+const titleOf = (key) => (TITLES[key] || [key.replace(/^\w+:/, '')])[0];
+const factorOf = (key) => (key === 'active' ? 100 : 1);
+const textOf = (key, value) => `${Number((factorOf(key) * value).toPrecision(2))}${(TITLES[key] || ['', ''])[1]}`;
+
+const ago = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
 
 export class Plots {
   // `seek(time)` moves a recorded run; a living swarm is looked back at.
@@ -59,19 +63,22 @@ export class Plots {
     this.hover(event);
   }
 
-  // The events below the mouse.
+  // The values and events below the mouse.
   hover(event) {
     const box = this.canvas.getBoundingClientRect(), [from, until] = this.range(), time = this.at(event);
     const reach = NEAR * (until - from) / Math.max(box.width - this.left - this.right, 1);
     const found = this.model.marks.filter(([at]) => Math.abs(at - time) < reach);
-    this.tell(found.length ? found.slice(-4) : null, event.clientX - box.left);
+    this.tell(found.slice(-4), event.clientX - box.left, time);
   }
 
-  tell(marks, x = 0) {
+  tell(marks, x = 0, time = 0) {
     const note = element('mark-text');
     note.hidden = !marks;
     if (!marks) return;
-    note.textContent = marks.map(([at, text, robots]) => `${this.clockOf(at)} ${robots.length > 3 ? `${robots.length} robots` : robots.join(', ')}: ${text}`).join('\n');
+    const { times } = this.model.plots, index = times.findLastIndex((one) => one <= time);
+    const values = this.lanes().map((key) => [key, (this.model.plots.values[key] || [])[index]]);
+    const told = values.filter(([, value]) => value !== null && value !== undefined).map(([key, value]) => `${titleOf(key)} ${textOf(key, value)}`);
+    note.textContent = [`${this.clockOf(time)} ${told.join(', ')}`, ...marks.map(([at, text, robots, count]) => `${this.clockOf(at)} ${count > robots.length ? `${count} robots` : robots.join(', ')}: ${text}`)].join('\n');
     note.style.left = `${Math.min(Math.max(x, 20), Math.max(this.canvas.clientWidth - 320, 20))}px`;
   }
 
@@ -172,13 +179,13 @@ export class Plots {
 
   drawLane(key, top, height, { x, from, until, text, dim, accent, line, rem, isNarrow }) {
     const { ctx } = this, { times } = this.model.plots, values = this.model.plots.values[key] || [];
-    const factor = key === 'active' ? 100 : 1;
+    const factor = factorOf(key);
     let most = key === 'active' ? 100 : 0, least = 0, now = null;
     values.forEach((value, i) => {
       if (value === null || value === undefined || times[i] < from) return;
       most = Math.max(most, factor * value);
       least = Math.min(least, factor * value);
-      if (times[i] <= this.shown() + 0.05) now = factor * value;
+      if (times[i] <= this.shown() + 0.05) now = value;
     });
     if (most === least) most = least + 1;
     const y = (value) => top + height - 3 - (value * factor - least) / (most - least) * (height - 8);
@@ -197,8 +204,13 @@ export class Plots {
       isOn = isThere;
     });
     ctx.stroke();
-    const [title, unit] = TITLES[key] || [key.replace(/^\w+:/, ''), ''];
-    const middle = top + height / 2 + 0.28 * rem;
+    if (height > 1.2 * rem) { // the top of the lane
+      ctx.textAlign = 'left';
+      ctx.fillStyle = dim;
+      ctx.font = `${0.62 * rem}px system-ui, sans-serif`;
+      ctx.fillText(String(Number(most.toPrecision(2))), this.left + 0.25 * rem, top + 0.75 * rem);
+    }
+    const title = titleOf(key), middle = top + height / 2 + 0.28 * rem;
     ctx.textAlign = 'left';
     ctx.fillStyle = dim;
     ctx.font = `${(isNarrow ? 0.68 : 0.8) * rem}px system-ui, sans-serif`;
@@ -206,7 +218,7 @@ export class Plots {
     ctx.fillStyle = text;
     ctx.textAlign = 'right';
     ctx.font = `600 ${(isNarrow ? 0.72 : 0.85) * rem}px system-ui, sans-serif`;
-    ctx.fillText(now === null ? '-' : `${Number(now.toPrecision(2))}${unit}`, this.left - 0.5 * rem, middle);
+    ctx.fillText(now === null ? '-' : textOf(key, now), this.left - 0.5 * rem, middle);
   }
 
   drawBack() {

@@ -82,6 +82,17 @@ def test_recorded_runs_play_seek_and_change(results: Path, page: Page) -> None:
         page.until("!window.swarm.model.playback.is_playing", "a pause")
         seek(page, 1.5)
         page.until("Math.abs(window.swarm.model.time - 1.5) < 0.06", "the chosen time")
+        # The whole run is plotted, and a click on the plots goes there.
+        end = "swarm.model.plots.times.at(-1) > swarm.model.playback.duration - 0.01"
+        page.until(end, "the plots")
+        assert page.evaluate("swarm.model.plots.values.clusters.every((one) => one >= 1)")
+        x, y, width = page.evaluate(
+            "(() => { const b = document.getElementById('plots').getBoundingClientRect();"
+            " return [b.x + swarm.plots.left, b.y + b.height / 3,"
+            " b.width - swarm.plots.left - swarm.plots.right]; })()"
+        )
+        page.mouse(x + width / 2, y)
+        page.until("Math.abs(swarm.model.time - swarm.model.playback.duration / 2) < 0.1", "middle")
         before = page.evaluate(f"{ROBOTS}.map((one) => one.x)")
         page.click("#run-before")
         page.until("window.swarm.model.playback.run === 'seed 0'", "the other run")

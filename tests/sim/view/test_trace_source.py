@@ -95,6 +95,18 @@ def test_contacts_are_shown_while_they_last_and_listed_after(source: TraceSource
     assert detail["events"] == [["3.5 s", "touches box crate"], ["1.0 s", "touches a"]]
 
 
+def test_marks_are_contacts_states_and_events_of_the_scenario() -> None:
+    state = np.full((41, 2), "estopped")
+    state[:20] = "running"
+    source = source_of({"one": RecordedRun(recorded(state=state))})
+    assert source.marks() == [
+        (0.3, "run flocking", ("a",)),
+        (1.0, "touches b", ("a",)),
+        (2.0, "estopped", ("a", "b")),
+        (3.5, "touches box crate", ("b",)),
+    ]
+
+
 def test_boxes_leave_and_links_end_beyond_the_radio(source: TraceSource) -> None:
     source.playback.seek(1.0)
     ((_, pose),) = source.boxes()
