@@ -96,9 +96,8 @@ def lessons(is_json: bool) -> None:
     "--timeout",
     type=click.FloatRange(min=1.0),
     default=300.0,
-    show_default=True,
     metavar="SECONDS",
-    help="All runs of one pupil together; the others continue.",
+    help="All runs of one pupil together; the others continue [300].",
 )
 @output_option
 @click.pass_context
@@ -143,6 +142,8 @@ def _handed_in(folder: Path, lesson: Lesson) -> list[Path]:
     """The folders of pupils, and for a lesson with a pattern their files, by name."""
     if not folder.is_dir():
         raise click.UsageError(f"{folder}: no such folder")
+    if any((folder / one).exists() for one in _wanted(lesson)):
+        raise click.UsageError(f"{folder} is the folder of one pupil; name the folder above it")
     return sorted(
         path
         for path in folder.iterdir()

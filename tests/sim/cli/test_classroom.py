@@ -168,6 +168,13 @@ def test_a_wrong_lesson_and_an_empty_folder_are_refused(
     assert what in f"{result.output} {result.exception}"
 
 
+def test_the_folder_of_one_pupil_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "beeclust.py").touch()
+    result = checked(tmp_path, "2")
+    assert result.exit_code == 2
+    assert "one pupil" in result.output
+
+
 def test_lessons_are_listed_with_what_is_handed_in() -> None:
     result = CliRunner().invoke(classroom, ["lessons", "-o", "json"])
     rows = json.loads(result.stdout)["lessons"]
