@@ -202,8 +202,9 @@ def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
     """The p that two factors add up: values (rows, columns, n) of n runs for each combination.
 
     The F test of the two-way analysis of variance with the same n everywhere (Montgomery, Design
-    and Analysis of Experiments, chapter 5.3). `has_blocks`: the k-th runs of all cells share a seed,
-    whose common effect does not count as scatter. None for one run a cell, or without scatter.
+    and Analysis of Experiments, chapter 5.3). `has_blocks`: the k-th runs of all cells share a
+    seed, whose common effect does not count as scatter. None for one run a cell, or without
+    scatter.
     """
     from scipy.stats import f as distribution
 

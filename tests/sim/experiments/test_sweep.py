@@ -24,11 +24,14 @@ from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.report.tables import differences_tables
 
 GAP, TIME = METRICS["minimum_gap"], METRICS["gather_time"]
-SWEEP = {"groups.a.count": [5, 8], "groups.a.parameters.range": [1.0, 2.0, 3.0]}
+SWEEP: dict[str, list[float]] = {
+    "groups.a.count": [5, 8],
+    "groups.a.parameters.range": [1.0, 2.0, 3.0],
+}
 N = 12
 
 
-def results(gap: Callable[[int, float, float], float], never: tuple[int, ...] = ()) -> Results:
+def results(gap: Callable[[float, float, float], float], never: tuple[int, ...] = ()) -> Results:
     """A sweep whose gap is `gap(count, range, noise of the seed and run)`."""
     rng = np.random.default_rng(1)
     variants = tuple(
@@ -47,13 +50,14 @@ def results(gap: Callable[[int, float, float], float], never: tuple[int, ...] = 
     return Results(Path("x"), plan, rows, {}, ("minimum_gap", "gather_time"))
 
 
-def added(a: int, b: float, noise: float) -> float:
+def added(a: float, b: float, noise: float) -> float:
     return a + 2.0 * b + noise
 
 
 def test_marginals_are_the_means_of_all_runs_with_a_value() -> None:
     (one,) = factors(results(lambda a, b, noise: a + 2.0 * b), [GAP])
-    assert [(part.key, part.value, part.mean) for part in one.marginals] == [
+    found: list[object] = [(part.key, part.value, part.mean) for part in one.marginals]
+    assert found == [
         ("count", "5", pytest.approx(9.0)),
         ("count", "8", pytest.approx(12.0)),
         ("range", "1.0", pytest.approx(8.5)),
