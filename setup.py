@@ -53,7 +53,9 @@ DIRECTIVES = {
     # Calls of methods are a third faster so.
     "binding": False,
     "always_allow_keywords": False,
-    "auto_pickle": False,  # no object of a kernel is pickled, and the code is a sixth of the build
+    # The memory of a robot is in recordings (robot/memory.py). Other classes opt out: the code is a
+    # quarter of a library.
+    "auto_pickle": True,
     "emit_code_comments": False,
 }
 # Without contraction the results are those of the interpreted file, operation by operation. No

@@ -8,7 +8,7 @@ import shlex
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from signal import SIGTERM
@@ -266,16 +266,24 @@ def merge(
 
 @exp.command()
 @click.argument("a")
-@click.argument("b")
+@click.argument("b", required=False)
 @_metrics
 @output_option
-def compare(a: str, b: str, metrics: str | None, is_json: bool) -> None:
+def compare(a: str, b: str | None, metrics: str | None, is_json: bool) -> None:
     """Show which metrics differ between experiments A and B: DIR, or DIR:VARIANT of a sweep.
 
-    A metric differs if the 95 % interval of the difference of means excludes 0.
+    A metric differs if the 95 % interval of the difference of means excludes 0. P is corrected for
+    all metrics (Holm); of times to an event that some runs never reach it is that of the log-rank
+    test, and the means are those up to the end of the runs.
+
+    A alone, the folder of a sweep: its variants in one table, and for two swept keys the mean for
+    each value and the interaction.
     """
     from swarmd.sim.experiments import compare as comparing
 
+    if b is None:
+        _compare_variants(a, metrics, is_json)
+        return
     pairs = comparing.sides(a, b)
     names = chosen_metrics(metrics, pairs[0][0].results.asked)
     found = [(*pair, comparing.compare(*pair, names)) for pair in pairs]
@@ -430,13 +438,43 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
 
     is_paired = any(one.is_paired for one in differences)
     click.echo(f"A: {a.label}\nB: {b.label}")
-    click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap\n")
+    click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap;")
+    click.echo("p of permutations, or of the log-rank test, with Holm's correction\n")
     print_table(DIFFERENCE_HEADER, [difference_row(one) for one in differences])
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
     by_chance = 0.05 * sum(one.interval is not None for one in differences)
-    click.echo(f"; {by_chance:.2g} would by chance if nothing did\n")
+    click.echo(f"; {by_chance:.2g} would by chance if nothing did", nl=False)
+    click.echo(f"; {sum(one.holds for one in differences)} with Holm's correction\n")
     _warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
+
+
+def _compare_variants(folder: str, metrics: str | None, is_json: bool) -> None:
+    """The variants of one sweep in one table, and what two swept keys do."""
+    from swarmd.sim.experiments import sweep
+    from swarmd.sim.experiments.results import load_results
+    from swarmd.sim.report.tables import shown_metrics
+
+    results = load_results(folder)
+    if len(results.variants) < 2:
+        raise ConfigError(
+            f"{folder}: nothing was swept; name a second experiment, or run a --sweep"
+        )
+    shown, _ = shown_metrics(results, chosen_metrics(metrics, results.asked))
+    found = sweep.factors(results, shown)
+    if is_json:
+        document = {"variants": sweep.variants_document(results, shown)}
+        print_json("Variants", {**document, "factors": [asdict(one) for one in found]})
+        return
+    print_table(*sweep.variants_table(results, shown))
+    click.echo(f"\n{sweep.READING}\n")
+    if found:
+        print_table(
+            sweep.MARGINAL_HEADER, [row for one in found for row in sweep.marginal_rows(one)]
+        )
+        click.echo()
+        print_table(sweep.INTERACTION_HEADER, [sweep.interaction_row(one) for one in found])
+    _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
 
 
 def _warn_of_few(counts: Iterable[int]) -> None:

@@ -11,7 +11,7 @@ import click
 
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.sim.cli.options import chosen_metrics, folder_argument, need, out_option, output_option
 from swarmd.texts.values import megabytes
 
@@ -190,6 +190,19 @@ _NARROWEST, _WIDEST = 2.0, 20.0
     help="Draw a line at this value of a metric; may be repeated.",
 )
 @click.option(
+    "--only",
+    metavar="A,B,..",
+    help="Draw these pictures: intervals, differences, survival, over_time, runs (all from above),"
+    " trajectories (of a typical and the worst run) [the first four; all with --seeds].",
+)
+@click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="NAME=TEXT",
+    help="Name a swept key or a metric on axes, such as range='lidar range [m]'; may be repeated.",
+)
+@click.option(
     "--format",
     "form",
     type=click.Choice(["png", "svg", "pdf"]),
@@ -201,7 +214,7 @@ _NARROWEST, _WIDEST = 2.0, 20.0
     "--width",
     metavar="LENGTH",
     help="For a paper: pictures of this width, such as 3.5in, 89mm or 252pt, with texts of 6 to 8"
-    " points and without titles.",
+    " points and without titles; panels have letters.",
 )
 def plot(
     folder: Path,
@@ -210,10 +223,12 @@ def plot(
     seeds: str | None,
     facet: str | None,
     targets: tuple[str, ...],
+    only: str | None,
+    labels: tuple[str, ...],
     form: str,
     width: str | None,
 ) -> None:
-    """Draw the experiment in DIR: trajectories, metrics by run and over time, differences."""
+    """Draw the experiment in DIR: metrics by run and over time, differences; also trajectories."""
     need("matplotlib")
     from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.results import load_results
@@ -227,9 +242,19 @@ def plot(
     about = load_results(folder).asked
     names = chosen_metrics(metrics, about)
     bounds = {about(name).name: value for name, value in parse_targets(targets).items()}
-    look = Look(suffix=f".{form}", width=inches, facet=facet, targets=bounds)
-    for path in draw_experiment(folder, out, metrics=names, seeds=chosen, look=look):
+    look = Look(
+        suffix=f".{form}",
+        width=inches,
+        facet=facet,
+        targets=bounds,
+        only=None if only is None else parse_kinds(only),
+        labels=parse_labels(labels),
+    )
+    made = draw_experiment(folder, out, metrics=names, seeds=chosen, look=look)
+    for path in made:
         click.echo(str(path))
+    if not made:
+        warn("nothing differs between runs; for paths from above: --only runs,trajectories")
 
 
 def parse_width(text: str) -> float:
@@ -239,6 +264,28 @@ def parse_width(text: str) -> float:
     if not _NARROWEST <= inches <= _WIDEST:
         raise ConfigError(f"--width {text!r}: expected 2in to 20in, such as 3.5in, 89mm or 252pt")
     return inches
+
+
+def parse_kinds(text: str) -> tuple[str, ...]:
+    """The kinds of pictures of `--only A,B`; ConfigError for an unknown one."""
+    from swarmd.sim.plots.figures import KINDS
+
+    found = tuple(text.split(","))
+    for one in found:
+        if one not in KINDS:
+            raise ConfigError(f"--only: {unknown('picture', one, KINDS)}")
+    return found
+
+
+def parse_labels(words: Sequence[str]) -> Mapping[str, str]:
+    """The texts of `--label NAME=TEXT`; ConfigError for another text."""
+    found = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        if not name or not text.strip():
+            raise ConfigError(f"--label {word!r}: expected such as range='lidar range [m]'")
+        found[name] = text.strip()
+    return found
 
 
 def parse_targets(words: Sequence[str]) -> Mapping[str, float]:

@@ -1,9 +1,9 @@
-"""Which metrics differ between two experiments, by how much, and how certain that is."""
+"""Which metrics differ between experiments or variants, by how much, and how certain that is."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,9 +15,13 @@ from swarmd.sim.experiments.statistics import (
     LEVEL,
     Interval,
     difference_interval,
+    difference_p,
+    holm,
     interval,
+    logrank_p,
     mean_interval,
     number,
+    restricted,
 )
 from swarmd.sim.metrics.metric import Metric
 
@@ -40,8 +44,11 @@ class Difference:
     only the seeds with a value on both sides. A mean is None if its own side has no such run,
     `difference` if either has none, `interval` also with fewer than two pairs or runs on a side.
     `better` is the better side; None if the sides do not differ,
-    or if neither direction is good as such. `never_a` and `never_b` count the runs in which the
-    event of a time to an event never happened; with such runs there is no difference of means.
+    or if neither direction is good as such. `p`: that there is no difference; `p_holm`: corrected
+    for all metrics of the comparison.
+
+    `never_a` and `never_b` count the runs in which the event of a time to an event never happened.
+    With such runs the means are those up to `horizon` s, and `p` is that of the log-rank test.
     """
 
     metric: str
@@ -56,6 +63,9 @@ class Difference:
     better: Literal["a", "b"] | None = None
     never_a: int = 0
     never_b: int = 0
+    horizon: float | None = None
+    p: float | None = None
+    p_holm: float | None = None
 
     @property
     def differs(self) -> bool:
@@ -65,16 +75,24 @@ class Difference:
     @property
     def conclusion(self) -> str:
         """The result of the comparison in a few words."""
-        if self.never_a or self.never_b:
-            of_a, of_b = self.n_a + self.never_a, self.n_b + self.never_b
-            return f"never: {self.never_a} of {of_a}, {self.never_b} of {of_b}"
         if self.difference is None:
             return "-"
+        text = "differs" if self.better is None else f"{self.better.upper()} is better"
         if self.interval is None:
-            return "too few runs"
-        if not self.differs:
-            return "no difference shown"
-        return "differs" if self.better is None else f"{self.better.upper()} is better"
+            text = "too few runs"
+        elif not self.differs:
+            text = "no difference shown"
+        elif not self.holds:
+            text += ", not after Holm"
+        if self.horizon is None:
+            return text
+        never = f"never: {self.never_a} of {self.n_a}, {self.never_b} of {self.n_b}"
+        return f"{text} up to {self.horizon:g} s; {never}"
+
+    @property
+    def holds(self) -> bool:
+        """Whether the metric differs after Holm's correction, too."""
+        return self.differs and self.p_holm is not None and self.p_holm <= 1.0 - LEVEL
 
 
 def sides(a: str, b: str) -> list[tuple[Side, Side]]:
@@ -120,17 +138,28 @@ def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> li
     the sides are resampled independently.
     """
     both = [name for name in a.results.metrics if name in b.results.metrics]
-    return [_difference(a, b, a.results.about(name)) for name in (both if names is None else names)]
+    found = [_difference(a, b, a.results.about(one)) for one in (both if names is None else names)]
+    return corrected(found)
 
 
-DIFFERENCE_HEADER = ("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT")
+def corrected(found: Sequence[Difference]) -> list[Difference]:
+    """The differences with Holm's correction for all of them."""
+    values = holm([one.p for one in found])
+    return [replace(one, p_holm=p) for one, p in zip(found, values, strict=True)]
+
+
+DIFFERENCE_HEADER = (
+    *("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %"),
+    *("P (HOLM)", "RUNS", "RESULT"),
+)
 
 
 def difference_row(one: Difference) -> tuple[str, ...]:
     """The cells of a table below DIFFERENCE_HEADER."""
     runs = str(one.n_a) if one.n_a == one.n_b else f"{one.n_a}, {one.n_b}"
     numbers = number(one.mean_a), number(one.mean_b), number(one.difference)
-    return (one.metric, one.unit or "-", *numbers, interval(one.interval), runs, one.conclusion)
+    found = interval(one.interval), number(one.p_holm), runs, one.conclusion
+    return (one.metric, one.unit or "-", *numbers, *found)
 
 
 def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:
@@ -140,7 +169,10 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
         "b": b.label,
         "level": LEVEL,
         "differ_by_chance": 0.05 * sum(one.interval is not None for one in differences),
-        "metrics": {one.metric: {**asdict(one), "differs": one.differs} for one in differences},
+        "metrics": {
+            one.metric: {**asdict(one), "differs": one.differs, "holds": one.holds}
+            for one in differences
+        },
     }
 
 
@@ -148,9 +180,12 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     name, unit = metric.name, metric.unit
     left, right = a.results.metric(metric, a.variant), b.results.metric(metric, b.variant)
     never_a, never_b = int(np.isnan(left).sum()), int(np.isnan(right).sum())
+    horizon, p = None, None
     if metric.is_time_to_event and (never_a or never_b):
-        known_a, known_b = left.size - never_a, right.size - never_b
-        return Difference(name, unit, known_a, known_b, never_a=never_a, never_b=never_b)
+        end_a, end_b = _duration(a), _duration(b)
+        horizon = min(end_a, end_b)
+        p = logrank_p(left, right, end_a, end_b)
+        left, right = restricted(left, horizon), restricted(right, horizon)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
@@ -165,6 +200,8 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     better: Literal["a", "b"] | None = None
     if found is not None and metric.better is not None and 0.0 not in found:
         better = "b" if (found.low > 0.0) == (metric.better == "more") else "a"
+    if horizon is None:
+        p = difference_p(left, right, is_paired=is_paired)
     mean_a, mean_b = (float(some.mean()) if some.size else None for some in (left, right))
     return Difference(
         metric=name,
@@ -177,4 +214,14 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         interval=found,
         is_paired=is_paired,
         better=better,
+        never_a=never_a if horizon is not None else 0,
+        never_b=never_b if horizon is not None else 0,
+        horizon=horizon,
+        p=p,
     )
+
+
+def _duration(side: Side) -> float:
+    """The simulated seconds of the runs of one side."""
+    variants = {one.name: one for one in side.results.plan.variants}
+    return float(variants[side.variant].effective["duration"])

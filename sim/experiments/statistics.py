@@ -10,6 +10,10 @@ With few values bootstrap intervals are too narrow (Efron & Tibshirani 1993, cha
 here with normal and exponential values, 95 % intervals of a mean hold it in 79 % of the cases
 with 5 values, in 87 % with 10, and in 92 % with 20.
 
+The p of a difference of means is that of a permutation test (Ernst, "Permutation Methods",
+Statistical Science 19, 2004), that of times to an event which some runs never reach of the log-rank
+test. Holm's correction holds for all metrics of a comparison together.
+
 scipy.stats does the work. It is imported on the first interval: it takes most of a second.
 """
 
@@ -28,6 +32,7 @@ from swarmd.sim.metrics.metric import Metric
 
 LEVEL = 0.95
 RESAMPLES = 5000
+PERMUTATIONS = 9999  # the least p is 1e-4
 FEW = 10
 """With fewer values than so many, intervals are much too narrow."""
 METHOD = (
@@ -124,6 +129,99 @@ def difference_interval(a: Array, b: Array) -> Interval | None:
         return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
 
     return _bootstrap((a, b), difference, "percentile")
+
+
+def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
+    """The two-sided p that means do not differ, by exchange of values (n,) between a and b.
+
+    `is_paired`: values are exchanged within each pair. All exchanges are made if they are at most
+    PERMUTATIONS, else so many random ones. None below two values on a side.
+    """
+    from scipy.stats import permutation_test
+
+    if min(a.size, b.size) < 2 or not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return None
+
+    def difference(a: Array, b: Array, axis: int) -> Array:
+        return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
+
+    found = permutation_test(
+        (a, b),
+        difference,
+        permutation_type="samples" if is_paired else "independent",
+        vectorized=True,
+        n_resamples=PERMUTATIONS,
+        batch=max(1, _BATCH // (a.size + b.size)),
+        rng=np.random.default_rng([_SEED, 1]),
+    )
+    return float(found.pvalue)
+
+
+def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
+    """The two-sided p that times to an event (n,) have one distribution; NaN: not until the end.
+
+    The log-rank test: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports 50, 1966.
+    It counts pairs as independent runs. None below two runs on a side, and without any event.
+    """
+    from scipy.stats import CensoredData, logrank
+
+    if min(a.size, b.size) < 2 or not np.isfinite(np.concatenate((a, b))).any():
+        return None
+    both = [
+        CensoredData(uncensored=x[~np.isnan(x)], right=np.full(int(np.isnan(x).sum()), end))
+        for x, end in ((a, end_a), (b, end_b))
+    ]
+    return float(logrank(*both).pvalue)
+
+
+def restricted(times: Array, horizon: float) -> Array:
+    """The part (n,) of each time to an event up to `horizon`; NaN is an event after it.
+
+    Their mean is the restricted mean time: the area under the survival curve up to `horizon`
+    (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013). All runs must last until
+    then.
+    """
+    return np.minimum(np.where(np.isnan(times), np.inf, times), horizon)
+
+
+def holm(found: Sequence[float | None]) -> list[float | None]:
+    """The p of several tests, each corrected for all: Holm, Scand. J. Statist. 6, 1979.
+
+    If each below 0.05 is called a finding, any of them is false with a probability below 0.05.
+    """
+    known = sorted((p, index) for index, p in enumerate(found) if p is not None)
+    corrected: list[float | None] = [None] * len(found)
+    least = 0.0
+    for rank, (p, index) in enumerate(known):
+        least = max(least, min(1.0, (len(known) - rank) * p))
+        corrected[index] = least
+    return corrected
+
+
+def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
+    """The p that two factors add up: values (rows, columns, n) of n runs for each combination.
+
+    The F test of the two-way analysis of variance with the same n everywhere (Montgomery, Design
+    and Analysis of Experiments, chapter 5.3). `has_blocks`: the k-th runs of all cells share a
+    seed, whose common effect does not count as scatter. None for one run a cell, or without
+    scatter.
+    """
+    from scipy.stats import f as distribution
+
+    rows, columns, n = cells.shape
+    means, all_mean = cells.mean(axis=2), cells.mean()
+    added = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
+    scatter = cells - means[:, :, None]
+    degrees = rows * columns * (n - 1)
+    if has_blocks:
+        scatter = scatter - (cells.mean(axis=(0, 1)) - all_mean)
+        degrees -= n - 1
+    freedom = (rows - 1) * (columns - 1)
+    error = float((scatter**2).sum())
+    if not freedom or not degrees or error <= 1e-24 * float((cells**2).sum()):
+        return None
+    ratio = n * float(((means - added) ** 2).sum()) / freedom / (error / degrees)
+    return float(distribution.sf(ratio, freedom, degrees))
 
 
 @cache

@@ -41,6 +41,7 @@ def series_figure(
     events: Sequence[tuple[float, str]] = (),
     smoothing: float = 0.0,
     width: float | None = None,
+    axis: str = "",
 ) -> Figure:
     """A picture of a metric over time, with a panel for each facet.
 
@@ -49,7 +50,7 @@ def series_figure(
     fewer than 20); with many variants there are fewer bands. If all values are 0 or 1, the line is
     the share of runs at 1 and the band its 95 % interval. `target` is a dashed line, `events` are
     dotted lines at times in s, with a label. `smoothing`: s over which each run is averaged first.
-    `width`: in inches, for a paper. SwarmError without values.
+    `width`: in inches, for a paper. `axis` names the legend. SwarmError without values.
     """
     kept = {panel: _smoothed(groups, smoothing) for panel, groups in facets.items()}
     kept = {panel: groups for panel, groups in kept.items() if groups}
@@ -74,7 +75,7 @@ def series_figure(
     reading = _reading([runs for groups in kept.values() for runs in groups.values()],
                        len(legend.counts), is_share=is_share)  # fmt: skip
     text = f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]"
-    return finish_series(figure, panels, text, title, reading + note, legend, width)
+    return finish_series(figure, panels, text, title, reading + note, legend, width, axis)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +132,9 @@ def finish_series(
     reading: str,
     legend: Legend,
     width: float | None,
+    axis: str = "",
 ) -> Figure:
-    """Name the axes, and add title, legend and how to read the figure."""
+    """Name the axes, and add title, legend (named `axis`) and how to read the figure."""
     first = panels[0]
     for axes in panels:
         if axes.get_subplotspec().is_last_row():  # type: ignore[union-attr]
@@ -153,7 +155,7 @@ def finish_series(
         style: Any = {"frameon": False, "fontsize": 9, "borderaxespad": 0.2}
         where: Any = "outside right upper" if width is None else "outside upper left"
         kept = [text for text in map(legend.text, legend.counts) if text in lines]
-        figure.legend([lines[text] for text in kept], kept, loc=where, **style)
+        figure.legend([lines[text] for text in kept], kept, loc=where, title=axis or None, **style)
     return fit(figure, width)
 
 

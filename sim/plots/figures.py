@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from string import ascii_lowercase
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
 from swarmd.settings.layered import Layered
 from swarmd.sim.experiments.compare import Side, compare
@@ -36,16 +37,25 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
+STATISTICS = ("intervals", "differences", "survival", "over_time")
+KINDS = (*STATISTICS, "runs", "trajectories")
+"""The kinds of pictures; the last two are of traces seen from above."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
     """How the pictures of an experiment are drawn.
 
     `suffix`: .png, .svg or .pdf. `width` in inches: for a paper, with texts and lines of that size
-    and without titles. `facet`: a swept key, with a panel for each of its values. `targets` are
-    by metric.
+    and without titles, of panels of a `facet` too, which have letters. `facet`: a swept key, with
+    a panel for each of its values. `targets` are by metric; `labels`, such as `lidar range [m]`, by
+    metric or swept key. `only`: the kinds of pictures, of KINDS; None: STATISTICS, and all where
+    seeds are chosen.
     """
 
     suffix: str = ".png"
+    only: Collection[str] | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
     width: float | None = None
     facet: str | None = None
     targets: Mapping[str, float] = field(default_factory=dict)
@@ -61,22 +71,25 @@ def draw_experiment(
 ) -> list[Path]:
     """Draw what an experiment's folder holds into `out`, by default its `plots`; the files made.
 
-    For each variant: all runs in one picture, and a typical run (nearest to the median) and the
-    worst run, with their starts and ends. Where neither direction of the metric is good as such,
-    the least typical run is drawn instead of the worst. For all variants together: metrics run by
-    run and over time, times to events as survival curves, and differences from the first variant.
+    For all variants together: metrics run by run and over time, times to events as survival curves,
+    and differences from the first variant. With `look.only` or `seeds` also for each variant: all
+    runs in one picture, and a typical run (nearest to the median) and the worst run, with their
+    starts and ends. Where neither direction of the metric is good as such, the least typical run
+    is drawn instead of the worst.
     What has one value in all runs is not drawn.
 
     `metrics` replaces the default ones; the first of them selects the typical run. `seeds` limits
     the runs. A trace that is missing or damaged gives one warning. ConfigError for an unknown
     metric, seed, facet or folder, SwarmError if no run has finished.
     """
-    gallery = _Gallery(folder, out, metrics, seeds, look or Look())
-    made = gallery.intervals() + gallery.differences() + gallery.survival()
-    for variant in gallery.variants:
-        made += gallery.overview(variant)
-        made += gallery.chosen_runs(variant)
-    return made + gallery.over_time()
+    look = look or Look()
+    kinds = look.only if look.only is not None else STATISTICS if seeds is None else KINDS
+    gallery = _Gallery(folder, out, metrics, seeds, look)
+    made: list[Path] = []
+    for kind in KINDS:
+        if kind in kinds:
+            made += gallery.draw(kind)
+    return made
 
 
 def compared_over_time(
@@ -123,13 +136,46 @@ class _Gallery:
         self._runs = _chosen(self._results, folder, seeds)
         self._primary = select.primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
-        self._facets = select.facets_of(self._results.plan, look.facet, self._scenario)
+        self._check_labels()
+        self._facets = _lettered(
+            select.facets_of(self._results.plan, look.facet, self._scenario, look.labels), look
+        )
         self._warned: set[str] = set()
         names = {run.variant.name for run in self._runs}
         self.variants = [name for name in self._results.variants if name in names]
         self._has_traces = (folder / "traces").is_dir()
         if not self._has_traces:
             _log.warning("%s: no traces were kept; what needs them is not drawn", folder)
+
+    def draw(self, kind: str) -> list[Path]:
+        """All pictures of a kind of KINDS."""
+        match kind:
+            case "intervals":
+                return self.intervals()
+            case "differences":
+                return self.differences()
+            case "survival":
+                return self.survival()
+            case "over_time":
+                return self.over_time()
+            case "runs":
+                return [path for one in self.variants for path in self.overview(one)]
+            case _:
+                return [path for one in self.variants for path in self.chosen_runs(one)]
+
+    def _check_labels(self) -> None:
+        swept = self._results.plan.sweep
+        known = {*swept, *(key.rpartition(".")[2] for key in swept), *self._results.metrics}
+        known |= {one.name for one in self._metrics or ()}
+        for name in self._look.labels:
+            if name not in known:
+                raise ConfigError(f"--label: {unknown('swept key or metric', name, known)}")
+
+    def _quantity(self, metric: Metric, name: str = "") -> select.Quantity:
+        """What the axis of a metric shows; `name` in place of the metric's own."""
+        text = self._look.labels.get(metric.name)
+        own = select.Quantity(select.label_of(name or metric.name), metric.unit)
+        return own if text is None else select.Quantity.parse(text)
 
     def intervals(self) -> list[Path]:
         """Metrics run by run."""
@@ -139,8 +185,9 @@ class _Gallery:
                 shown = {self._facets[v].label: self._values(one, v) for v in variants}
                 if not self._has_spread(one, panel, list(shown.values())):
                     continue
+                shown_as = self._quantity(one)
                 panels.append(
-                    Panel(label=_joined(select.label_of(one.name), panel), unit=one.unit,
+                    Panel(label=_joined(shown_as.name, panel), unit=shown_as.unit,
                           values=shown,
                           is_share=one.unit == YES_OR_NO,
                           target=self._look.targets.get(one.name),
@@ -148,8 +195,8 @@ class _Gallery:
                 )  # fmt: skip
         if not panels:
             return []
-        return [self._save(intervals_figure(panels, self._scenario, width=self._look.width),
-                           "intervals")]  # fmt: skip
+        figure = intervals_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
+        return [self._save(figure, "intervals")]
 
     def differences(self) -> list[Path]:
         """The difference of each variant from the first, by metric."""
@@ -165,11 +212,12 @@ class _Gallery:
                     for v in others
                 }
                 if any(d.interval and d.interval != (0.0, 0.0) for d in found.values()):
-                    label = _joined(select.label_of(one.name), panel)
-                    panels.append(DifferencePanel(label, one.unit, found))
+                    shown_as = self._quantity(one)
+                    label = _joined(shown_as.name, panel)
+                    panels.append(DifferencePanel(label, shown_as.unit, found))
         if not panels:
             return []
-        figure = differences_figure(panels, self._scenario, width=self._look.width)
+        figure = differences_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
         return [self._save(figure, "differences")]
 
     def survival(self) -> list[Path]:
@@ -191,9 +239,10 @@ class _Gallery:
             if one.is_time_to_event and has_event:
                 figure = survival_figure(
                     facets,
-                    label=select.label_of(one.name),
+                    label=self._quantity(one).name,
                     title=self._scenario,
                     width=self._look.width,
+                    axis=self._axis,
                 )
                 made.append(self._save(figure, f"survival_{one.name}"))
         return made
@@ -248,10 +297,12 @@ class _Gallery:
         made = []
         for one in metrics:
             if _varies(found[one.name]):
+                shown_as = self._quantity(one, select.stem_of(one.name))
                 figure = series_figure(
                     found[one.name],
-                    label=select.label_of(select.stem_of(one.name)),
-                    unit=one.unit,
+                    label=shown_as.name,
+                    unit=shown_as.unit,
+                    axis=self._axis,
                     title=self._scenario,
                     target=self._look.targets.get(one.name),
                     events=next(iter(events)) if len(events) == 1 else (),
@@ -292,6 +343,11 @@ class _Gallery:
             self._warned.add(run.id)
             _log.warning("%s; the run is left out", problem)
         return None
+
+    @property
+    def _axis(self) -> str:
+        """What the labels of variants are values of."""
+        return next(iter(self._facets.values())).axis
 
     def _by_panel(self) -> dict[str, list[str]]:
         """The drawn variants of each panel."""
@@ -380,5 +436,15 @@ def _varies(facets: Mapping[str, Mapping[str, Sequence[Series]]]) -> bool:
     return bool(known) and bool(np.ptp(np.concatenate(known)) > 0.0)
 
 
+def _lettered(facets: Mapping[str, select.Facet], look: Look) -> dict[str, select.Facet]:
+    """The facets; for a paper their panels are (a), (b), and one line tells which is which."""
+    panels = [panel for panel in dict.fromkeys(one.panel for one in facets.values()) if panel]
+    if look.width is None or not panels:
+        return dict(facets)
+    letters = {panel: f"({ascii_lowercase[k % 26]})" for k, panel in enumerate(panels)}
+    _log.warning("panels: %s", ", ".join(f"{letter} {p}" for p, letter in letters.items()))
+    return {name: replace(one, panel=letters[one.panel]) for name, one in facets.items()}
+
+
 def _joined(label: str, panel: str) -> str:
-    return f"{label}, {panel}" if panel else label
+    return f"{panel} {label}" if panel.startswith("(") else f"{label}, {panel}" if panel else label

@@ -40,14 +40,14 @@ class Panel:
 
 
 def intervals_figure(
-    panels: Sequence[Panel], title: str = "", *, width: float | None = None
+    panels: Sequence[Panel], title: str = "", *, width: float | None = None, axis: str = ""
 ) -> Figure:
     """A picture of metrics by variant.
 
     One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
     with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
-    runs have the median of all runs instead. `width`: in inches, for a paper.
-    SwarmError if there is nothing to draw.
+    runs have the median of all runs instead. `width`: in inches, for a paper. `axis` names the
+    rows. SwarmError if there is nothing to draw.
     """
     if not panels:
         raise SwarmError("no metric has values: nothing to draw")
@@ -59,6 +59,7 @@ def intervals_figure(
     figure, grid = grid_of_panels(len(panels), labels, width)
     for axes, panel in zip(grid, panels, strict=True):
         _paint_panel(axes, panel, runs)
+    _name_rows(grid, axis)
     figure.suptitle(title, fontsize=11, gid=NOTE)
     figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
@@ -96,6 +97,12 @@ def prepare_rows(axes: Axes, labels: Sequence[str]) -> None:
     axes.set_yticks(range(len(labels)), labels, fontsize=9)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(labels) - 0.5, -0.6)
+
+
+def _name_rows(grid: Sequence[Axes], axis: str) -> None:
+    for axes in grid if axis else ():
+        if axes.get_subplotspec().is_first_col():  # type: ignore[union-attr]
+            axes.set_ylabel(axis, fontsize=9)
 
 
 def _row_label(name: str, runs: int) -> str:
@@ -179,12 +186,16 @@ class DifferencePanel:
 
 
 def differences_figure(
-    panels: Sequence[DifferencePanel], title: str = "", *, width: float | None = None
+    panels: Sequence[DifferencePanel],
+    title: str = "",
+    *,
+    width: float | None = None,
+    axis: str = "",
 ) -> Figure:
     """A picture of the differences of means with their 95 % intervals; filled: 0 is excluded.
 
-    One panel a metric, one row a variant. `width`: in inches, for a paper. SwarmError if there is
-    no difference.
+    One panel a metric, one row a variant. `width`: in inches, for a paper. `axis` names the rows.
+    SwarmError if there is no difference.
     """
     if not panels:
         raise SwarmError("no metric has differences: nothing to draw")
@@ -192,6 +203,7 @@ def differences_figure(
     figure, grid = grid_of_panels(len(panels), rows, width)
     for axes, panel in zip(grid, panels, strict=True):
         _paint_differences(axes, panel, rows)
+    _name_rows(grid, axis)
     is_paired = any(one.is_paired for panel in panels for one in panel.of.values())
     how = "paired by seed" if is_paired else "independent samples"
     figure.suptitle(title, fontsize=11, gid=NOTE)

@@ -10,7 +10,10 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
-from swarmd.sim.experiments.plan import Plan, shown
+from swarmd.kit.params import schema
+from swarmd.pattern_host.loader import PatternLoader
+from swarmd.plugins import pattern_names
+from swarmd.sim.experiments.plan import Plan, Variant, shown
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.metrics.catalog import METRICS, Better, Metric
 from swarmd.sim.trace import Trace
@@ -144,35 +147,99 @@ def _label(event: Mapping[str, Any], n: int) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Quantity:
+    """What an axis shows: its name and unit, which may be empty. Swept keys and metrics."""
+
+    name: str
+    unit: str = ""
+
+    @staticmethod
+    def parse(text: str) -> Quantity:
+        """That of `lidar range [m]`."""
+        name, _, unit = text.partition("[")
+        return Quantity(name.strip(), unit.strip().removesuffix("]")) if unit else Quantity(text)
+
+    def __str__(self) -> str:
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def at(self, value: Any) -> str:
+        """The quantity with a value."""
+        return f"{self.name}={shown(value)} {self.unit}".rstrip()
+
+
+def swept_quantities(plan: Plan, labels: Mapping[str, str]) -> dict[str, Quantity]:
+    """What each swept key of a plan is, by its whole name; `labels` by key, or its last part."""
+    found = {}
+    for key in plan.sweep:
+        short = key.rpartition(".")[2]
+        text = labels.get(key, labels.get(short))
+        found[key] = Quantity.parse(text) if text else Quantity(short, _unit_of(plan, key))
+    return found
+
+
+def _unit_of(plan: Plan, key: str) -> str:
+    """The unit of a swept key: of a parameter as its pattern declares it; else of a few keys."""
+    *_, kind, name = ("", *key.split("."))
+    if kind != "parameters":
+        return _UNITS.get(key, "")
+    group = key.split(".")[1]
+    patterns = {
+        one.effective.get("groups", {}).get(group, {}).get("pattern") for one in plan.variants
+    }
+    origins = pattern_names(None)
+    for pattern in sorted(patterns & origins.keys()):
+        origin = origins[pattern]
+        load = PatternLoader({pattern: (origin.value, origin.is_file)})
+        for one in schema(load(pattern).params_type) if not origin.is_file else ():
+            if one.name == name:
+                return one.unit
+    return ""
+
+
+_UNITS = {"duration": "s", "radio.range": "m", "start.clearance": "m"}
+
+
+@dataclass(frozen=True, slots=True)
 class Facet:
-    """The panel of a variant, empty without facets, and what distinguishes it in the panel."""
+    """The panel of a variant, empty without facets, and what distinguishes it in the panel.
+
+    `axis` names what the labels of all variants are values of; empty if they name it themselves.
+    """
 
     panel: str
     label: str
+    axis: str = ""
 
 
-def facets_of(plan: Plan, key: str | None, alone: str) -> dict[str, Facet]:
+def facets_of(
+    plan: Plan, key: str | None, alone: str, labels: Mapping[str, str] | None = None
+) -> dict[str, Facet]:
     """The facet of each variant by its name.
 
     With a swept `key`, or its last part, there is a panel for each of its values. `alone` is the
-    label of a variant that nothing else distinguishes. ConfigError with the nearest key if it was
-    not swept.
+    label of a variant that nothing else distinguishes; `labels` name swept keys. ConfigError with
+    the nearest key if it was not swept.
     """
+    quantities = swept_quantities(plan, labels or {})
     if key is None:
-        return {one.name: Facet("", one.name or alone) for one in plan.variants}
+        return {one.name: _facet("", one, quantities, alone) for one in plan.variants}
     short = {name.rpartition(".")[2]: name for name in plan.sweep}
     full = key if key in plan.sweep else short.get(key)
     if full is None:
         if not plan.sweep:
             raise ConfigError(f"--facet {key}: nothing was swept; run with --sweep {key}=A,B")
         raise ConfigError(f"--facet: {unknown('swept key', key, (*plan.sweep, *short))}")
-    own = full.rpartition(".")[2]
-    found = {}
-    for one in plan.variants:
-        rest = [
-            f"{name.rpartition('.')[2]}={shown(value)}"
-            for name, value in one.values.items()
-            if name != full
-        ]
-        found[one.name] = Facet(f"{own}={shown(one.values[full])}", ",".join(rest) or alone)
-    return found
+    own = quantities.pop(full)
+    return {
+        one.name: _facet(own.at(one.values[full]), one, quantities, alone) for one in plan.variants
+    }
+
+
+def _facet(panel: str, one: Variant, quantities: Mapping[str, Quantity], alone: str) -> Facet:
+    """The facet of a variant that the values of `quantities` distinguish in its panel."""
+    if len(quantities) == 1:
+        ((key, quantity),) = quantities.items()
+        if isinstance(one.values[key], int | float):
+            return Facet(panel, shown(one.values[key]), str(quantity))
+    rest = [quantity.at(one.values[key]) for key, quantity in quantities.items()]
+    return Facet(panel, ", ".join(rest) or alone)

@@ -79,11 +79,13 @@ def survival_figure(
     label: str,
     title: str = "",
     width: float | None = None,
+    axis: str = "",
 ) -> Figure:
     """A picture of the share of runs that have not had an event yet, over time.
 
     A panel for each facet, with one line a variant and a small stroke where a run ended without the
     event; up to three variants have bands of the 95 % interval. `width`: in inches, for a paper.
+    `axis` names the legend.
     SwarmError without a run.
     """
     kept = {
@@ -105,7 +107,9 @@ def survival_figure(
     panels[0].set_xlim(0.0, float(max(ends)))
     band = ", band: its 95 % interval" if has_band else ""
     reading = f"Kaplan-Meier{band}; stroke: a run ended without it"
-    return finish_series(figure, panels, f"{label}: share not yet", title, reading, legend, width)
+    return finish_series(
+        figure, panels, f"{label}: share not yet", title, reading, legend, width, axis
+    )
 
 
 def _paint(axes: Axes, curve: Curve, index: int, label: str, *, has_band: bool) -> None:

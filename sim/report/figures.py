@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, TYPE_CHECKING
 
 from swarmd.sim.metrics.metric import Metric
-from swarmd.sim.plots.figures import draw_experiment
+from swarmd.sim.plots.figures import KINDS, Look, draw_experiment
 from swarmd.sim.plots.theme import DPI
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ class Figure:
 def figures_of(folder: Path, metrics: Sequence[Metric] | None = None) -> list[Figure]:
     """The figures of an experiment; errors as of `draw_experiment`."""
     with TemporaryDirectory(prefix="swarmd-report-") as place:
-        return [_figure(path) for path in draw_experiment(folder, Path(place), metrics=metrics)]
+        made = draw_experiment(folder, Path(place), metrics=metrics, look=Look(only=KINDS))
+        return [_figure(path) for path in made]
 
 
 def _figure(path: Path) -> Figure:

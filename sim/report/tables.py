@@ -8,13 +8,8 @@ from html import escape
 import numpy as np
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.experiments.compare import (
-    DIFFERENCE_HEADER,
-    Difference,
-    Side,
-    compare,
-    difference_row,
-)
+from swarmd.sim.experiments import sweep
+from swarmd.sim.experiments.compare import DIFFERENCE_HEADER, Difference, difference_row
 from swarmd.sim.experiments.manifest import Manifest
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import HEADER, summary_rows
@@ -60,16 +55,34 @@ def _has_value(results: Results, metric: Metric) -> bool:
 
 
 def differences_tables(results: Results, metrics: Sequence[Metric]) -> str:
-    """How each variant of a sweep differs from the first."""
-    sides = [Side(name, results, name) for name in results.variants if results.seeds(name)]
-    parts = []
-    for side in sides[1:]:
-        found = compare(sides[0], side, metrics)
-        paired = "paired by seed" if any(one.is_paired for one in found) else "independent samples"
-        parts.append(f"<h3>B: {escape(side.label)}, and A: {escape(sides[0].label)}</h3>")
-        parts.append(f'<p class="dim">{paired}; 95 % bootstrap intervals of B - A</p>')
-        parts.append(_differences(found))
+    """How variants of a sweep differ from the first, and how two swept keys add up; or empty."""
+    names = [name for name in results.variants if results.seeds(name)]
+    if len(names) < 2:
+        return ""
+    parts = [
+        _plain(*sweep.variants_table(results, metrics)),
+        f'<p class="dim">{sweep.READING}</p>',
+    ]
+    if found := sweep.factors(results, metrics):
+        rows = [row for one in found for row in sweep.marginal_rows(one)]
+        parts += ["<h3>Each swept key</h3>", _plain(sweep.MARGINAL_HEADER, rows)]
+        rows = [sweep.interaction_row(one) for one in found]
+        parts += ["<h3>Interaction of both keys</h3>", _plain(sweep.INTERACTION_HEADER, rows)]
+    for name, differences in zip(names[1:], sweep.first_and_others(results, metrics), strict=True):
+        paired = any(one.is_paired for one in differences)
+        how = "paired by seed" if paired else "independent samples"
+        parts.append(f"<h3>B: {escape(name)}, and A: {escape(names[0])}</h3>")
+        text = (
+            f"{how}; 95 % bootstrap intervals of B - A; p with Holm's correction for all variants"
+        )
+        parts += [f'<p class="dim">{text}</p>', _differences(differences)]
     return "\n".join(parts)
+
+
+def _plain(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are texts."""
+    cells = [(_breakable(first), *map(escape, rest)) for first, *rest in rows]
+    return table(head, cells, "differences")
 
 
 def contacts_table(results: Results) -> str:

@@ -35,6 +35,7 @@ def _clipped(value: cython.double, limit: cython.double) -> cython.double:
     return limit if value > 0.0 else -limit
 
 
+@cython.auto_pickle(False)
 @cython.cclass
 class Bases:
     """The bases of n robots: delay, acceleration caps and servos, on MuJoCo's own memory.
@@ -171,6 +172,7 @@ def _accelerations(platform):
     return linear, value(platform, "angular_acceleration"), linear
 
 
+@cython.auto_pickle(False)
 @cython.cclass
 class Wheels:
     """Odometry of n bases: `measured` (n, 3, 3), and the poses (n, 3) that `read` brings on."""

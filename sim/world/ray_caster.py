@@ -63,6 +63,7 @@ _WIDE = cython.declare(cython.double, 1.5)  # rad: half of a sector that is take
 _BLOCK = cython.declare(cython.Py_ssize_t, BLOCK)
 
 
+@cython.auto_pickle(False)
 @cython.cclass
 class Caster:
     """Casts the rays of one kind of sensor; a grid finds the bodies within its reach."""
@@ -507,6 +508,7 @@ class Caster:
         return low
 
 
+@cython.auto_pickle(False)
 @cython.cclass
 class Errors:
     """The errors of all sensors with one number of rays, and the encoding by their drivers.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,9 +19,6 @@ from swarmd.texts.values import NOTHING
 if TYPE_CHECKING:
     from swarmd.recording.reader import RecordedFile
     from swarmd.replay.replay import Parity
-
-_LEAST_SHARE = 0.999
-"""Of equal commands, below which a replay does not match: rounding may move a deadline."""
 
 
 @click.command()
@@ -39,9 +37,9 @@ def replay(
     """Repeat a recorded run without a robot, and compare its commands with the recorded ones.
 
     FILE: a recording (.mcap), its parts in their order, or the folder of one robot. Recordings of
-    several lives of a daemon are repeated one after the other; a life that begins in a run is left
-    out. `safe` compares what protection commanded, `requested` what the pattern asked for. The exit
-    code is 1 if fewer than 99.9 % of them are equal.
+    several lives of a daemon are repeated one after the other. `safe` compares what protection
+    commanded, `requested` what the pattern asked for. The exit code is 1 unless all of them are
+    equal to the bit.
     """
     from swarmd.plugins import check_single, need, pattern_names, places_of
 
@@ -66,7 +64,7 @@ def replay(
                 raise
             warn(f"{error}; it is left out")
     head, parity = done[0][0], total(parity for _, parity in done)
-    is_equal = all(one.share >= _LEAST_SHARE for one in (parity.safe, parity.requested))
+    is_equal = parity.safe.is_equal and parity.requested.is_equal
     if options.is_json:
         _print_json(head.robot, parity, is_equal)
     else:
@@ -89,14 +87,12 @@ def _files(given: tuple[Path, ...]) -> list[RecordedFile]:
 
 
 def _print_json(robot: str, parity: Parity, is_equal: bool) -> None:
-    from swarmd.replay.replay import TOLERANCE
-
     content = {
         name: fields(one, "count", "equal", "largest", "first")
         for name, one in (("safe", parity.safe), ("requested", parity.requested))
     }
     more = {"robot": robot, "seconds": parity.seconds, "notes": list(parity.notes)}
-    print_json("Replay", {**more, **content, "tolerance": TOLERANCE, "is_equal": is_equal})
+    print_json("Replay", {**more, **content, "is_equal": is_equal})
 
 
 def _print_table(parity: Parity) -> None:
@@ -104,7 +100,7 @@ def _print_table(parity: Parity) -> None:
         (
             name,
             str(one.count),
-            f"{one.share:.2%}",
+            f"{math.floor(1e4 * one.share) / 1e2:.2f}%",  # 100 % are all of them
             f"{one.largest:.3g}",
             NOTHING if one.first is None else f"{one.first:.2f} s",
         )

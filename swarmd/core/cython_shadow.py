@@ -75,7 +75,7 @@ class _Declared:
 
 
 double = float = _Type(0.0)
-int = longlong = Py_ssize_t = uchar = _Type(0)
+int = longlong = Py_ssize_t = uchar = short = _Type(0)
 bint = _Type(False)
 const = _Const()
 
@@ -104,6 +104,11 @@ def exceptval(value: Any = None, *, check: bool = False) -> Callable[[_Function]
 
 
 boundscheck = exceptval
+
+
+def auto_pickle(value: bool) -> Callable[[type], Any]:
+    """No class of Python needs it."""
+    return lambda kind: kind
 
 
 def cclass(kind: type) -> Any:

@@ -52,6 +52,7 @@ from swarmd.recording.head import RecordingHead
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.reader import clock_of
 from swarmd.robot.actions import Actions
+from swarmd.robot.memory import remember
 from swarmd.robot.robot import Robot
 from swarmd.settings.swarmfile import RecordingSection
 
@@ -116,6 +117,7 @@ class Recorder:
         self._entries: list[frames.Entry] = []
         self._lasting: dict[type[Input], Input] = {}  # those with which a recording begins
         self._scans: dict[type[Input], Scan] = {}  # the last one of each kind
+        self._is_memory_due = False  # the next input is preceded by what the robot knows
         self._logged_to = -1.0  # s since the daemon started: the last event that is recorded
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
@@ -154,6 +156,7 @@ class Recorder:
         )
         for input in list(self._lasting.values()):
             self.input(input, at)
+        self._is_memory_due = True
 
     def stop(self) -> None:
         """Send what is left; the process finishes its file and ends."""
@@ -176,6 +179,8 @@ class Recorder:
             if type(input) in _LASTING:
                 self._lasting[type(input)] = input
             return robot.step(input, now)
+        if self._is_memory_due:
+            self._memory(robot, now)
         self.input(input, now)
         actions = robot.step(input, now)
         if actions is not None:
@@ -194,6 +199,14 @@ class Recorder:
             if last is not None and frames.has_geometry_of(scan, last):
                 input = type(input)(frames.without_geometry(scan))
         self.add(frames.input_entry(input, now))
+
+    def _memory(self, robot: Robot, now: float) -> None:
+        """What the robot knows before the present input; 3 ms of CPU."""
+        self._is_memory_due = False
+        try:
+            self.add(frames.MemoryEntry(now, remember(robot, frames.MAX_ENTRY - 100)))
+        except CodecError as error:  # the robot drives on; a replay tells that it lacks the memory
+            self._on_event(f"recording: {error}")
 
     def _decided(self, robot: Robot, input: Input, actions: Actions, now: float) -> None:
         reason = actions.decision.reason or ""
@@ -266,6 +279,7 @@ class Recorder:
 
     def _drop(self, count: int) -> None:
         self._scans = {}  # the directions of rays may have been among them
+        self._is_memory_due = True  # from which a replay goes on
         self.dropped += count
         self._unreported += count
         self._unrecorded += count
@@ -286,6 +300,8 @@ class Recorder:
         if report is None:  # closed: the pidfd tells how it ended
             self._loop.remove_reader(one.socket)
             return
+        # A file may outlive those before it.
+        self._is_memory_due |= report.path != self.report.path and bool(self.report.path)
         self.report = report
         if report.fault:
             one.has_failed = True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterable
 from importlib.metadata import version
+from platform import machine
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
@@ -66,6 +67,7 @@ def recording_head(
         seed=seed,
         version=version("swarmd"),
         kernels=describe_kernels(),
+        machine=machine(),
         platform=settings.platform,
         labels=robot.labels,
         layers={name: values for name, values in layers.items() if values},

@@ -65,6 +65,7 @@ def _check(bearing: cython.double) -> cython.int:
     return 0
 
 
+@cython.auto_pickle(False)
 @cython.cclass
 class NearPoints:
     """Points around the base, prepared for several steps.

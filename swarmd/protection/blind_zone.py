@@ -236,6 +236,10 @@ class BlindZoneMemory:
         self._x = self._y = self._old_x = self._old_y = self._empty_bearing = _NOTHING
         self._hidden_at = self._age = self._near = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
+        self._order = self._first = self._width = self._crossings = self._ray = None
+        self._bearing = self._rising = self._range = self._age_of = self._nearest_of = None
+        self._exact = self._corner = self._turned = self._angle = None
+        self._is_empty = self._inside = self._face_of = self._is_hidden = None
 
     def update(self, scan: Scan, geometry: ScanGeometry, moved: Pose, seconds: float) -> None:
         """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then."""

@@ -47,6 +47,13 @@ class InputEntry(Struct, frozen=True, array_like=True, tag="input"):
     data: bytes
 
 
+class MemoryEntry(Struct, frozen=True, array_like=True, tag="memory"):
+    """All that the robot knows before its next input, as `remember` gives it."""
+
+    at: float
+    data: bytes
+
+
 class DecisionEntry(Struct, frozen=True, array_like=True, tag="decision"):
     """A decision of protection. `cause`: the input that was handled then."""
 
@@ -101,6 +108,7 @@ class DroppedEntry(Struct, frozen=True, array_like=True, tag="dropped"):
 Entry: TypeAlias = (
     Begin
     | InputEntry
+    | MemoryEntry
     | DecisionEntry
     | SentEntry
     | TextEntry

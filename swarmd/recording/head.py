@@ -21,9 +21,9 @@ from swarmd.protection.compatibility import Accepts
 class RecordingHead(Struct, frozen=True, kw_only=True):
     """The robot, and the settings that decide what it does.
 
-    `clock`: which clock, see `core/clock.py`. `layers`: parameters
-    by pattern and source, weakest first. `revision`, `generation`, `latches`, `goals`, and
-    `cleared`, the ids of latches that were reset: of the robot when the recording began.
+    `clock`: which clock, see `core/clock.py`. `machine`: its processor, such as x86_64. `layers`:
+    parameters by pattern and source, weakest first. `revision`, `generation`, `latches`, `goals`,
+    and `cleared`, the ids of latches that were reset: of the robot when the recording began.
     """
 
     robot: str
@@ -34,6 +34,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     seed: int
     version: str
     kernels: str
+    machine: str
     platform: Platform
     labels: tuple[str, ...]
     layers: Mapping[str, Layers]

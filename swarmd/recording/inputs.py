@@ -10,6 +10,8 @@ from swarmd.recording.reader import RecordedMessage
 
 INPUT = "/input"
 """The topic of the bytes of all inputs, in their order."""
+MEMORY = "/memory"
+"""The topic of what the robot knew at the start of a file and after a loss, see robot/memory.py."""
 GEOMETRY = "/geometry"
 """Ends the topic of the directions and ages of a scan's rays, after that of the scan."""
 

@@ -16,7 +16,7 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import whole_file
 from swarmd.recording.clock_offset import Alignment, Exchange, align
 from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
-from swarmd.recording.inputs import INPUT
+from swarmd.recording.inputs import INPUT, MEMORY
 from swarmd.recording.messages import deserialize
 from swarmd.recording.reader import RecordedFile, clock_of, read_file
 from swarmd.recording.writer import METADATA, PROFILE, Channels
@@ -158,7 +158,7 @@ def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]
     alignment, robot = placed.alignment, placed.source.robot
     for _, path in placed.source.files:
         found = read_file(path)
-        shown = (one for one in found.messages if one.topic != INPUT)
+        shown = (one for one in found.messages if one.topic not in (INPUT, MEMORY))
         for one in sorted(shown, key=lambda one: one.at):
             at = one.at
             if alignment is not None:

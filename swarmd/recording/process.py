@@ -25,7 +25,7 @@ from swarmd.core.host_messages import Stepped
 from swarmd.core.values import ZERO, Scan, Value
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import Message
-from swarmd.recording.inputs import GEOMETRY, INPUT
+from swarmd.recording.inputs import GEOMETRY, INPUT, MEMORY
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
 REPORT_PERIOD = 1.0
@@ -58,6 +58,8 @@ class Converter:
         match entry:
             case frames.InputEntry():
                 self._input(entry, stamp)
+            case frames.MemoryEntry():
+                self._write(entry, MEMORY, messages.bytes_message(entry.data, stamp))
             case frames.DecisionEntry():
                 self._write(entry, "/decision", messages.decision_message(entry, stamp))
             case frames.SentEntry():

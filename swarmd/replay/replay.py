@@ -1,15 +1,18 @@
 """Repeats a recorded run: the same inputs at the same times, through the same `Robot`.
 
 Protection is fed with the events of the recorded pattern host, and the pattern with the inputs
-that the robot hands to it, so that a difference of one does not become one of the other. The
-recording must begin before the run that is repeated: what a robot remembered before is unknown.
+that the robot hands to it, so that a difference of one does not become one of the other. The robot
+begins with the memory that the recording has of it. Without that memory, and with other settings,
+a new robot begins, and the recording must begin outside a run.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from platform import machine
 from typing import Any
 
 import msgspec
@@ -17,6 +20,7 @@ import msgspec
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.events import HostInput, Input, RequestInput
 from swarmd.core.host_messages import KillHost, Load, Loaded, SentEvent, StartTrial, Stepped
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.core.verbs import StopRequest
@@ -24,23 +28,21 @@ from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
 from swarmd.recording.head import RecordingHead, head_of
-from swarmd.recording.inputs import InputReader
+from swarmd.recording.inputs import MEMORY, InputReader
 from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.memory import recall
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
-
-TOLERANCE = 1e-6
-"""m/s and rad/s: two commands that differ by less are equal."""
 
 
 @dataclass(slots=True)
 class Compared:
     """Commands of the replay beside recorded ones.
 
-    `largest`: the largest difference in m/s or rad/s, and `first`: the time of the first difference
-    beyond TOLERANCE, in s after the first message.
+    `equal`: to the bit. `largest`: the largest difference in m/s or rad/s, and `first`: the time of
+    the first difference, in s after the first message.
     """
 
     count: int = 0
@@ -58,7 +60,7 @@ class Compared:
         largest = max(map(abs, differences))
         self.count += 1
         self.largest = max(self.largest, largest)
-        if largest <= TOLERANCE:
+        if largest == 0.0:
             self.equal += 1
         elif self.first is None:
             self.first = at
@@ -75,6 +77,11 @@ class Compared:
         """The share of equal commands; 1 without any."""
         return self.equal / self.count if self.count else 1.0
 
+    @property
+    def is_equal(self) -> bool:
+        """Whether all commands are equal."""
+        return self.equal == self.count
+
 
 @dataclass(frozen=True, slots=True)
 class Parity:
@@ -90,9 +97,10 @@ class Parity:
 
 
 class Replay:
-    """One robot, built from the head of its recording; `platform` in place of the recorded one.
+    """One robot: its recorded memory, or a new one from the head of its recording.
 
-    `origins`: where each pattern is found, as in `Load`.
+    `platform` in place of the recorded one. `origins`: where each pattern is found, as in `Load`.
+    `recalls`: the recorded memory can be read.
     """
 
     def __init__(
@@ -101,8 +109,12 @@ class Replay:
         about: Mapping[str, str],
         origins: Mapping[str, tuple[str, bool]],
         platform: Platform | None = None,
+        *,
+        recalls: bool = False,
     ) -> None:
-        self._about = about
+        self._about, self._recalls = about, recalls
+        self._waits = recalls  # for the next memory
+        self._has_pattern = not recalls  # the pattern has been stepped since it was loaded
         self._head, self._platform = head, platform or head.platform
         self._robot: Robot
         self._loader = PatternLoader({})
@@ -118,19 +130,10 @@ class Replay:
 
     def _make_robot(self, now: float) -> Robot:
         head = self._head
-        settings = RobotSettings(
-            driver=head.driver,
-            layers=lambda pattern: head.layers.get(pattern, ()),
-            version=head.version,
-            kernels=head.kernels,
-            labels=head.labels,
-            touch=head.touch,
-            accepts=head.accepts,
-        )
         return Robot(
             head.robot,
             self._platform,
-            settings,
+            settings_of(head),
             seed=head.seed,
             instance=head.instance,
             now=now,
@@ -146,7 +149,9 @@ class Replay:
         for one in recorded:
             now = clock_of(self._about, one.at)
             if self._begin is None:
-                self._begin, self._robot = now, self._make_robot(now)
+                self._begin = now
+                if not self._recalls:
+                    self._robot = self._make_robot(now)
             last = max(last, now - self._begin)
             try:
                 self._take(one, now)
@@ -155,12 +160,20 @@ class Replay:
         return Parity(self.safe, self.requested, last, tuple(self._notes))
 
     def _take(self, one: RecordedMessage, now: float) -> None:
+        input = self._inputs.read(one)  # the directions of rays hold on
         if one.topic == "/dropped":
             at = now - (self._begin or now)
-            self._note(f"at {at:.3f} s entries were dropped; commands after it may differ")
+            self._waits = self._recalls
+            after = "are compared from the next memory on" if self._waits else "may differ"
+            self._note(f"at {at:.3f} s entries were dropped; commands after it {after}")
+        elif one.topic == MEMORY and self._waits:
+            self._robot = recall(memory_in(one), settings_of(self._head))
+            self._actions, self._waits, self._has_pattern = None, False, False
+        elif self._waits:
+            pass
         elif one.topic == "/decision":
             self._compare(messages.deserialize(one.kind, one.payload), now)
-        elif (input := self._inputs.read(one)) is not None:
+        elif input is not None:
             self._step(input, now)
 
     def _step(self, input: Input, now: float) -> None:
@@ -176,6 +189,12 @@ class Replay:
 
     def _compare_requested(self, event: Stepped, now: float) -> None:
         """Compare the pattern's answer with the recorded one, which the robot gets."""
+        if not self._has_pattern:
+            self._note(
+                "a recording has no memory of the pattern that runs when it begins or goes on after"
+                " a loss: what patterns request is compared from the next run on"
+            )
+            return
         own = self._steps.popleft() if self._steps else None
         if isinstance(own, Stepped):
             one, other = own.outputs.twist or ZERO, event.outputs.twist or ZERO
@@ -188,6 +207,9 @@ class Replay:
         self._actions = actions
         command = actions.host
         if command is None or isinstance(command, KillHost | StartTrial):
+            return
+        self._has_pattern |= isinstance(command, Load)
+        if not self._has_pattern:
             return
         if isinstance(command, Load):
             self._loader.begin(self._origins)
@@ -207,7 +229,7 @@ class Replay:
             self._has_parted = True
             self._note(
                 f"at {at:.3f} s the recorded robot is {message.state}, the replayed one"
-                f" {self._robot.state}: the recording begins in a run, or settings differ"
+                f" {self._robot.state}"
             )
         self.safe.add(self._actions.decision.safe, messages.twist_of(message.safe), at)
 
@@ -236,8 +258,51 @@ def repeat(
         raise ConfigError(f"{where}: merged; expected the robot's own recording")
     head = head_of(about, where)
     recorded = [message for one in files for message in one.messages]
-    check_begins_idle(recorded, where)
-    return head, Replay(head, about, origins, platform).run(recorded)
+    notes = [_other_program(head)]
+    fault = "another platform has no memory" if platform else _fault_of_memory(recorded, head)
+    check_beginning(recorded, where, fault)
+    if fault and not platform:
+        notes.append(f"{fault}; what the robot learned before is not repeated")
+    found = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
+    return head, replace(found, notes=(*filter(None, notes), *found.notes))
+
+
+def settings_of(head: RecordingHead) -> RobotSettings:
+    """The settings of the recorded robot."""
+    return RobotSettings(
+        driver=head.driver,
+        layers=lambda pattern: head.layers.get(pattern, ()),
+        version=head.version,
+        kernels=head.kernels,
+        labels=head.labels,
+        touch=head.touch,
+        accepts=head.accepts,
+    )
+
+
+def memory_in(one: RecordedMessage) -> bytes:
+    """The bytes of a message on the topic MEMORY; CodecError if it is malformed."""
+    return bytes(messages.deserialize(one.kind, one.payload).data)
+
+
+def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -> str:
+    """Why the first memory of a recording cannot be read; empty if it can."""
+    first = next((one for one in recorded if one.topic == MEMORY), None)
+    if first is None:
+        return "it has no memory of the robot"
+    try:
+        recall(memory_in(first), settings_of(head))
+    except CodecError as error:
+        return f"its memory of the robot cannot be read here ({error})"
+    return ""
+
+
+def _other_program(head: RecordingHead) -> str:
+    """What the recording program had that this one has not and that moves last bits; or empty."""
+    there = {"version": head.version, "kernels": head.kernels, "processor": head.machine}
+    here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
+    texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]
+    return f"recorded with {'; '.join(texts)}: commands may differ by rounding" if texts else ""
 
 
 def total(parities: Iterable[Parity]) -> Parity:
@@ -252,15 +317,13 @@ def total(parities: Iterable[Parity]) -> Parity:
     return Parity(safe, requested, seconds, tuple(notes))
 
 
-def check_begins_idle(recorded: list[RecordedMessage], where: str) -> None:
-    """ConfigError if the first decision of the recording is of a running robot."""
-    for one in recorded:
-        if one.topic == "/decision":
-            state = messages.deserialize(one.kind, one.payload).state
-            if state == State.RUNNING:
-                raise ConfigError(
-                    f"{where}: the recording begins in a run, so the robot's memory is not in it;"
-                    " expected a recording that was started before `run`"
-                )
-            return
-    raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
+def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> None:
+    """ConfigError without a decision, or with a `fault` if the first one is of a running robot."""
+    first = next((one for one in recorded if one.topic == "/decision"), None)
+    if first is None:
+        raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
+    if fault and messages.deserialize(first.kind, first.payload).state == State.RUNNING:
+        raise ConfigError(
+            f"{where}: the recording begins in a run, and {fault}; expected a recording that was"
+            " started before `run`"
+        )

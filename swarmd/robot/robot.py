@@ -87,7 +87,7 @@ class Robot(Ticker):
         super().__init__()
         self.id = id
         self.platform = platform
-        self._last_tick, self._handlers = now, _HANDLERS
+        self._last_tick, self._handlers = now, HANDLERS
         self._sensors = Sensors(platform, settings.accepts, tells_pose=settings.tells_pose)
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
@@ -426,7 +426,7 @@ class Robot(Ticker):
         return f"{sent}; measured {linear:.2f} m/s, {angular:.2f} rad/s, {age:.1f} s ago"
 
 
-_HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
+HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.ScanInput: Robot._on_scan,
     events.RangesInput: Robot._on_ranges,
     events.OdometryInput: Robot._on_odometry,

@@ -57,6 +57,7 @@ _STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale u
 
 
 @cython.final
+@cython.auto_pickle(False)
 @cython.cclass
 class Effects:
     """The effects of one event at `now`, gathered until the robot settles them into `Actions`.

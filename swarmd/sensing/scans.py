@@ -279,6 +279,7 @@ def _nearest(
     return after
 
 
+@cython.auto_pickle(False)
 @cython.cclass
 class _Layout:
     """The bearings of a scan and what derives from them; buffers for the features of a scan.
@@ -894,6 +895,8 @@ class RayMemory:
         self._step = _TURN / max(len(spec.bearings), 1)
         self._yaw, self._far_returns = NAN, 0
         self._given, self._n = None, 0
+        self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = None
+        self._order = self._place = self._is_zero = self._is_lost = None
 
     def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
         """The conditioned ranges (n,) of a scan; None if it is invalid.
@@ -1279,13 +1282,14 @@ class BlindSectors:
     _y: cython.double[90]
     _streak: cython.int[90]
     _seen_at: cython.double[90]
-    _pending: cython.uchar[8100]
-    _missed: cython.uchar[8100]
+    # short: Cython takes an array of uchar for a text that ends at 0, as a memory is read.
+    _pending: cython.short[8100]
+    _missed: cython.short[8100]
     # Of one look, by direction.
     _rays: cython.int[90]
     _hits: cython.int[90]
     _sums: cython.double[90]
-    _is_known: cython.uchar[90]
+    _is_known: cython.short[90]
 
     def __init__(self, spec: ScanSpec) -> None:
         k: cython.Py_ssize_t
@@ -1299,6 +1303,7 @@ class BlindSectors:
         self._returned_at = memoryview(self._returned)
         for k in range(_SECTORS):
             self._seen_at[k] = -INFINITY
+        self._bearings = self._sector = self._direction = self._is_return = None
 
     def take(
         self, ranges: Array, bearings: Array, odometry: Odometry | None, now: cython.double
@@ -2369,6 +2374,7 @@ class Deskewer:
         self._measured, self._history, self._last_at = measured, history, -INFINITY
         self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
         self._sector = array("d", 3 * [0.0])
+        self._bearings = self._cos = self._sin = self._ages = None
 
     def deskew(
         self, scan: Scan, now: cython.double, odometry_age, delay: cython.double = 0.0

@@ -60,7 +60,7 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
     }
     expected = sorted(view.expected - there.keys())
     unknown = {name: absence(view.members.get(name)) for name in expected}
-    for label, robots in file.labels.items():
+    for label, robots in file.members.items():
         for name in set(robots) - view.members.keys() - unknown.keys():
             unknown[name] = f"labels.{label} names it, and no such robot is known"
     labels = {name: labels_in(file, name) for name in there} if file.labels else {}
@@ -107,7 +107,7 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
 
 def labels_in(file: SwarmFile, robot: str) -> tuple[str, ...]:
     """The labels of a robot in a file, in its order."""
-    return tuple(label for label, robots in file.labels.items() if robot in robots)
+    return tuple(label for label, robots in file.members.items() if robot in robots)
 
 
 def is_like(goal: Goal | None, content: Mapping[str, Any]) -> bool:

@@ -15,7 +15,7 @@ from swarmd.core.bounds import BoundedScalar, Name, ParamValues, Word
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.goal import Validity
 from swarmd.core.keys import check_id
-from swarmd.core.names import expand_globs
+from swarmd.core.names import expand_globs, expand_names
 from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
 from swarmd.kit.touch_config import TouchGrants
@@ -90,9 +90,9 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `identity`: the folder of the identity; by default that of the user, or of the machine, for
       this swarm.
     - `insecure`: without keys, so that anyone on the network can drive the robots.
-    - `roster`: ids of all robots; then an unknown id in this file is an error, and missing robots
-      are reported.
-    - `labels`: names for groups of robots, as targets and for `parameters`.
+    - `roster`: ids of all robots, also ranges such as `tb3-[01-07]`; then an unknown id in this
+      file is an error, and missing robots are reported.
+    - `labels`: names for groups of robots (ids and ranges), as targets and for `parameters`.
     - `goal`: what `swarmctl apply` lets robots run; daemons ignore it.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
@@ -111,6 +111,19 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     touch: TouchGrants = {}
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The ids of the roster, without ranges."""
+        return tuple(name for word in self.roster for name in expand_names(word))
+
+    @property
+    def members(self) -> dict[str, tuple[str, ...]]:
+        """The ids of the robots of each label."""
+        return {
+            label: tuple(dict.fromkeys(name for word in words for name in expand_names(word)))
+            for label, words in self.labels.items()
+        }
 
 
 class RecordingSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -223,14 +236,21 @@ def _included(config: Path, own: Data) -> list[tuple[str, Data]]:
 def _check_names(file: DaemonFile) -> Iterator[Fault]:
     if file.id is not None:
         yield from _check_id(("id",), file.id)
-    for index, name in enumerate(file.roster):
-        yield from _check_id(("roster", index), name)
-        if name in file.roster[:index]:
-            yield ("roster", index), f"roster names {name!r} twice; keep one"
+    roster: list[str] = []
+    for index, word in enumerate(file.roster):
+        names, faults = _expanded(("roster", index), word)
+        yield from faults
+        for name in names:
+            if name in roster:
+                yield ("roster", index), f"roster names {name!r} twice; keep one"
+        roster += names
     for label, robots in file.labels.items():
         yield from _check_id(("labels", label), label)
-        for name in robots:
-            yield from _check_robot(("labels", label), name, file.roster)
+        for word in robots:
+            names, faults = _expanded(("labels", label), word)
+            yield from faults
+            for name in names:
+                yield from _check_robot(("labels", label), name, roster)
     if file.goal is not None:
         yield from _check_goal(file.goal)
     for label in file.parameters.labels:
@@ -238,7 +258,7 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             text = f"names {unknown('label', label, file.labels)}"
             yield fault_at(("parameters", "labels", label), text)
     for name in file.parameters.robots:
-        yield from _check_robot(("parameters", "robots", name), name, file.roster)
+        yield from _check_robot(("parameters", "robots", name), name, roster)
 
 
 def _check_goal(goal: GoalSection) -> Iterator[Fault]:
@@ -263,6 +283,14 @@ def _targets(word: str) -> tuple[str, ...]:
     """The targets of a goal that `word` names. ConfigError for an invalid name or label."""
     label = word.removeprefix(LABEL)
     return (LABEL + check_id(label, "the label"),) if label != word else expand_globs(word)
+
+
+def _expanded(keys: Keys, word: str) -> tuple[tuple[str, ...], list[Fault]]:
+    """The names of a word of the roster or of a label, and its fault if there is one."""
+    try:
+        return expand_names(word), []
+    except ConfigError as error:
+        return (), [fault_at(keys, f"is {word!r}; expected robots such as tb3-[01-07]: {error}")]
 
 
 def _check_robot(keys: Keys, name: str, roster: list[str]) -> Iterator[Fault]:

@@ -74,7 +74,7 @@ def test_an_event_of_the_pattern_host_keeps_its_type() -> None:
 
 
 def test_the_robot_takes_each_kind_of_input() -> None:
-    assert set(robot._HANDLERS) == set(get_args(events.Input))
+    assert set(robot.HANDLERS) == set(get_args(events.Input))
 
 
 @pytest.mark.parametrize(

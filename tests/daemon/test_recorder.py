@@ -256,6 +256,7 @@ def head() -> RecordingHead:
         seed=1,
         version="",
         kernels="",
+        machine="",
         platform=load_platform("burger"),
         labels=(),
         layers={},

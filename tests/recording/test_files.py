@@ -262,6 +262,7 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     stepped = Stepped(1, Outputs(Twist(0.2)), 7)
     converter = Converter(frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, FileLimits()))
     entries: tuple[frames.Entry, ...] = (
+        frames.MemoryEntry(2.0, b"known"),
         frames.DecisionEntry(2.0, "scan", "running", "", decision),
         frames.SentEntry(2.0, "vote/opinion", 3),
         frames.TextEntry(2.0, "/status", b'{"state":"idle"}'),
@@ -301,6 +302,7 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
         "/pose": "swarmd_msgs/msg/SharedPose",
         "/readings": "swarmd_msgs/msg/Readings",
         "/driver": "swarmd_msgs/msg/DriverState",
+        "/memory": "swarmd_msgs/msg/Bytes",
         "/input": "swarmd_msgs/msg/Bytes",
         "/code": "swarmd_msgs/msg/Text",
         "/duplicate": "swarmd_msgs/msg/Text",

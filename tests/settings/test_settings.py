@@ -208,3 +208,26 @@ def test_the_example_in_config_can_be_read() -> None:
     settings = load_daemon_settings(example, {"id": "tb3-01", "platform": "burger"}, HOME)
     assert settings.id in settings.roster
     assert settings.pattern_layers("attraction")
+
+
+def test_ranges_are_names_in_roster_and_labels(folder: Path) -> None:
+    settings = load(
+        'id: r02\nroster: ["r[01-03]", x]\nlabels: {red: ["r[02-03]", r02], blue: ["r[01,03]"]}'
+    )
+    assert settings.roster == ("r01", "r02", "r03", "x")
+    assert settings.labels == ("red",)
+    assert settings.label_members == {"red": ("r02", "r03"), "blue": ("r01", "r03")}
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ('roster: ["r[01-03]", r02]', "'r02' twice"),
+        ('roster: ["r[03-01]"]', "rising"),
+        ('roster: ["r[01-03]"]\nlabels: {red: ["r[03-04]"]}', "r04"),
+        ('labels: {red: ["r[x]"]}', r"\[x\]"),
+    ],
+)
+def test_ranges_that_cannot_be_are_named(folder: Path, text: str, fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        load(f"id: r01\n{text}")

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -139,8 +140,9 @@ class RobotHarness:
             begin, self.now = self.now, round(self.now + TICK, 9)  # as a clock that counts ns
             wake_at = self.robot.wake_at(begin)
             while wake_at is not None and wake_at < self.now:
-                self.step(TICK_INPUT, wake_at)
-                wake_at = self.robot.wake_at(wake_at)
+                woken = math.ceil(1e9 * wake_at) / 1e9
+                self.step(TICK_INPUT, woken)
+                wake_at = self.robot.wake_at(woken)
             self._ticks += 1
             if self.odometry is not None:
                 measured = Odometry(self.now, Pose(), self.odometry)

@@ -37,6 +37,7 @@ def head(robot: str, clock: str) -> RecordingHead:
         seed=1,
         version="",
         kernels="",
+        machine="",
         platform=BURGER,
         labels=(),
         layers={},

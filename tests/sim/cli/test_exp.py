@@ -340,7 +340,7 @@ def test_compare_finds_what_a_sweep_has_changed(x: Path, swarmctl: Swarmctl) -> 
     assert done.returncode == 0, done.stderr
     assert "paired by seed" in done.stdout
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("path_length")]
-    assert line.split()[-2:] == ["3", "differs"]
+    assert " 3     differs" in line
     (found,) = json.loads(swarmctl(*words, "-o", "json").stdout)["comparisons"]
     assert found["metrics"]["path_length"]["differs"] is True
     same = swarmctl("exp", "compare", "x", "x", "--metrics", "path_length")

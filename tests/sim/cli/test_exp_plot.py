@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.cli.exp_results import parse_targets, parse_width
+from swarmd.sim.cli.exp_results import parse_kinds, parse_labels, parse_targets, parse_width
 
 
 @pytest.mark.parametrize(
@@ -30,3 +30,20 @@ def test_targets_are_by_metric_whose_name_may_have_an_equals_sign() -> None:
 def test_other_targets_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="gather_time=60"):
         parse_targets([text])
+
+
+def test_labels_are_by_name_and_may_hold_an_equals_sign() -> None:
+    found = parse_labels(["range=lidar range [m]", "gather_time=t = 0 to gathered"])
+    assert found == {"range": "lidar range [m]", "gather_time": "t = 0 to gathered"}
+
+
+@pytest.mark.parametrize("text", ["range", "=x", "range= "])
+def test_other_labels_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="lidar range"):
+        parse_labels([text])
+
+
+def test_pictures_that_do_not_exist_are_refused() -> None:
+    assert parse_kinds("runs,intervals") == ("runs", "intervals")
+    with pytest.raises(ConfigError, match="did you mean 'runs'"):
+        parse_kinds("run")

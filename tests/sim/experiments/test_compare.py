@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from swarmd.sim.experiments.compare import (
     Difference,
     Side,
     compare,
+    corrected,
     document,
     sides,
 )
@@ -20,6 +22,7 @@ from swarmd.sim.experiments.manifest import manifest_of
 from swarmd.sim.experiments.plan import Plan, Variant
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
+from swarmd.sim.experiments.statistics import Interval
 from swarmd.sim.experiments.store import Row, open_store
 from tests.sim.conftest import write_duo
 
@@ -30,7 +33,7 @@ def side(
     values: dict[int, float | None], metric: str = "minimum_gap", *, lost: tuple[int, ...] = ()
 ) -> Side:
     """One side whose metric has these values by seed; the runs of seeds `lost` have failed."""
-    plan = Plan("x", tuple(values), (Variant("", {}, {}),))
+    plan = Plan("x", tuple(values), (Variant("", {}, {"duration": 60.0}),))
     runs = [run for run in plan.runs if run.seed not in lost]
     rows = [Row(run, {metric: values[run.seed]}, 0.1) for run in runs]
     return Side("x", Results(Path("x"), plan, rows, {}, (metric,)), "")
@@ -81,7 +84,7 @@ def test_pairs_go_by_seed_not_by_place() -> None:
         (side(of(np.arange(3.0)), lost=(0,)), side(of(np.arange(3.0)), lost=(1,)), (1, 1), 0.0,
          "too few runs"),
         (side({0: 1.0, 1: 2.0, 2: 9.0}), side({0: 2.0, 1: 3.0, 2: None}), (2, 2), 1.0,
-         "B is better"),
+         "B is better, not after Holm"),
         (side({0: 1.0, 1: 2.0, 2: 9.0}), side({5: 2.0, 6: None}), (3, 1), -2.0, "too few runs"),
         (side({0: None}), side({0: None}), (0, 0), None, "-"),
     ],
@@ -186,9 +189,28 @@ def test_sides_that_cannot_be_are_one_line(a: str, b: str, fault: str) -> None:
     assert fault in str(caught.value)
 
 
-def test_times_that_some_runs_never_reached_are_not_subtracted() -> None:
+def test_times_that_some_runs_never_reached_count_up_to_the_end() -> None:
     never: dict[int, float | None] = {0: 10.0, 1: None, 2: 12.0}
     found = only(side(never, "gather_time"), side(of(np.array([9.0, 8.0, 7.0])), "gather_time"))
-    assert (found.never_a, found.never_b, found.mean_a, found.difference) == (1, 0, None, None)
-    assert not found.differs
-    assert found.conclusion == "never: 1 of 3, 0 of 3"
+    assert (found.never_a, found.never_b, found.horizon) == (1, 0, 60.0)
+    assert found.mean_a == pytest.approx(82.0 / 3.0)
+    assert found.mean_b == 8.0
+    assert found.difference == pytest.approx(8.0 - 82.0 / 3.0)
+    assert found.conclusion.endswith("up to 60 s; never: 1 of 3, 0 of 3")
+
+
+def test_an_event_that_no_run_reached_shows_no_difference() -> None:
+    never: dict[int, float | None] = {0: None, 1: None, 2: None}
+    found = only(side(never, "gather_time"), side(never, "gather_time"))
+    assert (found.p, found.difference, found.differs) == (None, 0.0, False)
+
+
+def test_a_finding_of_many_metrics_must_hold_after_the_correction() -> None:
+    one = Difference("x", "", 9, 9, 0.0, 1.0, 1.0, Interval(0.1, 2.0), p=0.02)
+    (alone,) = corrected([one])
+    assert alone.holds
+    found = corrected([one, *[replace(one, p=0.5)] * 3])
+    assert [some.p_holm for some in found] == [0.08, 1.0, 1.0, 1.0]
+    assert found[0].differs
+    assert not found[0].holds
+    assert "Holm" in found[0].conclusion

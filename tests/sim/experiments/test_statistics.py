@@ -8,6 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
+from scipy.stats import chi2, kstest, ttest_ind
 
 from swarmd.core.values import Array
 from swarmd.sim.experiments import statistics
@@ -15,13 +16,19 @@ from swarmd.sim.experiments.statistics import (
     HEADER,
     Interval,
     difference_interval,
+    difference_p,
+    holm,
+    interaction_p,
+    logrank_p,
     mean_interval,
     median_interval,
+    restricted,
     summarize,
     summary_rows,
     wilson,
 )
 from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.plots.survival import Times, survival_curve
 
 NORMAL = NormalDist()
 TRIALS = 400
@@ -148,3 +155,80 @@ def test_a_time_that_some_runs_never_reached_has_a_median_and_no_mean() -> None:
     assert (mostly_never.median, mostly_never.never) == (None, 2)
     every = summarize(np.array([10.0, 20.0]), is_time_to_event=True)
     assert (every.mean, every.never) == (15.0, 0)
+
+
+def test_the_p_of_a_difference_is_that_of_the_exact_permutations() -> None:
+    a, b = np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])
+    assert difference_p(a, b, is_paired=False) == pytest.approx(2.0 / 20.0)  # 2 of 6 over 3
+    assert difference_p(a, b, is_paired=True) == pytest.approx(2.0 / 8.0)  # 2 of 2**3 signs
+    assert difference_p(a, b[:1], is_paired=False) is None
+
+
+def test_the_p_of_a_difference_is_near_that_of_the_t_test_for_normal_values() -> None:
+    rng = np.random.default_rng(5)
+    a, b = rng.normal(0.0, 1.0, 30), rng.normal(0.6, 1.0, 30)
+    found = difference_p(a, b, is_paired=False)
+    assert found == pytest.approx(ttest_ind(a, b).pvalue, abs=0.01)
+
+
+def test_the_log_rank_test_is_that_of_its_definition() -> None:
+    """Mantel's statistic, summed event by event."""
+    a = np.array([10.0, 20.0, 30.0, np.nan, np.nan])
+    b = np.array([5.0, 8.0, 12.0, 15.0, 40.0])
+    observed = expected = variance = 0.0
+    for t in sorted([*a[:3], *b]):
+        at_risk_a = np.sum(~(a < t))
+        at_risk = at_risk_a + np.sum(~(b < t))
+        observed += float(t in a)
+        expected += at_risk_a / at_risk
+        variance += at_risk_a * (at_risk - at_risk_a) / at_risk**2
+    p = chi2.sf((observed - expected) ** 2 / variance, 1)
+    assert logrank_p(a, b, 60.0, 60.0) == pytest.approx(p)
+    assert logrank_p(np.full(3, np.nan), np.full(3, np.nan), 60.0, 60.0) is None
+
+
+def test_the_restricted_mean_is_the_area_under_the_survival_curve() -> None:
+    times = np.array([10.0, 35.0, 70.0, np.nan, 20.0])
+    curve = survival_curve(Times(times, np.full(5, 90.0)))
+    at = np.append(curve.t[curve.t < 60.0], 60.0)
+    area = np.sum(np.diff(at) * curve.share[: len(at) - 1])
+    assert restricted(times, 60.0).mean() == pytest.approx(area)
+
+
+def test_holms_correction_is_that_of_r() -> None:
+    """p.adjust(c(0.01, 0.02, 0.03, 0.04), "holm") of R, in another order."""
+    assert holm([0.04, 0.01, None, 0.03, 0.02]) == pytest.approx([0.06, 0.04, None, 0.06, 0.06])
+
+
+BATTERIES = np.array(
+    [
+        [[130, 155, 74, 180], [34, 40, 80, 75], [20, 70, 82, 58]],
+        [[150, 188, 159, 126], [136, 122, 106, 115], [25, 70, 58, 45]],
+        [[138, 110, 168, 160], [174, 120, 150, 139], [96, 104, 82, 60]],
+    ],
+    np.float64,
+)
+"""Life in hours by material and temperature: Montgomery, example 5.1."""
+
+
+def test_the_interaction_of_a_textbook_is_found() -> None:
+    assert interaction_p(BATTERIES, has_blocks=False) == pytest.approx(0.0186, abs=5e-5)
+
+
+def test_the_effect_of_a_seed_is_no_scatter() -> None:
+    rng = np.random.default_rng(2)
+    cells = rng.normal(0.0, 1.0, (2, 3, 10))
+    moved = cells + 50.0 * rng.normal(0.0, 1.0, 10)
+    found = interaction_p(cells, has_blocks=True)
+    assert interaction_p(moved, has_blocks=True) == pytest.approx(found)
+
+
+def test_without_interaction_each_p_is_as_likely() -> None:
+    rng = np.random.default_rng(4)
+    found = [interaction_p(rng.normal(0.0, 1.0, (2, 3, 6)), has_blocks=True) for _ in range(400)]
+    assert kstest(found, "uniform").pvalue > 0.01
+
+
+def test_cells_without_scatter_or_with_one_run_have_no_interaction() -> None:
+    assert interaction_p(np.ones((2, 2, 5)), has_blocks=True) is None
+    assert interaction_p(np.ones((2, 2, 1)), has_blocks=False) is None

@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import load_results
-from swarmd.sim.plots.figures import Look, compared_over_time, draw_experiment
+from swarmd.sim.plots.figures import KINDS, Look, compared_over_time, draw_experiment
 
 pytest.importorskip("matplotlib")
 
@@ -37,7 +37,7 @@ def test_all_is_drawn_and_a_damaged_and_a_missing_trace_are_one_line_each(
     traces = experiment / "traces"
     (traces / "law=paper_s0000.npz").write_bytes(b"PK\x03\x04 no longer a trace")
     (traces / "law=paper_s0001.npz").unlink()
-    made = draw_experiment(experiment, tmp_path / "out")
+    made = draw_experiment(experiment, tmp_path / "out", look=Look(only=KINDS))
     left = {f"law-paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
     assert BOTH - names(made) == left  # one run of that variant is left, the typical one
     assert {"intervals.png", "over_time_mean_distance_to_centroid.png"} <= names(made)
@@ -124,7 +124,35 @@ def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment:
     assert "intervals.png" not in made
 
 
-def test_a_figure_of_a_paper_has_its_width_and_no_title(experiment: Path, tmp_path: Path) -> None:
+def test_only_the_pictures_that_are_asked_for_are_drawn(experiment: Path, tmp_path: Path) -> None:
+    made = names(draw_experiment(experiment, tmp_path / "all"))
+    assert not made & BOTH
+    assert "intervals.png" in made
+    look = Look(only=("runs",))
+    assert names(draw_experiment(experiment, tmp_path / "runs", look=look)) == {
+        "law-settling_runs.png",
+        "law-paper_runs.png",
+    }
+
+
+def test_labels_name_metrics_and_swept_keys(experiment: Path, tmp_path: Path) -> None:
+    look = Look(
+        suffix=".svg",
+        only=("intervals", "over_time"),
+        labels={"minimum_gap": "smallest gap [cm]", "law": "rule"},
+    )
+    made = draw_experiment(experiment, tmp_path / "out", metrics=["minimum_gap"], look=look)
+    texts = {path.name: path.read_text() for path in made}
+    assert "smallest gap [cm]" in texts["over_time_minimum_gap.svg"]
+    assert "rule=paper (n = 3)" in texts["intervals.svg"]
+    with pytest.raises(ConfigError, match="did you mean 'law'"):
+        draw_experiment(experiment, tmp_path / "no", look=Look(labels={"laws": "x"}))
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_figure_of_a_paper_has_its_width_and_no_title(
+    experiment: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     look = Look(suffix=".svg", width=3.5, facet="law")
     made = draw_experiment(
         experiment, tmp_path / "out", metrics=["minimum_gap"], seeds=[1], look=look
@@ -132,8 +160,10 @@ def test_a_figure_of_a_paper_has_its_width_and_no_title(experiment: Path, tmp_pa
     texts = {path.name: path.read_text() for path in made}
     assert all('width="252pt"' in text for text in texts.values())
     over_time = texts["over_time_minimum_gap.svg"]
-    assert "law=settling" in over_time
-    assert "law=paper" in over_time
+    assert "law=settling" not in over_time
+    assert "(a)" in over_time
+    assert "(b)" in over_time
+    assert "panels: (a) law=settling, (b) law=paper" in warnings(caplog)
     assert not any("gathering" in text and "line: median" in text for text in texts.values())
 
 

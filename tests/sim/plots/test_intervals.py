@@ -126,4 +126,12 @@ def test_a_row_a_variant_filled_where_0_is_excluded() -> None:
     assert [list(bar) for bar in bars] == [[0.1, 0.3], [-0.1, 0.3]]  # type: ignore[arg-type]
     faces = [np.array(found.get_facecolor()).ravel()[:3] for found in axes.collections]
     assert [bool((face == 1.0).all()) for face in faces] == [False, True]
-    assert any("never: 1 of 6, 2 of 7" in text.get_text() for text in axes.texts)
+    assert [text.get_text() for text in axes.texts] == ["-"]
+
+
+def test_rows_are_values_of_the_axis_that_is_named() -> None:
+    for figure in (
+        differences_figure([PANEL], axis="lidar range [m]"),
+        intervals_figure([Panel(label="a", values={"1": [1.0, 2.0]})], axis="lidar range [m]"),
+    ):
+        assert figure.axes[0].get_ylabel() == "lidar range [m]"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,9 @@ from swarmd.sim.plots.select import (
     MAX_EVENTS,
     OVER_TIME,
     RUN_BY_RUN,
+    Quantity,
     events_of,
+    facets_of,
     metrics_over_time,
     primary_metric,
     smoothing_of,
@@ -132,3 +135,37 @@ def test_too_many_events_are_left_out() -> None:
     assert events_of(walk(3, meta={"events": events})) == ()
     assert len(events_of(walk(3, meta={"events": events[1:]}))) == MAX_EVENTS
     assert events_of(walk(3)) == ()
+
+
+def swept(**sweep: list[Any]) -> Plan:
+    """A plan of one swept key, or of several."""
+    keys = {f"groups.a.parameters.{key}": values for key, values in sweep.items()}
+    groups = {"groups": {"a": {"pattern": "attraction"}}}
+    variants = tuple(
+        Variant(str(values), dict(zip(keys, values, strict=True)), groups)
+        for values in product(*keys.values())
+    )
+    return Plan("x", (0,), variants, sweep=keys)
+
+
+def test_a_swept_number_is_on_an_axis_with_the_unit_of_its_pattern() -> None:
+    found = list(facets_of(swept(range=[1.0, 3.0]), None, "x").values())
+    assert [one.label for one in found] == ["1.0", "3.0"]
+    assert {one.axis for one in found} == {"range [m]"}
+    named = facets_of(swept(range=[1.0]), None, "x", {"range": "lidar range [cm]"})
+    assert {one.axis for one in named.values()} == {"lidar range [cm]"}
+
+
+def test_variants_of_two_keys_name_each_with_its_unit() -> None:
+    plan = swept(range=[1.0], spacing=[0.6])
+    (one,) = facets_of(plan, None, "x").values()
+    assert (one.label, one.axis) == ("range=1.0 m, spacing=0.6 m", "")
+    (one,) = facets_of(plan, "range", "x").values()
+    assert (one.panel, one.label, one.axis) == ("range=1.0 m", "0.6", "spacing [m]")
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "unit"), [("a b [m/s]", "a b", "m/s"), ("a", "a", ""), ("a []", "a", "")]
+)
+def test_a_label_has_a_name_and_a_unit(text: str, name: str, unit: str) -> None:
+    assert Quantity.parse(text) == Quantity(name, unit)

@@ -1,0 +1,176 @@
+"""What the keys of a sweep do: all variants in one table, and for two keys how they add up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from swarmd.core.values import Array
+from swarmd.sim.experiments.compare import Difference, Side, compare, corrected
+from swarmd.sim.experiments.plan import shown
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.statistics import (
+    LEVEL,
+    Interval,
+    holm,
+    interaction_p,
+    interval,
+    mean_interval,
+    number,
+    restricted,
+)
+from swarmd.sim.metrics.metric import Metric
+
+MARK = "*"
+READING = (
+    f"means; {MARK} differs from the first variant, with Holm's correction for the whole table"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Marginal:
+    """The mean of all runs with one `value` of a swept `key`, whatever the other key."""
+
+    key: str
+    value: str
+    mean: float
+    interval: Interval | None
+
+
+@dataclass(frozen=True, slots=True)
+class Factors:
+    """What two swept keys do to one metric: the marginals of each, and their interaction.
+
+    `n` seeds have a value in each variant. `largest`: the variant farthest from the sum of both
+    effects, by `deviation`. `p`: that there is no interaction; `p_holm`: corrected for all metrics.
+    """
+
+    metric: str
+    unit: str
+    n: int
+    marginals: tuple[Marginal, ...]
+    largest: str
+    deviation: float
+    p: float | None
+    p_holm: float | None = None
+
+
+def first_and_others(results: Results, metrics: Sequence[Metric]) -> list[list[Difference]]:
+    """The differences of each variant from the first, corrected for all of them together."""
+    first, *others = _sides(results)
+    found = [compare(first, other, metrics) for other in others]
+    every = iter(corrected([one for some in found for one in some]))
+    return [[next(every) for _ in some] for some in found]
+
+
+def variants_table(
+    results: Results, metrics: Sequence[Metric]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Header and rows of means, variant by metric; READING explains the cells."""
+    header = ("VARIANT", *(f"{one.name} [{one.unit}]" if one.unit else one.name for one in metrics))
+    holds = [[False] * len(metrics)]
+    holds += [[one.holds for one in found] for found in first_and_others(results, metrics)]
+    rows = []
+    for side, marked in zip(_sides(results), holds, strict=True):
+        cells = []
+        for metric, has_mark in zip(metrics, marked, strict=True):
+            values = results.metric(metric, side.variant)
+            known, never = _known(results, side.variant, metric, values)
+            text = number(float(known.mean()) if known.size else None)
+            text += f" ({never} of {values.size} never)" if never else ""
+            cells.append(text + MARK * has_mark)
+        rows.append((side.variant, *cells))
+    return header, rows
+
+
+def variants_document(results: Results, metrics: Sequence[Metric]) -> dict[str, Any]:
+    """The differences of each variant from the first as plain values, by variant and metric."""
+    _, *others = _sides(results)
+    return {
+        side.variant: {one.metric: {**asdict(one), "holds": one.holds} for one in found}
+        for side, found in zip(others, first_and_others(results, metrics), strict=True)
+    }
+
+
+def factors(results: Results, metrics: Sequence[Metric]) -> list[Factors]:
+    """The effects of the two keys of a sweep on each metric with values; empty for other sweeps."""
+    sweep = results.plan.sweep
+    if len(sweep) != 2 or min(map(len, sweep.values())) < 2:
+        return []
+    found = [one for metric in metrics if (one := _factors(results, metric)) is not None]
+    values = holm([one.p for one in found])
+    return [replace(one, p_holm=p) for one, p in zip(found, values, strict=True)]
+
+
+MARGINAL_HEADER = ("METRIC", "UNIT", "OF ALL WITH", "MEAN", "95 %", "SEEDS")
+INTERACTION_HEADER = ("METRIC", "UNIT", "LARGEST DEVIATION FROM THE SUM", "P (HOLM)", "INTERACTION")
+
+
+def marginal_rows(one: Factors) -> list[tuple[str, ...]]:
+    """Rows below MARGINAL_HEADER."""
+    return [
+        (one.metric, one.unit or "-", f"{part.key}={part.value}", number(part.mean),
+         interval(part.interval), str(one.n))
+        for part in one.marginals
+    ]  # fmt: skip
+
+
+def interaction_row(one: Factors) -> tuple[str, ...]:
+    """A row below INTERACTION_HEADER."""
+    shows = one.p_holm is not None and one.p_holm <= 1.0 - LEVEL
+    result = "shown" if shows else "too few runs" if one.p_holm is None else "none shown"
+    deviation = f"{one.deviation:+.4g} with {one.largest}"
+    return (one.metric, one.unit or "-", deviation, number(one.p_holm), result)
+
+
+def _sides(results: Results) -> list[Side]:
+    return [Side(name, results, name) for name in results.variants if results.seeds(name)]
+
+
+def _known(results: Results, variant: str, metric: Metric, values: Array) -> tuple[Array, int]:
+    """The values that a mean takes, and the number of runs without the event of a time to it."""
+    never = int(np.isnan(values).sum()) if metric.is_time_to_event else 0
+    if never:
+        return restricted(values, _duration(results, variant)), never
+    return values[~np.isnan(values)], 0
+
+
+def _duration(results: Results, variant: str) -> float:
+    found = next(one for one in results.plan.variants if one.name == variant)
+    return float(found.effective["duration"])
+
+
+def _factors(results: Results, metric: Metric) -> Factors | None:
+    (key, rows), (other, columns) = results.plan.sweep.items()
+    by_cell: dict[tuple[Any, Any], dict[int, float]] = {}
+    for variant in results.plan.variants:
+        values = results.metric(metric, variant.name)
+        if metric.is_time_to_event:
+            values = restricted(values, min(_duration(results, v) for v in results.variants))
+        seeds = map(int, results.seeds(variant.name))
+        cell = shown(variant.values[key]), shown(variant.values[other])
+        by_cell[cell] = {s: v for s, v in zip(seeds, values.tolist(), strict=True) if v == v}
+    common = sorted(set.intersection(*map(set, by_cell.values())))
+    if not common:
+        return None
+    names = [shown(one) for one in rows], [shown(one) for one in columns]
+    cells = np.array(
+        [[[by_cell[a, b][seed] for seed in common] for b in names[1]] for a in names[0]]
+    )
+    marginals = [
+        Marginal(name.rpartition(".")[2], text, float(part.mean()), mean_interval(part))
+        for axis, name in enumerate((key, other))
+        for text, part in zip(names[axis], cells.mean(axis=1 - axis), strict=True)
+    ]
+    means = cells.mean(axis=2)
+    away = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
+    row, column = np.unravel_index(int(np.abs(away).argmax()), away.shape)
+    largest = (
+        f"{key.rpartition('.')[2]}={names[0][row]},{other.rpartition('.')[2]}={names[1][column]}"
+    )
+    p = interaction_p(cells, has_blocks=True)
+    deviation = float(away[row, column])
+    return Factors(metric.name, metric.unit, len(common), tuple(marginals), largest, deviation, p)

@@ -1,0 +1,97 @@
+"""The memory of a robot holds all that the robot knows, and makes nothing else."""
+
+from __future__ import annotations
+
+import pickle
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import CodecError
+from swarmd.patterns.random_walk import RandomWalk
+from swarmd.robot.memory import recall, remember
+from swarmd.robot.robot import Robot
+from tests.support.robot_harness import RobotHarness
+
+
+@pytest.fixture
+def harness() -> RobotHarness:
+    harness = RobotHarness(patterns={"random_walk": RandomWalk})
+    harness.advance(1.0)
+    harness.ask("run", pattern="random_walk")
+    harness.advance(3.0)
+    return harness
+
+
+def recalled(harness: RobotHarness) -> Robot:
+    robot = harness.robot
+    return recall(remember(robot), robot._lifecycle.identity.settings)
+
+
+def test_a_recalled_robot_has_the_same_status_and_memory(harness: RobotHarness) -> None:
+    other = recalled(harness)
+    assert other.status(harness.now) == harness.robot.status(harness.now)
+    assert other.epoch == harness.robot.epoch
+    assert other.state is harness.robot.state
+
+
+def test_a_recalled_robot_shares_nothing_with_the_first(harness: RobotHarness) -> None:
+    other = recalled(harness)
+    before = other.status(harness.now)
+    harness.advance(1.0)
+    harness.applied("estop", id="e1", reason="a chair")
+    assert other.status(before.uptime) != harness.robot.status(harness.now)
+    assert not other.latches
+
+
+def test_views_of_one_array_share_its_numbers_again(harness: RobotHarness) -> None:
+    numbers = np.zeros(4)
+    harness.robot._sensors.readings = {"whole": numbers, "part": numbers[1:3]}  # type: ignore[dict-item]
+    readings: Any = recalled(harness).readings
+    readings["whole"][2] = 7.0
+    assert readings["part"].tolist() == [0.0, 7.0]
+
+
+class Harmful:
+    def __reduce__(self) -> Any:
+        return print, ("this must not run",)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"no memory",
+        zlib.compress(pickle.dumps(Harmful())),
+        zlib.compress(b"cos\nsystem\n(S'true'\ntR."),
+        zlib.compress(b"cswarmd.core.files\nsync_folder\n(S'/'\ntR."),
+        zlib.compress(b"cswarmd.robot.memory\npickle.loads\n(S'/'\ntR."),
+        zlib.compress(pickle.dumps([1, 2])),
+        zlib.compress(bytes(1 << 25)),
+    ],
+)
+def test_other_bytes_are_refused_and_run_nothing(
+    harness: RobotHarness, data: bytes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(CodecError):
+        recall(data, harness.robot._lifecycle.identity.settings)
+    assert capsys.readouterr().out == ""
+
+
+def test_a_memory_that_was_cut_off_is_refused(harness: RobotHarness) -> None:
+    data = remember(harness.robot)
+    for end in range(0, len(data), len(data) // 7):
+        with pytest.raises(CodecError):
+            recall(data[:end], harness.robot._lifecycle.identity.settings)
+
+
+def test_a_memory_beyond_its_limit_or_with_a_foreign_value_is_not_made(
+    harness: RobotHarness,
+) -> None:
+    with pytest.raises(CodecError, match="at most 100"):
+        remember(harness.robot, 100)
+    harness.robot._sensors.readings = {"a": lambda: 1.0}  # type: ignore[dict-item]
+    with pytest.raises(CodecError, match="cannot be written"):
+        remember(harness.robot)
