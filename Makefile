@@ -2,14 +2,17 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+PIP_TOLD := $(BIN)/python -m pip --disable-pip-version-check
+PIP := $(PIP_TOLD) --quiet
 COMPILE = $(BIN)/python -m compileall -q -j 0 swarmd patterns drivers sim config
 # What lists of pyproject.toml name, one a line; pip reads groups only from 25.1 on, and a new
 # environment may hold an older one.
 LISTED = $(BIN)/python -c 'import functools, sys, tomllib; file = tomllib.load(open("pyproject.toml", "rb")); \
   print(*(one for name in sys.argv[1:] for one in functools.reduce(dict.get, name.split("."), file)), sep="\n")'
 # pip alone compiles one file after the other, and the tests of packages too.
-INSTALL = $(PIP) install --no-compile --constraint constraints.txt --requirement /dev/stdin && \
+# $(call install,WORDS,LISTS): one line tells how far pip is.
+install = { { $(LISTED) $(2) | $(PIP_TOLD) install --no-compile --constraint constraints.txt \
+  --requirement /dev/stdin || touch $(VENV)/failed; } | $(BIN)/python .ci/show-install $(1); } && ! rm $(VENV)/failed 2>/dev/null && \
   { $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; }
 ARGS ?=
 # Test files at a time; six for two cores, since tests wait and compute nothing more than half of the
@@ -23,7 +26,7 @@ ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo      seven simulated robots gather; the first time installs, for half a minute to a minute"
+	@echo "make demo      seven simulated robots gather; the first time installs, for a minute or more"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
@@ -185,11 +188,12 @@ $(VENV)/made:
 # The kernels are compiled while packages are downloaded; then the installation compiles nothing. The
 # shell lets a program in the background ignore Ctrl-C.
 $(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
-	@echo "Installing swarmd with what the demo needs, and compiling its kernels."
-	@$(LISTED) build-system.requires | { $(INSTALL); }
+	@echo "Installing swarmd into $(VENV): the tools that build it, the packages of the demo, its kernels."
+	@$(call install,tools that build it,build-system.requires)
 	@$(BIN)/python setup.py --quiet build_ext --inplace >$(VENV)/kernels.log 2>&1 & trap "kill $$!" INT TERM; \
-	  $(LISTED) project.dependencies $(addprefix project.optional-dependencies.,sim plot web record film) | \
-	  { $(INSTALL); }; status=$$?; wait; exit $$status
+	  $(call install,packages of the demo,project.dependencies \
+	  $(addprefix project.optional-dependencies.,sim plot web record film)); status=$$?; \
+	  kill -0 $$! 2>/dev/null && echo "  kernels: the compiler is at work"; wait; exit $$status
 	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@$(COMPILE)
 	@touch $@
@@ -208,12 +212,12 @@ ros2-router:
 
 $(VENV)/tools: $(VENV)/installed
 	@echo "Installing the tools for tests and checks."
-	@$(LISTED) dependency-groups.dev | { $(INSTALL); }
+	@$(call install,tools,dependency-groups.dev)
 	@touch $@
 
 $(VENV)/docs: $(VENV)/tools
 	@echo "Installing the tools for the site."
-	@$(LISTED) dependency-groups.docs | { $(INSTALL); }
+	@$(call install,tools,dependency-groups.docs)
 	@touch $@
 
 # The newest versions that fit, in a fresh environment; run the checks before committing them.

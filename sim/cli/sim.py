@@ -77,7 +77,7 @@ def up(
 
     given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
-    with _folder(keep) as folder:
+    with kept_folder(keep) as folder:
         spec = dataclasses.replace(fleet_for(name, folder, **world), endpoint=endpoint)
         if bases_only:
             serve_bases(spec, page)
@@ -187,7 +187,7 @@ def _targets(robots: tuple[str, ...], spec: FleetSpec) -> str:
 
 
 @contextmanager
-def _folder(keep: Path | None) -> Iterator[Path]:
+def kept_folder(keep: Path | None) -> Iterator[Path]:
     """The folder for logs and state: `keep`, or a temporary one that stays only after a failure."""
     if keep is not None:
         yield keep

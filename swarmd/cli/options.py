@@ -295,7 +295,7 @@ class CommonOptions:
             }
             file, identity = load_swarm(self.config, overrides, os.environ)
             check_asker(identity)
-            return file, file.robots, identity
+            return file, list(file.robots), identity
         settings = NetworkSettings(
             swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
             profile=cast(Profile, self.profile or "dev"),

@@ -149,6 +149,8 @@ def main(args: list[str] | None = None) -> NoReturn:
     if "zenoh" in sys.modules:
         # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
         # into an interpreter which ends aborts the process. The answer is out.
+        if (fork_server := sys.modules.get("swarmd.core.fork_server")) is not None:
+            fork_server.remove_folder()
         os._exit(code)
     sys.exit(code)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing import forkserver
+from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from types import ModuleType
 
@@ -71,6 +73,11 @@ def start_server(modules: Iterable[str]) -> None:
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     with _environment(_ENVIRON):
         forkserver.ensure_running()
+
+
+def remove_folder() -> None:
+    """Remove the server's socket and its folder, before a process ends without doing so."""
+    shutil.rmtree(get_temp_dir(), ignore_errors=True)
 
 
 def fork_main(

@@ -68,7 +68,7 @@ def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str
 def test_help_lists_all_verbs(tmp_path: Path) -> None:
     done = fork_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0
-    for verb in (*VERBS, "sim", "demo", "exp"):
+    for verb in (*VERBS, "sim", "demo", "exp", "tour"):
         assert done.stdout.count(f"\n  {verb} ") == 1
     assert {row.name for row in verbs.VERBS.values() if row.help} <= VERBS.keys()
     for section in {one.section for one in VERBS.values()}:

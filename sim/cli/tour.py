@@ -1,0 +1,97 @@
+"""`swarmctl tour`: the first five commands on a simulated swarm, one after the other."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from swarmd.cli.output import warn
+from swarmd.sim.cli.options import fleet_for, fleet_options, need
+from swarmd.sim.cli.sim import kept_folder
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+_ENTRY = "from swarmd.cli.entry import swarmctl; swarmctl()"
+
+
+class Step(NamedTuple):
+    """A command, what it is for, and for how long the robots drive after it."""
+
+    words: tuple[str, ...]
+    text: str
+    seconds: float = 0.0
+
+
+def steps(robots: tuple[str, ...]) -> tuple[Step, ...]:
+    """The commands of the tour, for these robots."""
+    return (
+        Step(("members",), "Which robots are there, and in which state?"),
+        Step(("run", "attraction", "--all"), "All robots drive towards each other.", 5.0),
+        Step(("describe", robots[0]), "What does one robot do, and why does it stand or move?"),
+        Step(("stop",), "All robots stop."),
+        Step(("events",), "What has happened?"),
+    )
+
+
+@click.command(epilog="Example: swarmctl tour")
+@fleet_options
+@click.option("--yes", is_flag=True, help="Run all commands without waiting for Enter.")
+@click.pass_context
+def tour(ctx: click.Context, /, yes: bool, **world: Any) -> None:
+    """Try the first five commands on a simulated swarm; takes a minute and leaves nothing behind.
+
+    Each command is shown first and runs after Enter; Ctrl-C ends the tour and the swarm. Exit code
+    0 if each command succeeds, else that of the first which does not.
+    """
+    if not yes and not sys.stdin.isatty():
+        raise click.UsageError("the tour waits for Enter, and this is no terminal; give --yes")
+    need("mujoco")
+    with kept_folder(None) as folder:
+        ctx.exit(_toured(folder, is_waiting=not yes, **world))
+
+
+def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
+    """Start a swarm of a name that no other has and go through the steps; the exit code."""
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.settings import NetworkSettings
+    from swarmd.sim.live.fleet import Fleet, end_on_signals
+    from swarmd.sim.live.starting import await_robots
+
+    end_on_signals()
+    swarm = f"tour-{secrets.token_hex(4)}"
+    spec = fleet_for(swarm, folder, **world)
+    # What processes leave behind goes with the folder: sockets, and the members that they keep.
+    os.environ |= {"TMPDIR": str(folder), "XDG_CACHE_HOME": str(folder), "SWARM": swarm}
+    count = len(spec.robots)
+    click.echo(
+        f"Starting a simulated swarm of {count} robots, as `swarmctl sim up -n {count}` does."
+    )
+    with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
+        await_robots(operator, fleet)
+        for number, step in enumerate(steps(tuple(spec.robots)), 1):
+            click.echo(
+                f"\n{number}. {step.text}\n$ swarmctl {' '.join(step.words)}", nl=not is_waiting
+            )
+            if is_waiting:
+                click.prompt("   [Enter]", default="", show_default=False, prompt_suffix=" ")
+            command = [sys.executable, "-P", "-c", _ENTRY, *step.words]
+            sys.stdout.flush()
+            done = subprocess.run(command, check=False)
+            if done.returncode:
+                warn(f"swarmctl {step.words[0]} ended with exit code {done.returncode}")
+                return done.returncode
+            time.sleep(step.seconds)
+            fleet.check()
+    click.echo(
+        "\nThe swarm has ended. To keep one:  swarmctl sim up, and in another terminal the commands"
+        "\nabove, or the map in a browser:    swarmctl view --web"
+        "\nLessons: docs/tutorial/README.md"
+    )
+    return 0

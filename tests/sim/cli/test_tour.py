@@ -1,0 +1,64 @@
+"""`swarmctl tour` as a new user runs it."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarmd.sim.cli.tour import steps
+from tests.support.processes import run_command
+
+SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
+TIMEOUT = 120.0
+
+
+@pytest.mark.integration
+def test_the_tour_runs_all_commands_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    words = ("tour", "-n", "2", "--yes")
+    done = run_command("swarmctl", *words, cwd=tmp_path, TMPDIR=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    shown = [line for line in done.stdout.splitlines() if line.startswith("$ swarmctl ")]
+    assert shown == [f"$ swarmctl {' '.join(one.words)}" for one in steps(("tb3-01", "tb3-02"))]
+    assert len(shown) == 5
+    assert "2 targeted, 2 applied" in done.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.integration
+def test_each_command_waits_for_enter(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [SWARMCTL, "tour", "-n", "1"],
+        stdin=theirs, stdout=theirs, stderr=theirs, cwd=tmp_path,
+    ) as process:  # fmt: skip
+        os.close(theirs)
+        text, answered = "", 0
+        while chunk := _read(ours):
+            text += chunk
+            if text.count("[Enter]") > answered:
+                assert text.count("\n$ swarmctl ") == answered + 1, "no command came too early"
+                answered += 1
+                os.write(ours, b"\n")
+        os.close(ours)
+        assert process.wait(TIMEOUT) == 0, text
+    assert answered == 5
+
+
+def _read(terminal: int) -> str:
+    """What the terminal shows next; empty once the process has ended."""
+    try:
+        return os.read(terminal, 4096).decode()
+    except OSError:
+        return ""
+
+
+@pytest.mark.integration
+def test_without_a_terminal_yes_is_asked_for(tmp_path: Path) -> None:
+    done = run_command("swarmctl", "tour", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--yes" in done.stderr
