@@ -11,7 +11,7 @@ const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const OLD = 3000; // ms after which a scan is not shown
 const EDGE = 0.6; // m around what is shown by Fit
-const SMALL = 11; // pixels of a robot's radius below which its sign has its colour
+const SMALL = 16; // pixels of a robot's radius below which its sign has its colour
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
