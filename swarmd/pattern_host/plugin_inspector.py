@@ -174,6 +174,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
                 "wanted": spec.wanted,
                 "default": derived.get(spec.name, spec.default),
                 "is_derived": spec.name in derived,
+                "is_own": spec.name in kind.params_type.__annotations__,
             }
             for spec in params
         ],

@@ -134,6 +134,12 @@ class LiveSource:
         view = self.view
         members = view.members
         self._add(sorted(members.keys() | statuses.keys() | view.roster), statuses)
+        if statuses and self._describe is not None:
+            describe, self._describe = self._describe, None
+            first, _ = next(iter(statuses.values()))
+            threading.Thread(
+                target=self._take_patterns, args=(describe, first.platform), daemon=True
+            ).start()
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
             name = robot.name
@@ -274,11 +280,6 @@ class LiveSource:
             found = self._platform(platform) if platform else None
             shape = PLAIN if found is None else found.footprint
             self._revision += 1
-            if platform and self._describe is not None:
-                describe, self._describe = self._describe, None
-                threading.Thread(
-                    target=self._take_patterns, args=(describe, platform), daemon=True
-                ).start()
             if index is None:
                 self._index[name] = index = len(self._robots)
                 self._robots.append(ShownRobot(name, index, platform, shape))

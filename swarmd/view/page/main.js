@@ -24,6 +24,9 @@ const free = () => { // what the map shows by Fit is not covered
   if (map.hasFitted && !map.isTouched) map.fit();
 };
 for (const id of ['tools', 'legend']) new ResizeObserver(free).observe(element(id));
+new ResizeObserver(() => { // on a phone the commands begin below the warnings
+  document.documentElement.style.setProperty('--notices', `${element('notices').offsetHeight}px`);
+}).observe(element('notices'));
 
 const actions = new Actions(model, (message) => link.send(message));
 const link = new Link(model, {

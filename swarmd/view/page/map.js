@@ -12,7 +12,7 @@ const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around 
 const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
 const EDGE = 0.6; // m around what is shown by Fit
-const SMALL = 11; // pixels of a robot's radius below which its sign has its colour
+const SMALL = 16; // pixels of a robot's radius below which its sign has its colour
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];

@@ -66,6 +66,11 @@ export class Model extends EventTarget {
   }
 
   rows(message, now) {
+    if (this.past !== null) { // a robot that joined later
+      for (const { name, row } of this.robots.values()) {
+        if (!message.rows[name]) Object.assign(row, { presence: 'absent', state: '', stands: '', lost: '' });
+      }
+    }
     for (const [name, row] of Object.entries(message.rows)) {
       const robot = this.robots.get(name);
       if (!robot) continue;

@@ -63,7 +63,9 @@ export class PatternForm {
     const note = element('params-note');
     note.textContent = known && known.params ? `Empty: the default of the robot, here that of a ${known.platform}.` : '';
     if (known && known.params) {
-      this.fields.replaceChildren(...known.params.map(fieldOf));
+      // What this pattern has first, then what patterns of its kind share.
+      const order = [...known.params].sort((one, other) => Number(other.is_own) - Number(one.is_own));
+      this.fields.replaceChildren(...order.map(fieldOf));
     } else if (this.pattern) {
       const label = made('label', 'Parameters'), input = made('input', '');
       Object.assign(input, { name: 'free', placeholder: 'speed=0.1 turn=0', autocomplete: 'off', spellcheck: false });

@@ -143,6 +143,7 @@ def test_a_demo_shows_true_positions_answers_and_ends(tmp_path: Path, page: Page
         assert arena["size"] == [6.0, 4.0]
         assert len(arena["shapes"]) == 1
         page.until("window.swarm.model.boxes.length === 1", "the movable box")
+        page.until("window.swarm.model.patterns.some((one) => one.params)", "parameters")
         page.click("#stop")
         page.until(f"{ROBOTS}.filter((one) => one.row.state === 'stopped').length === 2", "stops")
 
