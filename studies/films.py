@@ -94,7 +94,8 @@ def shoot(name: str, out: Path) -> Path:
         stop=shot.stop,
     )
     path = out / f"{name}.gif"
-    make_film(RecordedRun(simulate_run(scenario, shot.seed)), path, shot.title, settings)
+    run = RecordedRun(simulate_run(scenario, shot.seed), scenario.fields)
+    make_film(run, path, shot.title, settings)
     return path
 
 

@@ -10,7 +10,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 import msgspec
@@ -25,6 +25,7 @@ from swarmd.settings.platforms import (
     LimitsSection,
     PlatformFile,
     ScanSection,
+    SensorSection,
     SweepSection,
     load_platform,
     platform_names,
@@ -42,8 +43,10 @@ from swarmd.sim.scenarios.schema import (
     SegmentSection,
     StartSection,
 )
+from swarmd.sim.world.floor import Patch
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
+from swarmd.sim.world.scalar_fields import Field
 from swarmd.texts.values import number
 from swarmd.texts.why import SENTENCES
 
@@ -103,6 +106,7 @@ def platforms() -> Iterator[str]:
     yield from _schema("scan", ScanSection)
     yield from _schema("scan.sweep", SweepSection)
     yield from _schema("heights", HeightsSection)
+    yield from _schema("sensors.NAME", SensorSection)
     yield from _schema("protection.barrier", BarrierSettings)
     yield from _schema("protection.stop_zone", StopZoneSettings)
     yield from _schema("protection.presets.NAME", PotentialFieldSettings)
@@ -127,6 +131,9 @@ def scenarios() -> Iterator[str]:
     yield from _schema("arena.boxes", BoxSection)
     yield from _schema("arena.poles", PoleSection)
     yield from _schema("arena.segments", SegmentSection)
+    for kind in get_args(Field):
+        yield from _schema(f"fields, kind {kind.__struct_config__.tag}", kind)
+    yield from _schema("fields, kind floor: patches", Patch)
     yield from _schema("events", EventSection)
     yield from _schema("radio", RadioSettings)
     yield from _schema("realism.lidar", LidarNoise)

@@ -79,7 +79,7 @@ def make_film(
     notes = [f"{settings.speed:.3g}x real time"]
     width, height = size
     bare = Caption(size, title, colouring.key)  # for its height
-    stage = stage_of(trace, (width, height - bare.height), run.platforms)
+    stage = stage_of(trace, (width, height - bare.height), run.platforms, run.fields)
     with Renderer(trace, stage, colouring, settings.camera) as renderer:
         if stage.factor > 1.05:
             notes.append(f"robots enlarged {stage.factor:.1f}x")

@@ -7,7 +7,7 @@ large floor MuJoCo's shadows are full of specks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -21,8 +21,10 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.plots.scene import Extent, extent_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world import bodies
-from swarmd.sim.world.arena import parse_arena
+from swarmd.sim.world.arena import Arena, parse_arena
+from swarmd.sim.world.floor import floor_pixels
 from swarmd.sim.world.geometry import radius
+from swarmd.sim.world.scalar_fields import Field
 
 _WALL, _OBSTACLE = 0.08, 0.25  # heights in m
 _PALE, _GREY, _BROWN, _DARK, _WHITE = (
@@ -60,11 +62,14 @@ class Stage:
 
 
 def stage_of(
-    trace: Trace, size: tuple[int, int], platforms: Mapping[str, Platform] = MappingProxyType({})
+    trace: Trace,
+    size: tuple[int, int],
+    platforms: Mapping[str, Platform] = MappingProxyType({}),
+    fields: Sequence[Field] = (),
 ) -> Stage:
     """The stage of a run for frames of `size` pixels; ConfigError if its arena is not known.
 
-    `platforms` by name are those of the scenario.
+    `platforms` by name and `fields`, of which the floor is shown, are those of the scenario.
     """
     text = str(trace.meta.get("arena", ""))
     if not text:
@@ -81,6 +86,7 @@ def stage_of(
         _add_marks(spec.body(f"robot/{robot}"), robot, platform)
     extent = extent_of(trace)
     _add_floor(spec, extent)
+    _add_picture(spec, arena, fields)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.offsamples = 4
     model = spec.compile()
@@ -190,11 +196,38 @@ def _add_floor(spec: mujoco.MjSpec, extent: Extent) -> None:
     )
 
 
+def _add_picture(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> None:
+    """The scenario's own floor within the walls, if it has one."""
+    pixels = floor_pixels(fields, (arena.length, arena.width))
+    if pixels is None:
+        return
+    spec.add_texture(
+        name="picture",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        data=pixels.ravel().tolist(),
+        nchannel=3,
+        width=pixels.shape[1],
+        height=pixels.shape[0],
+    )
+    material = spec.add_material(name="picture", texuniform=False)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "picture"
+    spec.worldbody.add_geom(
+        name="floor/picture",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        pos=[0.0, 0.0, 0.002],
+        size=[arena.length / 2.0, arena.width / 2.0, 1.0],
+        material="picture",
+        group=bodies.FIXED,
+        contype=0,
+        conaffinity=0,
+    )
+
+
 def _paint(model: mujoco.MjModel) -> None:
     """Colours of the arena; what is only for collisions is hidden."""
     for geom in range(model.ngeom):
         name, group = model.geom(geom).name, int(model.geom_group[geom])
-        if group == bodies.FIXED and name != "floor":
+        if group == bodies.FIXED and not name.startswith("floor"):
             is_wall = name.startswith(("wall/", "segment/"))
             model.geom_rgba[geom] = _BROWN if _is_movable(model, geom) else _GREY
             half = (_WALL if is_wall else _OBSTACLE) / 2.0

@@ -72,6 +72,8 @@ class LiveTimeline:
                 self._world.place(event.box, event.pose)
             case "remove" if event.box:
                 self._world.remove(event.box)
+            case "fields":
+                self._world.change_fields(event.fields)
             case "join":
                 for robot in event.robots:
                     if robot not in present:

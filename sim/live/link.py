@@ -36,6 +36,7 @@ from swarmd.sim.live.state import (
     decode_state,
     state_key,
 )
+from swarmd.sim.world.scalar_fields import Field
 
 LEASE = 60.0  # s, of viewers
 MAX_PENDING_REQUESTS = 64  # until the next step; more are dropped
@@ -233,6 +234,10 @@ class WorldView:
     def remove(self, box: str, timeout: float = 10.0) -> WorldState:
         """Take a movable box out of the arena; SwarmError if it is not there."""
         return self._done(WorldRequest(action="remove", box=box), timeout)
+
+    def change_fields(self, fields: tuple[Field, ...], timeout: float = 10.0) -> WorldState:
+        """Put fields in the place of all fields that have their names."""
+        return self._done(WorldRequest(action="fields", fields=fields), timeout)
 
     def take_out(self, robot: str, timeout: float = 10.0) -> WorldState:
         """Take a robot out of the arena for good; SwarmError if there is no such robot."""

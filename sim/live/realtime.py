@@ -198,6 +198,8 @@ class RealTimeWorld:
                 self._world.place(request.box, request.pose)
             case "remove":
                 self._world.remove(request.box)
+            case "fields":
+                self._world.change_fields(request.fields)
             case "take_out":
                 if request.robot not in self._rows:
                     raise ConfigError(unknown("robot", request.robot, self._rows))

@@ -11,8 +11,9 @@ from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Count, Line, Metres, Name, Rate, Seconds, Word
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder
+from swarmd.sim.world.scalar_fields import Field
 
-Action = Literal["start", "finish", "poses", "place", "remove", "take_out"]
+Action = Literal["start", "finish", "poses", "place", "remove", "take_out", "fields"]
 Triple = tuple[Metres, Metres, Metres]
 
 
@@ -77,13 +78,15 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     """A request to the world.
 
     `start` restarts the recording, `finish` writes it, `poses` returns the state, `place` puts the
-    movable `box` at rest at `pose`, `remove` takes it out of the arena, `take_out` the `robot`.
+    movable `box` at rest at `pose`, `remove` takes it out of the arena, `take_out` the `robot`;
+    `fields` replaces all fields that have the names of its `fields`.
     """
 
     action: Action
     box: Word = ""
     robot: Word = ""
     pose: Triple = (0.0, 0.0, 0.0)
+    fields: Annotated[tuple[Field, ...], Meta(max_length=1000)] = ()
 
 
 class WorldReply(Struct, frozen=True, kw_only=True):

@@ -117,6 +117,8 @@ class Timeline:
             swarm.world.place(event.box, event.pose)
         elif event.box:
             swarm.world.remove(event.box)
+        if event.fields:
+            swarm.world.change_fields(event.fields)
         rows = [self._rows[robot] for robot in event.robots]
         if event.action == "join":
             swarm.start([row for row in rows if not swarm.has_daemon[row]])

@@ -17,7 +17,7 @@ from swarmd.sim.metrics.pairs import Pairs
 from swarmd.sim.metrics.window import arena_of, cut, mean, presence
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.radio import LineOfSight
+from swarmd.sim.world.line_of_sight import LineOfSight
 
 _DECIMALS = 8
 

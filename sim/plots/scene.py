@@ -17,7 +17,9 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.floor import FloorField, floor_pixels
 from swarmd.sim.world.geometry import radius, transform
+from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.scalar_fields import Field, sample
 
 if TYPE_CHECKING:
@@ -271,13 +273,23 @@ def paint_fields(
     """Paint each field as shades with lines of equal value, which have numbers unless `is_small`.
 
     Within the arena alone, if it is known. The first field of several is shaded, the others have
-    lines. A uniform field is not painted.
+    lines. A uniform field is not painted; a floor has its own colours, paler.
     """
     if not fields:
         return
+    arena = arena_of(trace)
+    size = (extent.width, extent.height) if arena is None else (arena.length, arena.width)
+    pixels = floor_pixels(fields, size)
+    if pixels is not None:
+        sides = (-size[0] / 2.0, size[0] / 2.0, -size[1] / 2.0, size[1] / 2.0)
+        axes.imshow(pixels, extent=sides, alpha=0.45, zorder=0.4, interpolation="nearest",
+                    aspect="equal")  # fmt: skip
     x, y = _cells(trace, extent)
+    is_clear = None if arena is None else LineOfSight(arena).is_clear
+    fields = [one for one in fields if not isinstance(one, FloorField)]
     places = np.stack(np.meshgrid(x, y), axis=-1)
-    for index, (name, values) in enumerate(sample(fields, places.reshape(-1, 2)).items()):
+    sampled = sample(fields, places.reshape(-1, 2), None, is_clear)
+    for index, (name, values) in enumerate(sampled.items()):
         grid = values.reshape(len(y), len(x))
         if np.ptp(grid) <= 0.0:
             continue

@@ -11,6 +11,7 @@ from swarmd.core.errors import ConfigError, PluginError, unknown
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.sim.scenarios.schema import ArenaSection
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
+from swarmd.sim.world.floor import FloorField
 from swarmd.sim.world.scalar_fields import Field
 
 
@@ -66,14 +67,21 @@ def check_inside(
         raise layers.error(keys, f"{text}, x up to {x:g} and y up to {y:g} either way")
 
 
-def fields_of(layers: Layered, sections: Sequence[Mapping[str, Any]]) -> tuple[Field, ...]:
-    """The fields; ConfigError for the first invalid one."""
+def fields_of(
+    layers: Layered, sections: Sequence[Mapping[str, Any]], keys: Keys = ("fields",)
+) -> tuple[Field, ...]:
+    """The fields of the section `keys`; ConfigError for the first invalid one."""
     kinds = {kind.__struct_config__.tag: kind for kind in get_args(Field)}
     fields: list[Field] = []
     for index, section in enumerate(sections):
-        where, data = str(layers.error(("fields", index), f"fields[{index}]")), dict(section)
+        at = (*keys, index)
+        where, data = str(layers.error(at, dotted(at))), dict(section)
         kind = str(data.pop("kind", ""))
         if kind not in kinds:
             raise ConfigError(f"{where}.kind: {unknown('kind of field', kind, kinds)}")
-        fields.append(Layered((where, data)).build(kinds[kind]))
+        field: Field = Layered((where, data)).build(kinds[kind])
+        if isinstance(field, FloorField):
+            with blamed(layers, *at, prefix=f"{dotted(at)}: "):
+                field.check()
+        fields.append(field)
     return tuple(fields)

@@ -19,7 +19,17 @@ if TYPE_CHECKING:
     from swarmd.sim.world.lidar import Visibility  # it imports MuJoCo
 
 Action = Literal[
-    "run", "stop", "estop", "reset", "join", "leave", "kill", "place", "remove", "param"
+    "run",
+    "stop",
+    "estop",
+    "reset",
+    "join",
+    "leave",
+    "kill",
+    "place",
+    "remove",
+    "fields",
+    "param",
 ]
 
 
@@ -29,7 +39,8 @@ class ScheduledEvent:
 
     On `robots` for run (with `pattern`, `parameters` and perhaps `seconds` and `until`), param
     (`parameters`), stop, estop, reset, join, leave and kill; to the box `box` for place (at
-    `pose` x, y in m, yaw in rad); to the box `box`, or to `robots` if it is empty, for remove.
+    `pose` x, y in m, yaw in rad); to the box `box`, or to `robots` if it is empty, for remove; for
+    fields, `fields` take the place of all fields with their names.
     """
 
     at: float
@@ -41,6 +52,7 @@ class ScheduledEvent:
     until: tuple[str, ...] = ()
     box: str = ""
     pose: tuple[float, float, float] | None = None
+    fields: tuple[Field, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -93,11 +93,19 @@ def _anchored(data: Data, folder: Path) -> Data:
     for section, key in (("groups", "platform"), ("platforms", "extends")):
         items = data.get(section)
         holders += [(item, key) for item in (items.values() if isinstance(items, dict) else ())]
+    floors = [data, *(one for one in _dicts(data.get("events")))]
+    fields = [field for one in floors for field in _dicts(one.get("fields"))]
+    holders += [(patch, "image") for field in fields for patch in _dicts(field.get("patches"))]
     for holder, key in holders:
         value = holder.get(key) if isinstance(holder, dict) else None
-        if isinstance(value, str) and (key == "plugin_dir" or value.endswith(".yaml")):
+        if isinstance(value, str) and (key in ("plugin_dir", "image") or value.endswith(".yaml")):
             holder[key] = str(folder / Path(value).expanduser())
     return data
+
+
+def _dicts(items: Any) -> list[Data]:
+    """The mappings of a list; none of anything else."""
+    return [one for one in items if isinstance(one, dict)] if isinstance(items, list) else []
 
 
 def _overridden(

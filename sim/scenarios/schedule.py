@@ -12,15 +12,16 @@ from dataclasses import dataclass, field
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.conditions import parse_conditions
 from swarmd.settings.layered import Keys, Layered
-from swarmd.sim.scenarios.environment import blamed, check_inside
+from swarmd.sim.scenarios.environment import blamed, check_inside, fields_of
 from swarmd.sim.scenarios.groups import ALL, Groups
 from swarmd.sim.scenarios.scenario import Action, ScheduledEvent
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
+from swarmd.sim.world.scalar_fields import channels_of
 
 OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
 """Actions whose value is their targets."""
 
-ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
+ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove", "fields")
 _BESIDES = {
     "run": ("targets", "parameters", "for", "until"),
     "param": ("targets",),
@@ -35,6 +36,8 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; expected before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
+    if action == "fields":
+        return _field_event(layers, file, section, (*keys, action))
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
     is_robot = action == "remove" and bool(groups.named(section.remove or ""))
     is_box = section.remove in movable or not is_robot
@@ -96,6 +99,23 @@ def _box_event(
     check_inside(layers, file.arena, ("events", keys[1], "pose"), (x, y))
     pose = (x, y, math.radians(degrees))
     return ScheduledEvent(at=section.at, action="place", box=box, pose=pose)
+
+
+def _field_event(
+    layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys
+) -> ScheduledEvent:
+    """Fields for those of their names; robots keep their sensors, so that no reading is new."""
+    known = {name for one in fields_of(layers, file.fields) for name in channels_of(one)}
+    fields = fields_of(layers, section.fields or (), keys)
+    name = f"events[{keys[1]}].fields"
+    if not fields:
+        raise layers.error(keys, f"{name} is empty; expected a field at least")
+    for index, one in enumerate(fields):
+        for channel in channels_of(one):
+            if channel not in known:
+                text = f"{name}[{index}]: {unknown('reading of a field', channel, known)}"
+                raise layers.error((*keys, index), text)
+    return ScheduledEvent(at=section.at, action="fields", fields=fields)
 
 
 def _robots(layers: Layered, groups: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
@@ -185,6 +205,8 @@ class _ScheduleChecker:
 
     def apply(self, keys: Keys, event: ScheduledEvent) -> None:
         """Apply an event; ConfigError if it is impossible."""
+        if event.fields:
+            return
         if event.box:
             if event.action == "remove" and not self._movable_boxes[event.box]:
                 raise self._error(keys, f"{event.box} is not in the arena at {event.at:g} s")

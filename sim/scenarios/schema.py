@@ -96,7 +96,8 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     stop, estop, reset, join, leave and kill name robots, a group or `all`; run names a pattern,
     param holds values, and both act on `targets` (default: all); place names a box; remove names a
-    box, or robots whose daemons are killed and which leave the arena for good.
+    box, or robots whose daemons are killed and which leave the arena for good; fields holds fields
+    that take the place of all fields with their names.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]
@@ -110,6 +111,7 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     kill: Targets | None = None
     place: str | None = None
     remove: str | None = None
+    fields: list[dict[str, Any]] | None = None
     targets: Targets | None = None
     parameters: Values | None = None
     seconds: Seconds | None = field(default=None, name="for")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+from base64 import b64encode
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +13,8 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.floor import FloorField, floor_pixels
+from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.scalar_fields import Field, sample
 from swarmd.view.source import ShownArena
 
@@ -19,12 +24,15 @@ MAX_LINKS = 5000
 
 
 def shown_arena(arena: Arena, fields: Sequence[Field] = ()) -> ShownArena:
-    """Walls, fixed boxes, poles and fields."""
+    """Walls, fixed boxes, poles, fields and the floor."""
+    size = arena.length, arena.width
+    pixels = floor_pixels(fields, size)
     return ShownArena(
-        (arena.length, arena.width),
+        size,
         [box.corners for _, box in arena.fixed],
         [(pole.x, pole.y, pole.radius) for pole in arena.poles],
-        _grids(arena, fields),
+        _grids(arena, [one for one in fields if not isinstance(one, FloorField)]),
+        "" if pixels is None else f"data:image/png;base64,{b64encode(png_of(pixels)).decode()}",
     )
 
 
@@ -35,7 +43,20 @@ def _grids(arena: Arena, fields: Sequence[Field]) -> dict[str, Array]:
     x = ((np.arange(columns) + 0.5) / columns - 0.5) * arena.length
     y = ((np.arange(rows) + 0.5) / rows - 0.5) * arena.width
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    return {name: values.reshape(rows, columns) for name, values in sample(fields, places).items()}
+    values_of = sample(fields, places, None, LineOfSight(arena).is_clear)
+    return {name: values.reshape(rows, columns) for name, values in values_of.items()}
+
+
+def png_of(pixels: NDArray[np.uint8]) -> bytes:
+    """A picture (rows, columns, 3) as PNG."""
+    rows, columns = pixels.shape[:2]
+    lines = np.concatenate((np.zeros((rows, 1), np.uint8), pixels.reshape(rows, -1)), axis=1)
+    head = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
+    chunks = (b"IHDR", head), (b"IDAT", zlib.compress(lines.tobytes(), 9)), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
 
 
 def links_within(reach: float, indices: NDArray[Any], places: Array) -> list[tuple[int, int]]:

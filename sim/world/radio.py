@@ -9,14 +9,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, structs
-from numpy.typing import NDArray
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor, Platform, Value
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
-from swarmd.sim.world.geometry import Indices, apart, crossings
+from swarmd.sim.world.geometry import Indices
+from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
@@ -32,10 +32,6 @@ _BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, which measure 1
 # Errors of range-and-bearing boards: our choice, of the order that their makers report.
 _DISTANCE_SD, _DISTANCE_SHARE, _ANGLE_SD = 0.02, 0.02, math.radians(2.0)
 _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
-
-
-MAX_BATCH = 65_536
-"""Pairs of path and obstacle in one batch of the line of sight, which bounds memory."""
 
 
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -85,36 +81,6 @@ def neighbors_rate(settings: RadioSettings) -> float:
 def with_bearings(platform: Platform) -> Platform:
     """The platform with range-and-bearing hardware on it."""
     return replace(platform, provides=platform.provides | frozenset(_BEARINGS))
-
-
-class LineOfSight:
-    """Line of sight between places past boxes, inner walls and poles; robots do not block it."""
-
-    def __init__(self, arena: Arena) -> None:
-        """Take the fixed obstacles of the arena."""
-        self._walls, self._poles = arena.surfaces, arena.circles
-
-    def is_clear(self, a: Array, b: Array, movable_boxes: Array | None = None) -> NDArray[np.bool_]:
-        """True where the path from a to b (k, 2), m in the world frame, is free.
-
-        `movable_boxes` (t, c, 2): corners of movable boxes; NaN for one outside the arena.
-        """
-        walls, poles = self._walls, self._poles
-        if movable_boxes is not None and len(movable_boxes):
-            edges = np.stack((movable_boxes, np.roll(movable_boxes, -1, axis=1)), axis=2).reshape(
-                -1, 2, 2
-            )
-            walls = np.concatenate((walls, edges))
-        is_clear = np.ones(len(a), dtype=np.bool_)
-        stride = max(1, MAX_BATCH // max(1, len(walls) + len(poles)))
-        for first in range(0, len(a), stride):
-            some = slice(first, first + stride)
-            here, there = a[some, None], b[some, None]
-            is_behind = crossings(here, there, walls[:, 0], walls[:, 1]).any(axis=1)
-            if len(poles):
-                is_behind |= (apart(poles[:, :2], here, there) < poles[:, 2]).any(axis=1)
-            is_clear[some] = ~is_behind
-        return is_clear
 
 
 class Radio:

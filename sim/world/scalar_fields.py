@@ -1,28 +1,19 @@
-"""Scalar fields in the plane, such as light, sampled at the robots' positions."""
+"""Scalar fields in the plane, such as light, sampled at the robots' sensors."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Annotated, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from msgspec import Meta, Struct
 
 from swarmd.core.values import Array, Platform
-
-Name = Annotated[
-    str,
-    Meta(
-        pattern="^[A-Za-z_][A-Za-z0-9_]*$",
-        max_length=63,
-        extra_json_schema={"description": "up to 63 letters, digits and _"},
-    ),
-]
-Level = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
-Point = tuple[Coordinate, Coordinate]
+from swarmd.sim.world.field_kind import Degrees, Extent, FieldKind, Level, Point
+from swarmd.sim.world.floor import FloorField
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.light import IsClear, LightField
 
 READINGS_RATE = 10.0
 """Hz, in live worlds and in lockstep."""
@@ -30,15 +21,11 @@ READINGS_RATE = 10.0
 _MAX_READING = 1e6
 
 
-class _Field(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
-    name: Name
-
-
-class GaussianField(_Field, frozen=True, kw_only=True, tag="gaussian"):
+class GaussianField(FieldKind, frozen=True, kw_only=True, tag="gaussian"):
     """A bell: `peak` at `center` (m), `floor` far away, `sigma` m its standard deviation."""
 
     center: Point = (0.0, 0.0)
-    sigma: Annotated[float, Meta(ge=0.001, le=10_000.0)]
+    sigma: Extent
     peak: Level = 1.0
     floor: Level = 0.0
 
@@ -49,11 +36,11 @@ class GaussianField(_Field, frozen=True, kw_only=True, tag="gaussian"):
         return self.floor + (self.peak - self.floor) * bell
 
 
-class LinearField(_Field, frozen=True, kw_only=True, tag="linear"):
+class LinearField(FieldKind, frozen=True, kw_only=True, tag="linear"):
     """A slope: `base` at `origin` (m), `slope` more with every metre along `direction_deg`."""
 
     origin: Point = (0.0, 0.0)
-    direction_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    direction_deg: Degrees = 0.0
     slope: Level
     base: Level = 0.0
 
@@ -65,7 +52,7 @@ class LinearField(_Field, frozen=True, kw_only=True, tag="linear"):
         return self.base + self.slope * distance
 
 
-class UniformField(_Field, frozen=True, kw_only=True, tag="uniform"):
+class UniformField(FieldKind, frozen=True, kw_only=True, tag="uniform"):
     """The same `value` everywhere."""
 
     value: Level
@@ -75,22 +62,73 @@ class UniformField(_Field, frozen=True, kw_only=True, tag="uniform"):
         return np.full(len(places), self.value)
 
 
-Field: TypeAlias = GaussianField | LinearField | UniformField
-"""Configured as `{kind: gaussian | linear | uniform, name: ..., ...}`; one name adds up."""
+Field: TypeAlias = GaussianField | LinearField | UniformField | FloorField | LightField
+"""Configured as `{kind: gaussian | linear | ..., name: ..., ...}`; fields of one name add up."""
 
 
-def sample(fields: Sequence[Field], places: Array) -> dict[str, Array]:
+def channels_of(field: Field) -> tuple[str, ...]:
+    """The names of the field's readings: its own, and those of the colours of a floor."""
+    return field.channels if isinstance(field, FloorField) else (field.name,)
+
+
+def sample(
+    fields: Sequence[Field],
+    places: Array,
+    bearings: Array | None = None,
+    is_clear: IsClear | None = None,
+) -> dict[str, Array]:
     """The value (k,) of each name at `places` (k, 2) in m; fields of one name add up.
 
-    Clipped to +-1e6, the bound of a reading on the wire.
+    Clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear`: as for lamps.
     """
     values: dict[str, Array] = {}
     for field in fields:
-        values[field.name] = values.get(field.name, 0.0) + field.at(places)
+        for name, value in _channels(field, places, bearings, is_clear).items():
+            values[name] = values.get(name, 0.0) + value
     return {name: np.clip(value, -_MAX_READING, _MAX_READING) for name, value in values.items()}
 
 
+def _channels(
+    field: Field, places: Array, bearings: Array | None, is_clear: IsClear | None
+) -> Mapping[str, Array]:
+    if isinstance(field, LightField):
+        return {field.name: field.at(places, bearings, is_clear)}
+    found = {field.name: field.at(places)}
+    if isinstance(field, FloorField) and field.is_coloured:
+        found |= dict(zip(field.channels[1:], field.colours(places).T, strict=True))
+    return found
+
+
+def readings_at(
+    fields: Sequence[Field],
+    sensors: Mapping[str, Array],
+    pose: Array,
+    is_clear: IsClear | None = None,
+) -> dict[str, float]:
+    """The readings of a robot at `pose` (3,): of a field's sensors if it has any, else at its axle.
+
+    `sensors` by name of the field (k, 3): x, y and bearing in the base frame, NaN for a sensor of
+    all directions. The reading of the name is their mean; each has its own, `<name>_1` and on.
+    """
+    at_axle = [field for field in fields if field.name not in sensors]
+    found = {
+        name: float(value[0])
+        for name, value in sample(at_axle, pose[None, :2], None, is_clear).items()
+    }
+    for name, own in sensors.items():
+        read = [field for field in fields if field.name == name]
+        places = transform(own[:, :2], pose)
+        for channel, values in sample(read, places, pose[2] + own[:, 2], is_clear).items():
+            found[channel] = float(values.mean())
+            found |= {f"{channel}_{i}": value for i, value in enumerate(values.tolist(), start=1)}
+    return found
+
+
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform with a sensor `reading:<name>` for each field."""
-    words = {f"reading:{field.name}" for field in fields}
+    """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors."""
+    words = set()
+    for field in fields:
+        count = len(platform.sensors.get(field.name, ()))
+        for name in channels_of(field):
+            words |= {f"reading:{name}", *(f"reading:{name}_{i + 1}" for i in range(count))}
     return replace(platform, provides=platform.provides | words)

@@ -23,12 +23,13 @@ from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
+from swarmd.sim.world.light import LightField, Shadows
 from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
 from swarmd.sim.world.rolling import RollingScans
-from swarmd.sim.world.scalar_fields import Field, sample
+from swarmd.sim.world.scalar_fields import Field, readings_at
 
 
 class World:
@@ -106,6 +107,7 @@ class World:
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
+        self._shadows: Shadows | None = None  # made for the first reading of a lamp
 
     @property
     def time(self) -> float:
@@ -234,9 +236,21 @@ class World:
         return list(map(Odometry, repeat(now), places, speeds))
 
     def readings(self, robot: int) -> Mapping[str, float]:
-        """The values of the fields at the robot's axle, by name."""
-        values = sample(self.fields, self.poses()[robot, None, :2])
-        return {name: float(value[0]) for name, value in values.items()}
+        """The values of the fields at the robot's sensors, or at its axle, by name."""
+        is_clear = None
+        if any(isinstance(field, LightField) and field.shadows for field in self.fields):
+            if self._shadows is None:
+                shapes = [platform.footprint for platform in self.platforms]
+                self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
+            is_clear = self._shadows.around(robot, self._all_poses())
+        return readings_at(
+            self.fields, self.platforms[robot].sensors, self.poses()[robot], is_clear
+        )
+
+    def change_fields(self, fields: Sequence[Field]) -> None:
+        """Put `fields` in the place of all fields that have their names."""
+        names = {field.name for field in fields}
+        self.fields = (*(one for one in self.fields if one.name not in names), *fields)
 
     def box_poses(self) -> Array:
         """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN for one outside the arena."""

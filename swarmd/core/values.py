@@ -316,7 +316,9 @@ class Platform:
     preset in force, and those of `barrier` and `stop_zone` under these names (None: not given).
     `patterns`: parameters by pattern name. `drivers`: options by driver name. `heights`: None if
     they are not known. `body`: values for the simulated robot (mass, wheel base ...). `ranges`: a
-    ring of further range sensors, for what `scan` does not see; None without one.
+    ring of further range sensors, for what `scan` does not see; None without one. `sensors`: where
+    sensors of a quantity such as `ground` are, by its name, (k, 3) x, y in m and bearing in rad in
+    the base frame; NaN: from all directions.
     """
 
     name: str
@@ -330,6 +332,7 @@ class Platform:
     heights: Heights | None = None
     body: Mapping[str, float] = field(default_factory=dict)
     ranges: ScanSpec | None = None
+    sensors: Mapping[str, Array] = field(default_factory=dict)
 
 
 _INPUTS = (

@@ -34,6 +34,7 @@ from swarmd.settings.yamlfile import Data, read_extended, shown
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]
 Bearing = Annotated[float, Meta(ge=-360.0, le=360.0)]
+SensorName = Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_]*$", max_length=63)]
 Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
 
 
@@ -124,6 +125,20 @@ class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     stop_zone: StopZoneSettings = StopZoneSettings()
 
 
+class SensorSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A sensor of the ground or of light, for the simulated world.
+
+    - `at`: its position from the axle, m.
+    - `bearing_deg`: the direction in which it looks; None: all directions, or down.
+    """
+
+    at: Point
+    bearing_deg: Bearing | None = None
+
+
+Sensors = Annotated[list[SensorSection], Meta(min_length=1, max_length=64)]
+
+
 class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of a platform's file.
 
@@ -138,6 +153,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `drivers`: default options by driver.
     - `heights`: None: whether others see this robot, and whether it sees them, is not known.
     - `body`: properties of the simulated robot; no effect on a real one.
+    - `sensors`: in the simulated world, where the sensors of a field are, by its name, such as
+      `ground`; without them the robot reads a field at its axle. No effect on a real one.
     """
 
     description: str = ""
@@ -152,6 +169,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     heights: HeightsSection | None = None
     body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
     ranges: ScanSection | None = None
+    sensors: dict[SensorName, Sensors] = {}
 
 
 def platform_names() -> tuple[str, ...]:
@@ -415,4 +433,13 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         heights=None if file.heights is None else Heights(**to_builtins(file.heights)),
         body=file.body,
         ranges=None if file.ranges is None else replace(_spec(file.ranges), measures_sweep=False),
+        sensors={name: _sensors(some) for name, some in file.sensors.items()},
     )
+
+
+def _sensors(sections: list[SensorSection]) -> Array:
+    bearings = (math.nan if one.bearing_deg is None else one.bearing_deg for one in sections)
+    rows = [
+        (*one.at, math.radians(bearing)) for one, bearing in zip(sections, bearings, strict=True)
+    ]
+    return np.array(rows, dtype=np.float64)

@@ -47,13 +47,15 @@ class ShownArena:
     """Walls: `size` in m, `shapes` of fixed boxes (k, 2) in m, and `poles` as x, y, radius.
 
     `fields`: scalar fields by name, as values (rows, columns) at the middles of equal cells that
-    cover the arena; the first row is that of the lowest y.
+    cover the arena; the first row is that of the lowest y. `floor`: a picture of the arena's floor
+    as a data URL, empty without one.
     """
 
     size: tuple[float, float]
     shapes: Sequence[Array] = ()
     poles: Sequence[tuple[float, float, float]] = ()
     fields: Mapping[str, Array] = field(default_factory=dict)
+    floor: str = ""
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""
@@ -62,6 +64,7 @@ class ShownArena:
             "shapes": [shape.tolist() for shape in self.shapes],
             "poles": [list(pole) for pole in self.poles],
             "fields": {name: values.round(4).tolist() for name, values in self.fields.items()},
+            "floor": self.floor,
         }
 
 

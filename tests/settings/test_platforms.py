@@ -83,6 +83,15 @@ def test_gives_every_value_in_its_type(folder: Path) -> None:
     assert platform.body == {"mass": 1.8}
 
 
+def test_gives_the_places_of_sensors_with_nan_for_all_directions(folder: Path) -> None:
+    sensors = {"ground": [{"at": [0.1, 0.05]}], "light": [{"at": [0, 0.1], "bearing_deg": 90}]}
+    platform = load_platform(write(folder, {**GOOD, "sensors": sensors}))
+    np.testing.assert_array_equal(platform.sensors["ground"], [[0.1, 0.05, math.nan]])
+    np.testing.assert_allclose(platform.sensors["light"], [[0.0, 0.1, math.pi / 2.0]])
+    with pytest.raises(ConfigError, match=r"sensors\.ground"):
+        load_platform(write(folder, {**GOOD, "sensors": {"ground": [{"x": 1}]}}))
+
+
 def test_spreads_rays_evenly_from_the_first_bearing_within_half_a_turn(folder: Path) -> None:
     platform = load_platform(write(folder, with_value("scan.first_bearing_deg", 45.0)))
     assert np.degrees(platform.scan.bearings) == pytest.approx([45.0, 135.0, -135.0, -45.0])

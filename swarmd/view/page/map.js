@@ -35,6 +35,8 @@ export class SwarmMap {
     this.ruler = null;
     this.field = ''; // the name of the field behind the robots
     this.fieldPicture = null;
+    this.floor = new Image(); // the picture of the floor, once it is loaded
+    this.floor.addEventListener('load', () => this.wake());
     this.gestures = new Gestures(this);
     new ResizeObserver(() => { this.resize(); if (this.hasFitted && !this.isTouched) this.fit(); this.draw(); }).observe(canvas);
     for (const news of ['frame', 'rows', 'selection', 'hello']) model.addEventListener(news, () => this.wake());
@@ -196,6 +198,16 @@ export class SwarmMap {
     const { ctx } = this, { arena, boxes } = this.model;
     if (!arena) return;
     const [left, bottom] = [-arena.size[0] / 2, -arena.size[1] / 2];
+    const floor = arena.floor || '';
+    if ((this.floor.getAttribute('src') || '') !== floor) this.floor.src = floor;
+    if (floor && this.floor.complete && this.floor.naturalWidth) {
+      ctx.save();
+      ctx.scale(1, -1); // its first row is the top one
+      ctx.imageSmoothingEnabled = false;
+      ctx.globalAlpha = 0.6;
+      ctx.drawImage(this.floor, left, bottom, ...arena.size);
+      ctx.restore();
+    }
     if (this.fieldPicture) {
       ctx.globalAlpha = 0.45;
       ctx.drawImage(this.fieldPicture, left, bottom, ...arena.size);

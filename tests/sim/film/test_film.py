@@ -17,6 +17,7 @@ from swarmd.sim.film import encode
 from swarmd.sim.film.colours import STATES, colouring_of, rgb_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.view.trace_source import RecordedRun
+from swarmd.sim.world.floor import FloorField
 from tests.support.traces import trace_of
 
 SIZE = (480, 360)
@@ -115,6 +116,17 @@ def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(SwarmError, match="ffmpeg"):
         odd()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stage_has_the_floor_of_the_scenario(trace: Trace) -> None:
+    from swarmd.sim.film.stage import stage_of
+
+    black = FloorField(name="ground", colour=0.0)
+    bare, floored = stage_of(trace, SIZE), stage_of(trace, SIZE, fields=[black])
+    assert floored.model.ngeom == bare.model.ngeom + 1
+    picture = floored.model.tex("picture").id
+    first = floored.model.tex_adr[picture]
+    assert not floored.model.tex_data[first:].any()
 
 
 @needs_ffmpeg

@@ -313,6 +313,17 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it_over_zenoh(tmp_path: Path) 
     assert np.unique(poses[~np.isnan(poses[:, 0, 0]), 0], axis=0).tolist() == [[1.0, 0.0, 0.0]]
 
 
+def test_a_request_changes_the_fields_of_a_name() -> None:
+    live, replies = ManualWorld(), list[WorldReply]()
+    live.world.fields = (UniformField(name="light", value=1.0),)
+    brighter = UniformField(name="light", value=3.0)
+    payload = encode(WorldRequest(action="fields", fields=(brighter,)))
+    live.link.requests = [PendingRequest(payload, replies.append)]
+    live.pass_time(0.01)
+    assert replies[0].is_done
+    assert live.world.readings(0) == {"light": 3.0}
+
+
 @pytest.mark.parametrize(
     ("payload", "fault", "dropped"),
     [

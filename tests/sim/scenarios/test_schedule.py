@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.sim.world.scalar_fields import UniformField
 
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
@@ -131,9 +132,21 @@ def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
     assert made.pose == (1.0, -1.0, math.pi / 2.0)
 
 
+def test_an_event_changes_the_fields_of_a_name(load: Load) -> None:
+    fields = [{"kind": "uniform", "name": "light", "value": 3}]
+    made = load({"events.+": {"at": 20, "fields": fields}})
+    assert (made.events[-1].action, made.events[-1].robots) == ("fields", ())
+    assert made.events[-1].fields == (UniformField(name="light", value=3.0),)
+    assert made.effective["events"][-1]["fields"] == fields
+
+
 @pytest.mark.parametrize(
     ("event", "fault"),
     [
+        ({"fields": []}, ".fields is empty"),
+        ({"fields": [{"kind": "uniform", "name": "ligth", "value": 1}]}, ".*'ligth'.*'light'"),
+        ({"fields": [{"kind": "unifrm", "name": "light", "value": 1}]}, ".*'unifrm'"),
+        ({"fields": [{"kind": "floor", "name": "light", "colour": [1, 0, 0]}]}, ".*'light_red'"),
         ({}, ""),
         ({"stop": "red", "kill": "red"}, ".*stop and kill"),
         ({"stop": "rde"}, ".stop: .*'red'"),

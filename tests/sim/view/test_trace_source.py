@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -13,7 +16,9 @@ import pytest
 from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import Trace, TraceBuilder
+from swarmd.sim.view import shown
 from swarmd.sim.view.trace_source import RecordedRun, TraceSource
+from swarmd.sim.world.floor import FloorField, Patch
 from swarmd.sim.world.scalar_fields import LinearField
 
 BURGER = load_platform("burger")
@@ -153,3 +158,17 @@ def test_a_run_without_instants_shows_nothing() -> None:
     assert source.rows() == {}
     assert source.links() == ()
     assert source.detail("a") is None
+
+
+def test_the_floor_is_a_picture_of_its_own_and_no_field() -> None:
+    floor = FloorField(name="ground", patches=(Patch(disc=(0.0, 0.0, 0.5)),))
+    arena = source_of({"one": RecordedRun(recorded(), [floor])}).arena
+    assert arena is not None
+    assert dict(arena.fields) == {}
+    head, _, data = arena.floor.partition(",")
+    picture = base64.b64decode(data)
+    assert head == "data:image/png;base64"
+    assert picture.startswith(b"\x89PNG")
+    pixels = shown.png_of(np.zeros((2, 3, 3), np.uint8))
+    assert struct.unpack(">II", pixels[16:24]) == (3, 2)
+    assert zlib.decompress(pixels[41:-16]) == bytes(2 * 10)

@@ -12,7 +12,8 @@ from scipy.stats import binomtest
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
-from swarmd.sim.world.radio import LineOfSight, Radio, RadioSettings, check_radio
+from swarmd.sim.world.line_of_sight import LineOfSight
+from swarmd.sim.world.radio import Radio, RadioSettings, check_radio
 
 ARENA = Arena(40.0, 40.0)
 ROW = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [5.0, 0.0, 0.0]])

@@ -1,0 +1,198 @@
+"""Collective perception: the robots agree on which colour covers more of the floor.
+
+Source: Valentini, Brambilla, Hamann and Dorigo, "Collective perception of environmental features in
+a robot swarm", ANTS 2016: 20 e-pucks on 400 black and white tiles. A robot explores for a random
+time and measures the share of the time in which the floor has the colour of its opinion, its
+quality. Then it tells its opinion for a random time, and decides by what it heard last. The rules
+"voter" (DMVD) and "majority" (DMMD) tell for a time that is proportional to the quality; rule
+"comparison" (DC) tells its quality too, for a time that is not.
+
+Ours: the walk is that of random_walk, and the times scale with the speed of the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from swarmd.api import (
+    CombinedPattern,
+    Context,
+    Inputs,
+    Message,
+    Outputs,
+    Params,
+    Pattern,
+    Recovery,
+    Scalar,
+    TopSpeed,
+    Value,
+    about,
+    majority,
+    of_threshold,
+)
+
+OPINION = "colour"
+BLACK, WHITE = 0, 1
+_WALK = "walk"
+
+
+class CollectivePerceptionParams(Params, frozen=True, kw_only=True):
+    """The rule, its times, the floor and the walk."""
+
+    rule: Annotated[
+        Literal["voter", "majority", "comparison"],
+        about("how a robot decides by what it heard", source="Valentini et al. 2016"),
+    ] = "majority"
+    initial: (
+        Annotated[
+            int,
+            about(
+                "0: black, 1: white, to start with; none: a random one",
+                ge=0,
+                le=1,
+                source="Valentini et al. 2016: half of the robots each",
+            ),
+        ]
+        | None
+    ) = None
+    explore: Annotated[
+        float,
+        about(
+            "mean time for which a robot measures the floor",
+            ge=0.1,
+            le=3600.0,
+            unit="s",
+            source="Valentini et al. 2016",
+        ),
+    ] = 10.0
+    tell: Annotated[
+        float,
+        about(
+            "mean time for which a robot tells its opinion, at quality 1",
+            ge=0.1,
+            le=3600.0,
+            unit="s",
+            source="Valentini et al. 2016",
+        ),
+    ] = 10.0
+    listen: Annotated[
+        float,
+        about(
+            "opinions heard in that time before the decision count",
+            ge=0.1,
+            le=600.0,
+            unit="s",
+            source="Valentini et al. 2016",
+        ),
+    ] = 3.0
+    share_period: Annotated[
+        float,
+        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
+    ] = 0.5
+    black: Annotated[
+        float,
+        about("the floor is black below", ge=0.0, le=1e6, source="ours: halfway to white"),
+    ] = 0.5
+    speed: TopSpeed
+    clearance: Annotated[
+        float,
+        about(
+            "the walk turns away from nearer obstacles ahead",
+            ge=0.0,
+            le=20.0,
+            unit="m",
+            source="ours: random_walk's leaves no way through 20 robots in 16 m2",
+            derived=of_threshold(0.9),
+        ),
+    ]
+    recovery: Recovery = False
+
+
+class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
+    """Walks, measures the floor, tells its opinion and decides, in turns."""
+
+    params_type = CollectivePerceptionParams
+    needs = frozenset({"scan", "reading:ground"})
+
+    def __init__(self, params: CollectivePerceptionParams, context: Context) -> None:
+        super().__init__(params, context)
+        self.channels = {OPINION: list}
+        first = params.initial
+        self.opinion = int(context.rng.integers(2)) if first is None else first
+        self.quality = 1.0
+        self._is_exploring = False
+        self._until = self._tell_at = 0.0
+        self._begun = False
+        self._looked = self._matched = 0.0
+        self._heard: dict[str, tuple[float, int, float]] = {}  # time, opinion and quality
+
+    def make_parts(self) -> Mapping[str, Pattern[Any]]:
+        """The walk."""
+        speed, clearance = self.params.speed, self.params.clearance
+        walk = self.context.make("random_walk", part=_WALK, speed=speed, clearance=clearance)
+        return {_WALK: walk}
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """Walk and measure; at the end of a phase begin the next."""
+        for message in inputs.messages:
+            self._hear(message, inputs.now)
+        if inputs.scan is None or "ground" not in inputs.readings:
+            return Outputs(report={"opinion": self.opinion})
+        if not self._begun:
+            self._begun = True
+            self._explore(inputs.now)
+        elif inputs.now >= self._until:
+            if self._is_exploring:
+                self._tell(inputs.now)
+            else:
+                self._decide(inputs.now)
+                self._explore(inputs.now)
+        sent: dict[str, Value] = {}
+        if self._is_exploring:
+            colour = BLACK if inputs.readings["ground"] < self.params.black else WHITE
+            self._looked += inputs.dt
+            self._matched += inputs.dt * (colour == self.opinion)
+        elif inputs.now >= self._tell_at:
+            sent[OPINION] = [self.opinion, self.quality]
+            self._tell_at = inputs.now + self.params.share_period
+        phase = "explore" if self._is_exploring else "tell"
+        report: dict[str, Scalar] = {
+            "opinion": self.opinion,
+            "quality": round(self.quality, 3),
+            "phase": phase,
+        }
+        return Outputs(self.step_part(_WALK, inputs).twist, sent, report)
+
+    def _explore(self, now: float) -> None:
+        self._is_exploring, self._looked, self._matched = True, 0.0, 0.0
+        self._until = now + float(self.context.rng.exponential(self.params.explore))
+
+    def _tell(self, now: float) -> None:
+        self._is_exploring, self._tell_at = False, now
+        self.quality = self._matched / self._looked if self._looked > 0.0 else 0.0
+        weight = 1.0 if self.params.rule == "comparison" else self.quality
+        self._until = now + float(self.context.rng.exponential(self.params.tell * weight))
+
+    def _decide(self, now: float) -> None:
+        """Adopt an opinion by the rule; the own one stays if nothing was heard."""
+        since = now - self.params.listen
+        heard = {robot: one for robot, one in self._heard.items() if one[0] >= since}
+        self._heard = {}
+        if not heard:
+            return
+        rng = self.context.rng
+        if self.params.rule == "majority":
+            votes = [self.opinion, *(opinion for _, opinion, _ in heard.values())]
+            self.opinion = majority(votes, self.opinion, ties="keep", rng=rng)
+            return
+        _, opinion, quality = list(heard.values())[int(rng.integers(len(heard)))]
+        if self.params.rule == "voter" or quality > self.quality:
+            self.opinion = opinion
+
+    def _hear(self, message: Message, now: float) -> None:
+        """Keep the latest opinion of a robot; anything else in a message is ignored."""
+        match (message.channel == OPINION) and message.value:
+            case [int(opinion), float(quality)] if opinion in (BLACK, WHITE):
+                if 0.0 <= quality <= 1.0:
+                    self._heard[message.sender] = (now - message.age, int(opinion), quality)

@@ -1,0 +1,66 @@
+"""Lamps: light that falls with the squared distance, and the shadows of robots and obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from swarmd.core.values import Array
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.field_kind import FieldKind, Level, Point
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.line_of_sight import LineOfSight
+
+IsClear: TypeAlias = Callable[[Array, Array], NDArray[np.bool_]]
+"""True where nothing hides the places of the one array (k, 2) from those of the other."""
+
+
+class LightField(FieldKind, frozen=True, kw_only=True, tag="light"):
+    """A lamp at `center`, `height` m above the sensors: `power` / squared distance.
+
+    With `shadows` robots, boxes, poles and walls hide the lamp. A sensor with a bearing takes the
+    cosine of the angle between the lamp and its bearing, and nothing from behind.
+    """
+
+    center: Point = (0.0, 0.0)
+    power: Level = 1.0
+    height: Annotated[float, Meta(ge=0.01, le=1000.0)] = 0.2
+    shadows: bool = True
+
+    def at(
+        self, places: Array, bearings: Array | None = None, is_clear: IsClear | None = None
+    ) -> Array:
+        """The light (k,) at `places` (k, 2) in m; without `is_clear` nothing hides the lamp.
+
+        `bearings` (k,) rad in the world, NaN for a sensor that takes light from all directions.
+        """
+        x, y = self.center[0] - places[:, 0], self.center[1] - places[:, 1]
+        squared = x * x + y * y + self.height**2
+        light: Array = self.power / squared
+        if bearings is not None:
+            towards = (x * np.cos(bearings) + y * np.sin(bearings)) / np.sqrt(squared)
+            light = light * np.where(np.isnan(bearings), 1.0, np.maximum(towards, 0.0))
+        if self.shadows and is_clear is not None:
+            lamp = np.broadcast_to(np.array(self.center), places.shape)
+            light = np.where(is_clear(lamp, places), light, 0.0)
+        return light
+
+
+class Shadows:
+    """What hides lamps from a robot: the arena and the outlines of other bodies."""
+
+    def __init__(self, shapes: Sequence[Array], arena: Arena) -> None:
+        """`shapes` (k, 2): the outline of each body in its own frame."""
+        most = max(map(len, shapes))
+        # A repeated corner makes an edge without length, which hides nothing.
+        self._shapes = np.stack([one[np.minimum(np.arange(most), len(one) - 1)] for one in shapes])
+        self._sight = LineOfSight(arena)
+
+    def around(self, body: int, poses: Array) -> IsClear:
+        """Past all but `body`, with the bodies at `poses` (n, 3), NaN for one that is not there."""
+        outlines = np.delete(transform(self._shapes, poses), body, axis=0)
+        return lambda lamp, places: self._sight.is_clear(lamp, places, outlines)
