@@ -21,6 +21,7 @@ CONTENTS = {
         "docs/patterns/majority_rule",
         "docs/patterns/voter_model",
         "docs/patterns/discussed_dispersion",
+        "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
     ],
     "How to": [
