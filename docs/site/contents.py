@@ -23,6 +23,7 @@ CONTENTS = {
         "docs/patterns/discussed_dispersion",
         "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
+        "docs/patterns/trimmed_consensus",
     ],
     "How to": [
         "docs/installation",
