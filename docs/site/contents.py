@@ -21,6 +21,7 @@ CONTENTS = {
         "docs/patterns/majority_rule",
         "docs/patterns/voter_model",
         "docs/patterns/discussed_dispersion",
+        "docs/patterns/one_bit_aggregation",
         "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
         "docs/patterns/trimmed_consensus",
