@@ -25,6 +25,7 @@ CONTENTS = {
         "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
         "docs/patterns/trimmed_consensus",
+        "docs/patterns/lloyd_coverage",
     ],
     "How to": [
         "docs/installation",
