@@ -24,6 +24,7 @@ CONTENTS = {
         "docs/patterns/one_bit_aggregation",
         "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
+        "docs/patterns/response_threshold",
         "docs/patterns/trimmed_consensus",
         "docs/patterns/lloyd_coverage",
     ],
