@@ -26,6 +26,7 @@ from swarmd.core.values import (
     Pose,
     Scan,
     Twist,
+    Value,
 )
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -50,6 +51,7 @@ LAWS: Mapping[str, Sequence[Mapping[str, str]]] = {
     "random_walk": ({}, PAPER),
     "voter_model": WINDOWS,
 }
+READINGS: Mapping[str, float] = {"quality_0": 1.0, "quality_1": 0.5, "stimulus": 3.0}
 OTHERS = tuple(f"tb3-{number:02}" for number in range(2, 8))
 
 
@@ -89,6 +91,15 @@ def measure(call: Callable[[], object]) -> Sequence[float]:
     return seconds
 
 
+def said(channel: str, kind: type, count: int, k: int) -> Value:
+    """What robot k says for the `count`-th time."""
+    if channel == "hops":
+        return [1, OTHERS[0], k, count]
+    if channel == "flash":
+        return [count, 0.05]
+    return [count, k % 3, k % 3] if kind is list else kind(k % 3)
+
+
 def steps(scans: Sequence[Scan], channels: Mapping[str, type]) -> Iterator[Inputs]:
     """A new scan each second step, 10 Hz; six others, sensed twice and heard once a second."""
     for tick, scan in enumerate(cycle([scan for scan in scans for _ in range(2)])):
@@ -105,11 +116,12 @@ def steps(scans: Sequence[Scan], channels: Mapping[str, type]) -> Iterator[Input
                 for k, other in enumerate(OTHERS)
             ),
             messages=tuple(
-                Message(other, channel, [tick // 10, k % 3, k % 3] if kind is list else k % 3, 0.0)
+                Message(other, channel, said(channel, kind, tick // 10, k), 0.0)
                 for k, other in enumerate(OTHERS)
                 if tick % 10 == k
                 for channel, kind in channels.items()
             ),
+            readings=READINGS,
         )
 
 
@@ -120,7 +132,8 @@ def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
     provides = platform.provides | {"neighbors.distance", "neighbors.bearing"}
     for name in found:
         for params in LAWS.get(name, ({},)):
-            pattern = Subject(finder(name), replace(platform, provides=provides), params).make()
+            senses = replace(platform, provides=provides | finder(name).needs)
+            pattern = Subject(finder(name), senses, params).make()
             inputs = cycle(tuple(islice(steps(scans, pattern.channels), CALLS + WARM)))
             timing = measure(map(pattern.step, inputs).__next__)
             yield Row(" ".join(("step of", name, *params.values())), timing, BUDGET)

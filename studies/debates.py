@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from typing import TypeAlias
 
 import numpy as np
 
+from studies.point_swarm import each
 from swarmd.core.values import Value
 from tests.support.voting_sim import Air, Debate, VotingSim
 
@@ -65,10 +64,7 @@ def hold(motion: Motion) -> Result:
 
 def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:
     """All debates in their order, in `jobs` processes."""
-    if jobs == 1:
-        return [hold(motion) for motion in motions]
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(hold, motions, chunksize=16))
+    return each(hold, list(motions), jobs)
 
 
 def rounds_of(debate: Debate) -> float:

@@ -22,6 +22,12 @@ CONTENTS = {
         "docs/patterns/majority_rule",
         "docs/patterns/voter_model",
         "docs/patterns/discussed_dispersion",
+        "docs/patterns/one_bit_aggregation",
+        "docs/patterns/firefly_synchronization",
+        "docs/patterns/hop_gradient",
+        "docs/patterns/response_threshold",
+        "docs/patterns/trimmed_consensus",
+        "docs/patterns/lloyd_coverage",
     ],
     "How to": [
         "docs/installation",
