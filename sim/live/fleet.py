@@ -113,7 +113,8 @@ class Child:
         """
         code = self.process.poll()
         line = "" if code is not None and code < 0 else f": {_last_line(self.log)}"
-        return f"{self.name} {how_it_ended(code)}{line} (log: {self.log})"
+        hint = "; the kernel does so where memory ends, see dmesg" * (code == -signal.SIGKILL)
+        return f"{self.name} {how_it_ended(code)}{line} (log: {self.log}){hint}"
 
 
 class Fleet:

@@ -28,6 +28,9 @@ SERVER_PATH = tuple(sys.path)
 """In a fork: the import path of the server, without the folder of the program that started it."""
 
 
+_SERVER_IS_GONE = 255  # no main() of swarmd ends with this code
+
+
 class ForkedProcess:
     """A process that `fork_main` began, with the methods of `subprocess.Popen`."""
 
@@ -43,8 +46,12 @@ class ForkedProcess:
         return self.poll()
 
     def poll(self) -> int | None:
-        """The exit code; None while it runs."""
-        return self._process.exitcode
+        """The exit code; None while it runs.
+
+        If the server is gone, multiprocessing gives 255; the kernel has killed the process then.
+        """
+        code = self._process.exitcode
+        return -signal.SIGKILL if code == _SERVER_IS_GONE else code
 
     def wait(self, timeout: float | None = None) -> int:
         """The exit code; TimeoutExpired after `timeout` s."""

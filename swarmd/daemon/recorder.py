@@ -58,6 +58,8 @@ from swarmd.settings.swarmfile import RecordingSection
 
 MAX_BATCH = 60_000
 """Bytes of one batch, but for its last entry."""
+MAX_MEMORY = 10 * MAX_BATCH
+"""Bytes of a robot's memory, as sent in parts."""
 MAX_ENTRIES = 500
 """Entries that are sent before the period is over."""
 BATCH_PERIOD = 0.5
@@ -201,12 +203,16 @@ class Recorder:
         self.add(frames.input_entry(input, now))
 
     def _memory(self, robot: Robot, now: float) -> None:
-        """What the robot knows before the present input; 3 ms of CPU."""
+        """What the robot knows before the present input; 4 ms of CPU."""
         self._is_memory_due = False
         try:
-            self.add(frames.MemoryEntry(now, remember(robot, frames.MAX_ENTRY - 100)))
+            data = remember(robot, MAX_MEMORY)
         except CodecError as error:  # the robot drives on; a replay tells that it lacks the memory
             self._on_event(f"recording: {error}")
+            return
+        parts = [data[at : at + MAX_BATCH] for at in range(0, len(data), MAX_BATCH)]
+        for number, part in enumerate(parts):
+            self.add(frames.MemoryEntry(now, part, number, len(parts)))
 
     def _decided(self, robot: Robot, input: Input, actions: Actions, now: float) -> None:
         reason = actions.decision.reason or ""

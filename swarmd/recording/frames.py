@@ -48,10 +48,12 @@ class InputEntry(Struct, frozen=True, array_like=True, tag="input"):
 
 
 class MemoryEntry(Struct, frozen=True, array_like=True, tag="memory"):
-    """All that the robot knows before its next input, as `remember` gives it."""
+    """Part `part` of `parts` of all that the robot knows before its next input; see `remember`."""
 
     at: float
     data: bytes
+    part: int = 0
+    parts: int = 1
 
 
 class DecisionEntry(Struct, frozen=True, array_like=True, tag="decision"):

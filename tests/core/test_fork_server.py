@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -67,6 +69,13 @@ def test_a_forked_process_is_ended_by_signals_and_waited_for(tmp_path: Path) -> 
     other = fork(tmp_path, "wait")
     other.terminate()
     assert other.wait(30.0) == -signal.SIGTERM
+
+
+def test_a_forked_process_whose_server_was_killed_was_killed(tmp_path: Path) -> None:
+    forked = fork(tmp_path, "wait", "tied")
+    wait_until(lambda: (tmp_path / "err").read_text() == "error\n", "it runs")
+    os.kill(forkserver._forkserver._forkserver_pid, signal.SIGKILL)  # type: ignore[attr-defined]
+    assert forked.wait(30.0) == -signal.SIGKILL
 
 
 def test_forked_processes_end_with_their_parent(tmp_path: Path) -> None:
