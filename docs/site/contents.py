@@ -21,6 +21,9 @@ CONTENTS = {
         "docs/patterns/majority_rule",
         "docs/patterns/voter_model",
         "docs/patterns/discussed_dispersion",
+        "docs/patterns/collective_perception",
+        "docs/patterns/phototaxis",
+        "docs/patterns/source_seeking",
     ],
     "How to": [
         "docs/installation",
