@@ -58,7 +58,7 @@ SHOTS = MappingProxyType(
         "film_collective_perception": Shot(
             scenario="collective_perception",
             title="collective_perception; 62 % is black",
-            stop=120.0,
+            stop=160.0,
             colour="opinion",
             camera="top",
         ),

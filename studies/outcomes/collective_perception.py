@@ -16,7 +16,6 @@ SHARE = 0.66
 DURATION = 300.0
 RIGHT = 0.9
 """The least share of runs that end in agreement on black."""
-_SOURCE = "Valentini et al. 2016"
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) -> list[Outcome]:
@@ -25,7 +24,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     fields = [{"kind": "floor", "name": "ground", "patches": [patch]}]
     found = simulate(NAME, seeds, jobs=jobs, set={"duration": duration, "fields": fields})
     what = f"majority, {SHARE:.0%} black: share of runs that agree on black"
-    return [at_least(NAME, what, RIGHT, [right(found)], _SOURCE), no_contacts(NAME, found)]
+    return [at_least(NAME, what, RIGHT, [right(found)], "ours"), no_contacts(NAME, found)]
 
 
 def right(results: Results) -> float:
