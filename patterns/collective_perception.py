@@ -7,7 +7,7 @@ quality. Then it tells its opinion for a random time, and decides by what it hea
 "voter" (DMVD) and "majority" (DMMD) tell for a time that is proportional to the quality; rule
 "comparison" (DC) tells its quality too, for a time that is not.
 
-Ours: the walk is that of random_walk, and the times scale with the speed of the robot.
+Ours: the walk is that of random_walk.
 """
 
 from __future__ import annotations

@@ -55,6 +55,13 @@ SHOTS = MappingProxyType(
             stop=60.0,
             sets=_ROOM,
         ),
+        "film_collective_perception": Shot(
+            scenario="collective_perception",
+            title="collective_perception; 62 % is black",
+            stop=160.0,
+            colour="opinion",
+            camera="top",
+        ),
         "film_discussed_dispersion": Shot(
             scenario="paper_exp2", title="discussed_dispersion", stop=40.0, colour="opinion"
         ),
@@ -70,7 +77,13 @@ SHOTS = MappingProxyType(
         "film_majority_rule": Shot(
             scenario="voting_range", title="majority_rule", stop=30.0, colour="opinion", sets=_VOTE
         ),
+        "film_phototaxis": Shot(
+            scenario="phototaxis", title="phototaxis, to a lamp on the right", stop=60.0
+        ),
         "film_random_walk": Shot(scenario="random_walk", title="random_walk", stop=60.0),
+        "film_source_seeking": Shot(
+            scenario="source_seeking", title="source_seeking, up to the right", stop=120.0
+        ),
         "film_voter_model": Shot(
             scenario="voting_range",
             title="voter_model",

@@ -28,6 +28,9 @@ CONTENTS = {
         "docs/patterns/response_threshold",
         "docs/patterns/trimmed_consensus",
         "docs/patterns/lloyd_coverage",
+        "docs/patterns/collective_perception",
+        "docs/patterns/phototaxis",
+        "docs/patterns/source_seeking",
     ],
     "How to": [
         "docs/installation",

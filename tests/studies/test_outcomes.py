@@ -14,7 +14,6 @@ from studies.outcomes.outcome import Outcome, at_least, at_most
 SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "attraction": {"duration": 40.0},
     "circle_formation": {"settings": (SHORT,)},
-    "collective_perception": {"is_short": True},
     "discussed_dispersion": {"seconds": 46.0},
     "line_formation": {"settings": (SHORT,)},
     "random_walk": {"duration": 40.0},
