@@ -13,8 +13,8 @@ from swarmd.settings.settings import load_platform, platform_names
 FOUND = {name: o for name, o in pattern_names(None).items() if o.value.startswith("swarmd.")}
 FIND = PatternLoader({name: (origin.value, False) for name, origin in FOUND.items()})
 # Numbers that are counts, shares or weights.
-WITHOUT_UNIT = {"bias", "concavity", "coupling", "cruise", "initial", "opinions", "rays"}
-WITHOUT_UNIT |= {"refractory", "steepness", "stop", "surge"}
+WITHOUT_UNIT = {"bias", "cruise", "initial", "opinions", "rays", "surge"}
+WITHOUT_UNIT |= {"concavity", "coupling", "exponent", "refractory", "steepness", "stop"}
 
 
 @pytest.mark.parametrize("name", FOUND)
