@@ -28,6 +28,7 @@ CONTENTS = {
         "docs/patterns/cross_inhibition",
         "docs/patterns/trimmed_consensus",
         "docs/patterns/lloyd_coverage",
+        "docs/patterns/levy_walk",
     ],
     "How to": [
         "docs/installation",
