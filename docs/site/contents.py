@@ -27,6 +27,7 @@ CONTENTS = {
         "docs/patterns/response_threshold",
         "docs/patterns/cross_inhibition",
         "docs/patterns/trimmed_consensus",
+        "docs/patterns/vicsek_alignment",
         "docs/patterns/lloyd_coverage",
         "docs/patterns/levy_walk",
     ],
