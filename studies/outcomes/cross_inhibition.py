@@ -43,7 +43,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bounds: bool = True) ->
     crossed = float(np.mean(shares("cross_inhibition")))
     direct = float(np.mean(shares("direct")))
     found = [
-        at_least(NAME, f"{what}, mean", 0.8, [crossed], _REINA),
+        at_least(NAME, f"{what}, mean", 0.7, [crossed], _REINA),
         at_most(NAME, "the same, direct", 0.5, [direct], _DIRECT),
     ]
     if not has_bounds:

@@ -22,7 +22,8 @@ class TestLevyWalk(PatternContract):
 def flights(count: int, **params: Value) -> list[float]:
     """The lengths in m of so many flights in the open, of a robot that does what it requests."""
     pattern = Subject(LevyWalk, BURGER, params).make(1)
-    scan, found, length, k = empty_scan(BURGER, 0, 0.0), [], 0.0, 0
+    scan, length, k = empty_scan(BURGER, 0, 0.0), 0.0, 0
+    found: list[float] = []
     while len(found) <= count:
         twist = pattern.step(Inputs(0.1 * k, 0.1 if k else 0.0, scan)).twist
         assert twist is not None
