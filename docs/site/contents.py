@@ -25,6 +25,7 @@ CONTENTS = {
         "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
         "docs/patterns/response_threshold",
+        "docs/patterns/best_of_n",
         "docs/patterns/cross_inhibition",
         "docs/patterns/trimmed_consensus",
         "docs/patterns/vicsek_alignment",
