@@ -63,6 +63,7 @@ CONTENTS = {
     "Reference": [
         "docs/reference/commands",
         "docs/reference/patterns",
+        "docs/reference/comparison",
         "docs/reference/platforms",
         "docs/reference/scenarios",
         "docs/reference/metrics",

@@ -6,6 +6,7 @@ import inspect
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
@@ -42,6 +43,7 @@ from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.texts.values import number
 from swarmd.texts.why import SENTENCES
 
+_PAGES = Path(__file__).resolve().parents[1] / "patterns"
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
 
 
@@ -67,6 +69,38 @@ def patterns() -> Iterator[str]:
             for one in row["params"]
         ]
         yield _table(("parameter", "meaning", "default", "unit", "accepted", "source"), rows)
+
+
+def comparison() -> Iterator[str]:
+    """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
+    rows = []
+    for row in describe_patterns((), None, _PLATFORM):
+        page = _PAGES / f"{row['name']}.md"
+        if page.exists():
+            text = page.read_text(encoding="utf-8")
+            fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
+            rows.append(
+                (
+                    f"`{row['name']}`",
+                    ", ".join(row["needs"]) or "no sensor",
+                    ", ".join(row["channels"]) or "nothing",
+                    *_first_outcome(text.partition("\n## Measured\n")[2]),
+                    fails.partition("\n- ")[0].replace("**", ""),
+                )
+            )
+    head = ("pattern", "needs", "sends", "first outcome", "wanted", "reached", "from", "breaks it")
+    yield _table(head, rows)
+
+
+def _first_outcome(text: str) -> tuple[str, str, str, str]:
+    """What, wanted, reached and from, of the first row of the first table; empty without one."""
+    lines = [line.strip()[1:-1] for line in text.splitlines() if line.startswith("|")]
+    table = [[cell.strip() for cell in line.split(" | ")] for line in (*lines[:1], *lines[2:3])]
+    if len(table) < 2 or "wanted" not in table[0][:-1] or len(table[0]) != len(table[1]):
+        return "", "", "", ""
+    heads, cells = table
+    at = heads.index("wanted")
+    return cells[0], cells[at], cells[at + 1], cells[-1] if heads[-1] == "from" else ""
 
 
 def platforms() -> Iterator[str]:
@@ -149,6 +183,7 @@ def reasons() -> Iterator[str]:
 
 PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
+    "comparison": comparison,
     "platforms": platforms,
     "scenarios": scenarios,
     "metrics": metrics,
