@@ -73,23 +73,23 @@ def patterns() -> Iterator[str]:
 
 def comparison() -> Iterator[str]:
     """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
-    rows = []
+    inputs, outcomes, breaks = [], [], []
     for row in describe_patterns((), None, _PLATFORM):
         page = _PAGES / f"{row['name']}.md"
         if page.exists():
-            text = page.read_text(encoding="utf-8")
+            name, text = f"`{row['name']}`", page.read_text(encoding="utf-8")
+            channels = ", ".join(f"`{one}`" for one in row["channels"])
+            needs = ", ".join(f"`{one}`" for one in row["needs"])
+            inputs.append((name, needs or "no sensor", channels or "nothing"))
+            outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
             fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
-            rows.append(
-                (
-                    f"`{row['name']}`",
-                    ", ".join(row["needs"]) or "no sensor",
-                    ", ".join(row["channels"]) or "nothing",
-                    *_first_outcome(text.partition("\n## Measured\n")[2]),
-                    fails.partition("\n- ")[0].replace("**", ""),
-                )
-            )
-    head = ("pattern", "needs", "sends", "first outcome", "wanted", "reached", "from", "breaks it")
-    yield _table(head, rows)
+            breaks.append((name, fails.partition("\n- ")[0].replace("**", "")))
+    yield "## What it needs and sends"
+    yield _table(("pattern", "needs", "sends"), inputs)
+    yield "## The first outcome"
+    yield _table(("pattern", "what", "wanted", "reached", "from"), outcomes)
+    yield "## What breaks it"
+    yield _table(("pattern", "first of its failures"), breaks)
 
 
 def _first_outcome(text: str) -> tuple[str, str, str, str]:
