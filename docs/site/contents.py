@@ -26,11 +26,15 @@ CONTENTS = {
         "docs/patterns/firefly_synchronization",
         "docs/patterns/hop_gradient",
         "docs/patterns/response_threshold",
+        "docs/patterns/best_of_n",
+        "docs/patterns/cross_inhibition",
         "docs/patterns/trimmed_consensus",
+        "docs/patterns/vicsek_alignment",
         "docs/patterns/lloyd_coverage",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",
+        "docs/patterns/levy_walk",
     ],
     "How to": [
         "docs/installation",
@@ -66,6 +70,7 @@ CONTENTS = {
     "Reference": [
         "docs/reference/commands",
         "docs/reference/patterns",
+        "docs/reference/comparison",
         "docs/reference/platforms",
         "docs/reference/scenarios",
         "docs/reference/metrics",

@@ -51,6 +51,7 @@ from swarmd.texts.values import number
 from swarmd.texts.why import SENTENCES
 
 ROOT = Path(__file__).resolve().parents[2]
+_PAGES = ROOT / "docs/patterns"
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
 _PART = re.compile(r"(<!-- begin (\w+): .*? -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -77,6 +78,38 @@ def patterns() -> Iterator[str]:
             for one in row["params"]
         ]
         yield _table(("parameter", "meaning", "default", "unit", "accepted", "source"), rows)
+
+
+def comparison() -> Iterator[str]:
+    """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
+    inputs, outcomes, breaks = [], [], []
+    for row in describe_patterns((), None, _PLATFORM):
+        page = _PAGES / f"{row['name']}.md"
+        if page.exists():
+            name, text = f"`{row['name']}`", page.read_text(encoding="utf-8")
+            channels = ", ".join(f"`{one}`" for one in row["channels"])
+            needs = ", ".join(f"`{one}`" for one in row["needs"])
+            inputs.append((name, needs or "no sensor", channels or "nothing"))
+            outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
+            fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
+            breaks.append((name, fails.partition("\n- ")[0].replace("**", "")))
+    yield "## What it needs and sends"
+    yield _table(("pattern", "needs", "sends"), inputs)
+    yield "## The first outcome"
+    yield _table(("pattern", "what", "wanted", "reached", "from"), outcomes)
+    yield "## What breaks it"
+    yield _table(("pattern", "first of its failures"), breaks)
+
+
+def _first_outcome(text: str) -> tuple[str, str, str, str]:
+    """What, wanted, reached and from, of the first row of the first table; empty without one."""
+    lines = [line.strip()[1:-1] for line in text.splitlines() if line.startswith("|")]
+    table = [[cell.strip() for cell in line.split(" | ")] for line in (*lines[:1], *lines[2:3])]
+    if len(table) < 2 or "wanted" not in table[0][:-1] or len(table[0]) != len(table[1]):
+        return "", "", "", ""
+    heads, cells = table
+    at = heads.index("wanted")
+    return cells[0], cells[at], cells[at + 1], cells[-1] if heads[-1] == "from" else ""
 
 
 def platforms() -> Iterator[str]:
@@ -189,6 +222,7 @@ def experiments() -> Iterator[str]:
 
 PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
+    "comparison": comparison,
     "platforms": platforms,
     "scenarios": scenarios,
     "metrics": metrics,

@@ -237,6 +237,7 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
     ("part", "rows"),
     [
         ("patterns", ["`opinions`", "`spacing`"]),
+        ("comparison", ["`attraction`", "`hop_gradient`", "`voter_model`"]),
         ("platforms", [*(f"`{name}`" for name in platform_names()), "`braking_linear`"]),
         ("scenarios", [*(f"`{name}`" for name in scenario_names()), "`neighborhood`"]),
         ("metrics", [f"`{name}`" for name in METRICS]),

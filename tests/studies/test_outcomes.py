@@ -13,10 +13,15 @@ from studies.outcomes.outcome import Outcome, at_least, at_most
 
 SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "attraction": {"duration": 40.0},
+    "best_of_n": {"has_hard": False},
+    "cross_inhibition": {"has_bounds": False},
     "circle_formation": {"settings": (SHORT,)},
     "discussed_dispersion": {"seconds": 46.0},
+    "levy_walk": {"has_slow": False},
     "line_formation": {"settings": (SHORT,)},
+    "one_bit_aggregation": {"duration": 120.0},
     "random_walk": {"duration": 40.0},
+    "vicsek_alignment": {"has_sizes": False},
     "flocking": {"duration": 30.0},
     "voter_model": {"has_times": False},  # a mean time needs a hundred debates
 }

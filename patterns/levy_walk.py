@@ -1,0 +1,128 @@
+"""Levy walk: straight flights whose lengths follow a power law, with turns to random headings.
+
+Source: Viswanathan et al., "Optimizing the success of random searches", Nature 401, 1999: a flight
+is longer than l with probability (l / shortest)^(1 - mu); mu near 1 is ballistic motion, 2 the best
+search for sparse targets that return, 3 and more a diffusing walk. On robots: Dimidov, Oriolo and
+Trianni, "Random walks in swarm robotics: an experiment with Kilobots", ANTS 2016.
+
+Ours: a flight ends before an obstacle, with a turn away from it; longer flights than `longest` are
+drawn again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated
+
+from swarmd.api import (
+    Context,
+    Inputs,
+    MovementPattern,
+    Params,
+    Ray,
+    Scalar,
+    TopSpeed,
+    TopTurn,
+    Twist,
+    about,
+    nearest,
+    of_threshold,
+)
+
+# rad to each side of ahead: the robot passes obstacles farther aside.
+_AHEAD_HALF_WIDTH = math.radians(60.0)
+
+
+class LevyWalkParams(Params, frozen=True, kw_only=True):
+    """The lengths of the flights, the speeds and the clearance."""
+
+    speed: TopSpeed
+    turn: TopTurn
+    exponent: Annotated[
+        float,
+        about(
+            "mu of the power law; near 1: ballistic, 3 and more: diffusing",
+            ge=1.01,
+            le=10.0,
+            source="Viswanathan et al. 1999: 2 is the best for sparse targets",
+        ),
+    ] = 2.0
+    shortest: Annotated[
+        float,
+        about("shortest flight", ge=0.01, le=100.0, unit="m", source="ours: two bodies"),
+    ] = 0.3
+    longest: Annotated[
+        float,
+        about("longest flight", ge=0.02, le=10000.0, unit="m", source="ours: the size of a hall"),
+    ] = 20.0
+    clearance: Annotated[
+        float,
+        about(
+            "turns away from nearer obstacles ahead; 0: never",
+            ge=0.0,
+            le=20.0,
+            unit="m",
+            source="ours: that of random_walk, to turn before protection acts",
+            derived=of_threshold(1.6),
+        ),
+    ]
+
+    def __post_init__(self) -> None:
+        """Check that shortest is below longest."""
+        if self.shortest >= self.longest:
+            raise ValueError(f"shortest is {self.shortest:g} m, longest {self.longest:g} m")
+
+
+class LevyWalk(MovementPattern[LevyWalkParams]):
+    """Alternates between a flight of random length and a turn in place to a random heading."""
+
+    params_type = LevyWalkParams
+
+    def __init__(self, params: LevyWalkParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._left = 0.0  # rad to turn
+        self._flight = 0.0  # m to drive
+        self._last = Twist()
+        self._seq: int | None = None
+        self._ahead: Ray | None = None
+
+    def report(self) -> Mapping[str, Scalar]:
+        """Its state, and the m that are left of the flight."""
+        return {"state": "turn" if self._left else "flight", "left": self._flight}
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """The rest of the turn, or of the flight; a new turn and flight when both are done."""
+        dt, step = inputs.dt, 1.0 / self.rate
+        self._left -= self._last.angular * dt
+        self._flight -= self._last.linear * dt
+        if inputs.scan is not None and inputs.scan.seq != self._seq:
+            self._seq = inputs.scan.seq
+            self._ahead = nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH)
+        is_turning = abs(self._left) > 1e-6
+        if not is_turning:
+            self._left = 0.0
+            ray = self._ahead
+            blocking = ray if ray is not None and ray.range < self.params.clearance else None
+            if blocking is not None or self._flight <= 0.0:
+                self._draw(blocking)
+        if self._left:
+            turn = self.params.turn
+            self._last = Twist(angular=max(-turn, min(turn, self._left / step)))
+        else:
+            self._last = Twist(linear=self.params.speed)
+        return self._last
+
+    def _draw(self, blocking: Ray | None) -> None:
+        """A new heading, away from what blocks, and the length of the flight there."""
+        rng, params = self.context.rng, self.params
+        if blocking is None:
+            self._left = float(rng.uniform(-math.pi, math.pi))
+        else:
+            side = -math.copysign(1.0, blocking.bearing)
+            self._left = side * float(rng.uniform(0.5 * math.pi, math.pi))
+        # The inverse of the distribution that ends at `longest`: what is longer is drawn again.
+        power = 1.0 - params.exponent
+        most = (params.longest / params.shortest) ** power
+        share = float(rng.random()) * (1.0 - most) + most
+        self._flight = params.shortest * float(share ** (1.0 / power))
