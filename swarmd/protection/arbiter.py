@@ -22,7 +22,8 @@ from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import NO_PERMIT, Avoided, Decision, DecisionContext, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
-from swarmd.protection.recovery import NO_OTHERS, Others, Recovery
+from swarmd.protection.recovery import NO_OTHERS, Allows, Others, Recovery
+from swarmd.protection.right_of_way import RightOfWay
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
@@ -70,6 +71,7 @@ class Protection:
     _tracker = cython.declare(object, visibility="public")
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
+    _right_of_way: object
     _latency: cython.double
     _is_running: cython.bint
     _is_followed: cython.bint  # `following` has had a reading since its reset
@@ -107,6 +109,7 @@ class Protection:
             self._is_avoiding = self._avoids
             self._avoidance = Avoidance(clearance, platform.limits)
             self._tracker = load_kernel("swarmd.protection.tracks").Tracker(platform)
+            self._right_of_way = RightOfWay(clearance, platform.limits, self._recovery, seed)
 
     @property
     def passage(self) -> NarrowestPassage | None:
@@ -124,6 +127,7 @@ class Protection:
             self._min_gap = self._footprint.min_gap(scan, geometry)
         if self._is_avoiding:
             self._tracker.observe(scan, context)
+            self._right_of_way.observe(scan, self._geometry.offset, context)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
             oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])
@@ -178,6 +182,7 @@ class Protection:
                 self._is_avoiding = is_avoiding
                 self._tracker.reset()  # what has moved meanwhile
                 self._avoidance.reset()
+                self._right_of_way.reset()
         if requested is not self._requested:  # most are judged more than once
             self._requested, self._wanted = requested, _zero
             if requested is not None and requested.is_finite:
@@ -194,11 +199,12 @@ class Protection:
                 self._may_recover = self._is_recovering = False
                 recovery.reset()
                 self._avoidance.reset()
+                self._right_of_way.reset()
             return self._decision(wanted, _zero, False, (), hold, context)
         if recovery is not None and permit.may_recover:
             self._may_recover = True
-            passing, others = self._passing(wanted, context)
             allows = partial(self._safe_for, context, touch)
+            passing, others = self._passing(wanted, context, allows)
             judged = recovery.replacement(
                 passing, self._allowed, context, self._points, others, allows
             )
@@ -233,15 +239,22 @@ class Protection:
         """The command that the mode allows for a requested one."""
         return self._arbiter.decide(self._limits.clip(requested), context, self._safe, touch).twist
 
-    def _passing(self, wanted: Twist, context: DecisionContext) -> tuple[Twist, Others]:
+    def _passing(
+        self, wanted: Twist, context: DecisionContext, allows: Allows
+    ) -> tuple[Twist, Others]:
         """The command that leads past others; `wanted` if nothing is in its way."""
         avoidance, recovery = self._avoidance, self._recovery
         if not self._is_avoiding:
             return wanted, NO_OTHERS
+        around = self._tracker.surroundings(context)
+        way = self._right_of_way
+        wanted = way.command(wanted, context, around, allows, self._points)
+        if way.is_settled:
+            avoidance.avoiding = None
+            return wanted, Others(wanted, is_settled=True)
         if recovery.has_taken_over:
             avoidance.avoiding = None
             return wanted, NO_OTHERS
-        around = self._tracker.surroundings(context)
         passing = avoidance.command(wanted, self._allowed, context.now, around)
         return passing, Others(wanted, avoidance.are_near, avoidance.avoiding is not None)
 

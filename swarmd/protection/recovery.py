@@ -75,12 +75,14 @@ class Clearance(NamedTuple):
 class Others(NamedTuple):
     """What avoidance knows: whether moving objects are near, and whether one is led past.
 
-    `wanted` is the pattern's request if avoidance has replaced it.
+    `wanted` is the pattern's request if avoidance has replaced it. `is_settled`: the request gives
+    way at an opening, or passes one, and recovery adds nothing.
     """
 
     wanted: Twist | None = None
     are_near: bool = False
     are_avoided: bool = False
+    is_settled: bool = False
 
 
 NO_OTHERS = Others()
@@ -150,7 +152,11 @@ class Recovery:
         now, wanted = context.now, others.wanted or requested
         is_idle = not (self._is_moving(wanted) or self._is_turning(wanted))
         since = now - self._began
-        if is_idle or (self.has_taken_over and since > _MAX_RECOVERY_TIME + self._back_time):
+        if (
+            is_idle
+            or others.is_settled
+            or (self.has_taken_over and since > _MAX_RECOVERY_TIME + self._back_time)
+        ):
             self.reset()
             return requested
         patience = _CROWD_PATIENCE if others.are_near else self._patience
@@ -264,7 +270,7 @@ class Recovery:
         if requested.linear <= 0.0 or requested.lateral != 0.0 or not is_limited:
             self._leave_passage()
             return requested
-        target = self._middle(points())
+        target = self.middle(points())
         if target is None:
             self._leave_passage()
             return requested
@@ -313,7 +319,7 @@ class Recovery:
             return Twist(speed)
         if self._back_time <= _BACK_OFF_TIME:
             return Twist(-speed)
-        target = self._middle(-points())  # seen from the rear
+        target = self.middle(-points())  # seen from the rear
         turn = 0.0 if target is None else _PASSAGE_GAIN * math.atan2(target[1], target[0])
         return Twist(-2.0 * speed, max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE))
 
@@ -331,7 +337,7 @@ class Recovery:
         if self._state == "pass":
             self._enter("follow", self._since)
 
-    def _middle(self, points: Array) -> Array | None:
+    def middle(self, points: Array) -> Array | None:
         """(2,) a place ahead on the middle line of a narrow passage; None where there is none.
 
         The passage is between the nearest pair of a return to the left and one to the right.

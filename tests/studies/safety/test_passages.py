@@ -60,3 +60,8 @@ def test_of_two_that_meet_in_a_corridor_one_yields() -> None:
 
 def test_a_robot_passes_a_door_of_two_bodies() -> None:
     assert crossings(Passage(2.0 * 0.178, duration=28.0), 1) > 0
+
+
+def test_robots_take_turns_at_a_door_with_right_of_way() -> None:
+    door = Passage(2.0 * 0.178, left=1, right=1, mode="orca", duration=80.0)
+    assert crossings(door, 2) >= 2

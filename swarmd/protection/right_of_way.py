@@ -1,0 +1,522 @@
+"""Right of way: robots pass a door or a corridor one direction at a time, without a message.
+
+A robot remembers the openings that its scans show, in the frame of the odometry: the gap from the
+end of a wall to the nearest return beyond it (after Mujahed, Fischer and Mertsching, "Safe gap
+based (SG) reactive navigation", ECMR 2013). A robot whose request leads into a wall drives to the
+opening in it. A robot waits aside while others come out; of two that meet within an
+opening the deeper one goes on, and the other one backs out. Chance decides between two that are
+as deep (Metcalfe and Boggs 1976).
+
+The result is a request, which avoidance, recovery and protection treat as one of the pattern.
+"""
+
+from __future__ import annotations
+
+import math
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Pose, Scan, Twist
+from swarmd.protection.decision import DecisionContext
+from swarmd.protection.recovery import Allows, Clearance, Points, Recovery
+from swarmd.protection.tracks import Surroundings
+
+_REACH = 2.5  # m from the lidar within which openings are seen
+_TURNING = 0.6  # rad/s of a turn during which no scan is exact enough
+_JUMP = 0.25  # m between the ranges of neighbouring rays at the end of a wall
+_NARROWEST, _WIDEST = 1.5, 1.0  # bodies, m: in a wider opening two robots pass each other
+_LEAST_RAYS = 3  # between the posts of an opening
+_WALL = 0.2  # m of wall to each side of an opening at least
+_FACE = 0.8  # m of it which give its direction
+_ALONG = 0.1  # m from the line of a wall within which a return belongs to it
+_HOLE = 0.22  # m between neighbouring returns of a wall at most
+_AT_TRACK = 0.12  # m from the outline of a track within which a return is no wall
+_SAME_AXIS, _SAME_HALF, _SAME_SPAN, _SAME_ANGLE = 0.14, 0.08, 0.2, 0.4  # m, rad
+_SIGHTINGS = 2  # of an opening before it counts
+_FORGET_ONE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
+_MOST = 8  # openings
+
+_AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
+_FAR = 2.0  # m before an opening beyond which it does not
+_AT_WALL = 0.5  # m before a wall at which a robot turns to its opening
+_OTHER_WAY = -0.25  # cosine of the direction that leads away from an opening
+_SIDEWAYS = 1.3  # rad: a request farther to the side is taken for a turn
+_GIVE_UP = 150.0  # s for one opening
+
+_IN = 0.25  # m before an opening at which a robot is in it
+_BEYOND = 0.35  # m beyond an opening at which it is passed
+_OUT, _SEEN_BEYOND = 0.9, 0.5  # m before and beyond an opening within which others count
+_LINE_UP = 0.5  # m before an opening, where a robot turns into its axis
+_PURSUIT = 0.25  # m ahead on the axis
+_BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
+_FOLLOW = 0.42  # m behind another robot that goes in
+_PERSISTS = (1.0, 3.0)  # s after which a track is no part of a wall, before and beyond
+_CLEAR = (0.5, 1.5)  # s for which nothing has come out before a robot enters
+_HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
+_AFTER, _AGAIN = (6.0, 10.0), 60.0  # s for which a robot that has passed lets others pass
+_PATIENCE = (3.0, 6.0)  # s after which it is drawn anew which of two goes on
+_CLOSE = 0.15  # m within which two are as deep
+_STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries the other way
+_GAIN, _PASSAGE_TURN_RATE = 3.0, 0.8  # 1/s of the heading, rad/s
+_SLOW, _CREEP = 0.1, 0.04  # m/s, speeds of which the second lets protection creep
+_TURN_COST = 0.05  # m/s for each rad/s that protection changes
+
+
+class Opening:
+    """An opening in a wall: its middle in the frame of the odometry, and the direction through it.
+
+    `half` of its width; `span`, where it begins and ends along the direction; `walls`, how far the
+    wall reaches to the left and right of the middle; all in m.
+    """
+
+    def __init__(self, x: float, y: float, angle: float, half: float, at: float) -> None:
+        self.x, self.y, self.angle, self.half = x, y, angle, half
+        self.span, self.walls = (0.0, 0.0), [half, half]
+        self.hits, self.seen_at = 1, at
+
+    def measure(self, points: Array) -> None:
+        """Take direction, span and the lengths of the walls from returns (k, 2)."""
+        s, side = self._local(points)
+        off = np.abs(side)
+        face = (np.abs(s) < _ALONG) & (off > self.half) & (off < self.half + _FACE)
+        if face.sum() > 5:  # walls are longer than the gap, so they give the better angle
+            s0, side0 = s[face] - s[face].mean(), side[face] - side[face].mean()
+            slope = float((s0 * side0).sum() / max((side0 * side0).sum(), 1e-9))
+            self.angle -= math.atan(slope)
+            s, side = self._local(points)
+        within = np.sort(s[np.abs(np.abs(side) - self.half) < _ALONG])
+        self.span = -_reach(-within[within < 0.05][::-1]), _reach(within[within > -0.05])
+        face = (np.abs(s - self.span[0]) < _ALONG) | (np.abs(s - self.span[1]) < _ALONG)
+        self.walls = [
+            self.half
+            + _reach(np.sort(way * side[face & (way * side > self.half - 0.1)]) - self.half)
+            for way in (1.0, -1.0)
+        ]
+
+    def is_same(self, other: Opening) -> bool:
+        """True if both may be sightings of one opening."""
+        s, side = self.to_local(other.x, other.y, 1.0)
+        return (
+            abs(math.remainder(self.angle - other.angle, math.pi)) < _SAME_ANGLE
+            and abs(side) < _SAME_AXIS
+            and abs(self.half - other.half) < _SAME_HALF
+            and self.span[0] - _SAME_SPAN < s < self.span[1] + _SAME_SPAN
+        )
+
+    def update(self, seen: Opening) -> None:
+        """Take in another sighting."""
+        share = 1.0 / min(self.hits + 1, 10)
+        turned = math.remainder(seen.angle - self.angle, math.pi)
+        is_turned = abs(math.remainder(seen.angle - self.angle, 2.0 * math.pi)) > 0.5 * math.pi
+        s, side = self.to_local(seen.x, seen.y, 1.0)
+        low, high = seen.span if not is_turned else (-seen.span[1], -seen.span[0])
+        low, high = low + s, high + s
+        self.x += share * -math.sin(self.angle) * side
+        self.y += share * math.cos(self.angle) * side
+        self.angle += share * turned
+        self.half += share * (seen.half - self.half)
+        self.span = (
+            _grown(self.span[0], low, low < self.span[0]),
+            _grown(self.span[1], high, high > self.span[1]),
+        )
+        walls = seen.walls[::-1] if is_turned else seen.walls
+        self.walls = [
+            _grown(old, new, new > old) for old, new in zip(self.walls, walls, strict=True)
+        ]
+        self.hits, self.seen_at = self.hits + 1, seen.seen_at
+
+    def to_local(self, x: float, y: float, sign: float) -> tuple[float, float]:
+        """Place along the way through, and to its left; `sign` -1 for the opposite way."""
+        cos, sin = sign * math.cos(self.angle), sign * math.sin(self.angle)
+        dx, dy = x - self.x, y - self.y
+        return cos * dx + sin * dy, cos * dy - sin * dx
+
+    def ends(self, sign: float) -> tuple[float, float]:
+        """Where the opening begins and ends for one way through."""
+        return self.span if sign > 0.0 else (-self.span[1], -self.span[0])
+
+    def _local(self, points: Array) -> tuple[Array, Array]:
+        cos, sin = math.cos(self.angle), math.sin(self.angle)
+        dx, dy = points[:, 0] - self.x, points[:, 1] - self.y
+        return cos * dx + sin * dy, cos * dy - sin * dx
+
+
+class _Place(NamedTuple):
+    """The robot before an opening: m from its begin, m to the left of its axis, and the heading.
+
+    `depth` and `half` of the width of the opening.
+    """
+
+    s: float
+    side: float
+    heading: float
+    depth: float
+    half: float
+
+    @property
+    def is_in(self) -> bool:
+        """True if others must wait for the robot."""
+        if abs(self.side) >= self.half + 0.05:
+            return False
+        is_aligned = abs(self.heading) < 0.5 and abs(self.side) < 0.5 * self.half
+        return self.s > -0.05 or (self.s > -_IN and is_aligned)
+
+    @property
+    def to_line_up(self) -> float:
+        """The distance in m to the place at which a robot lines up."""
+        return math.hypot(self.s + _LINE_UP, self.side)
+
+
+class _Traffic(NamedTuple):
+    """What others do: come out (`is_within`: still in the opening), wait nearer, meet, go ahead."""
+
+    is_busy: bool = False
+    is_within: bool = False
+    is_behind: bool = False
+    is_met: bool = False
+    is_close: bool = False
+
+
+class RightOfWay:
+    """Chooses the request of a robot before an opening. Times are in s and come with each call.
+
+    `state`: in, back, wait, aside or go (to where it lines up); empty without an opening.
+    """
+
+    def __init__(self, clearance: Clearance, limits: Limits, recovery: Recovery, seed: str) -> None:
+        """`recovery` tells the middle of a passage; `seed` seeds the random choices."""
+        self._body, self._limits, self._recovery = clearance.body, limits, recovery
+        lead = limits.linear / limits.angular if limits.angular > 0.0 else 0.1
+        self._lead = min(max(lead, 0.05), 0.3)
+        self._rng = Random(f"way {seed}")
+        self._openings: list[Opening] = []
+        self._tracks: tuple[tuple[float, float, float], ...] = ()  # x, y, radius by odometry
+        self._last: Odometry | None = None
+        self._passed_at = -math.inf
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the request, and no opening that the robot knows."""
+        self._speed = 0.5 * self._limits.linear  # or the fastest request, as in recovery
+        self._release()
+
+    def _release(self) -> None:
+        """Let requests pass until there is another opening on the way."""
+        self._opening: Opening | None = None
+        self._sign, self._since, self._wish = 1.0, 0.0, 0.0
+        self._sides: dict[int, float] = {}  # by track: the side from which it came
+        self._farthest: dict[int, float] = {}
+        self._seen_since: dict[int, float] = {}
+        self._best, self._best_at, self._is_backing = -math.inf, -math.inf, False
+        self._busy_at, self._clear = -math.inf, 0.0
+        self._is_mine, self._drawn_until = True, -math.inf
+        self._aside, self._is_lined_up = 0.0, False
+        self.state = ""
+
+    @property
+    def is_settled(self) -> bool:
+        """True where neither avoidance nor recovery has anything to add."""
+        return self.state in {"in", "back", "wait"}
+
+    def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
+        """Take in a conditioned scan; `offset` is the place of the sensor in the base frame."""
+        odometry = context.odometry
+        if odometry is None or context.odometry_age is None:
+            return
+        if abs(odometry.twist.angular) > _TURNING:
+            return
+        ago = (scan.newest_age or 0.0) + context.scan_delay
+        pose = _moved(odometry.pose, odometry.twist, context.odometry_age - ago)
+        rays = np.flatnonzero(np.isfinite(scan.ranges) & (scan.ranges > 0.0))
+        if len(rays) < 10:
+            return
+        rays = rays[np.argsort(scan.bearings[rays], kind="stable")]
+        ranges, bearings = scan.ranges[rays], scan.bearings[rays]
+        x = offset[0] + ranges * np.cos(bearings)
+        y = offset[1] + ranges * np.sin(bearings)
+        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        points = np.stack((pose.x + cos * x - sin * y, pose.y + sin * x + cos * y), axis=1)
+        is_wall = ranges < _REACH
+        for tx, ty, radius in self._tracks:
+            is_wall &= np.hypot(points[:, 0] - tx, points[:, 1] - ty) > radius + _AT_TRACK
+        for found in self._found(points, ranges, is_wall, context.now):
+            known = next((one for one in self._openings if one.is_same(found)), None)
+            if known is None:
+                self._openings.append(found)
+            else:
+                known.update(found)
+        self._openings = [
+            one
+            for one in self._openings
+            if context.now - one.seen_at < (_FORGET if one.hits >= _SIGHTINGS else _FORGET_ONE)
+            or one is self._opening
+        ][-_MOST:]
+
+    def _found(
+        self, points: Array, ranges: Array, is_wall: NDArray[np.bool_], now: float
+    ) -> list[Opening]:
+        """The openings between returns in order of their bearings."""
+        n = len(ranges)
+        seen: list[Opening] = []
+        steps = np.roll(ranges, -1) - ranges
+        for index in np.flatnonzero(np.abs(steps) > _JUMP).tolist():
+            way = 1 if steps[index] > 0.0 else -1
+            post = index if way > 0 else (index + 1) % n
+            rows = (post + way * np.arange(2, n // 2)) % n
+            rows = rows[is_wall[rows]]
+            if not is_wall[post] or not len(rows):
+                continue
+            across = points[rows] - points[post]
+            away = np.hypot(across[:, 0], across[:, 1])
+            best = int(away.argmin())
+            if not 2.0 * _NARROWEST * self._body < away[best] < _WIDEST:
+                continue
+            between = (post + way * np.arange(1, (rows[best] - post) * way % n)) % n
+            farther = ranges[between] > max(ranges[post], ranges[rows[best]]) - 0.02
+            if len(between) < _LEAST_RAYS or np.mean(farther) < 0.9:
+                continue
+            x, y = (0.5 * (points[post] + points[rows[best]])).tolist()
+            angle = math.atan2(across[best, 0], -across[best, 1])
+            found = Opening(x, y, angle, 0.5 * float(away[best]), now)
+            found.measure(points[is_wall])
+            is_walled = min(found.walls) >= found.half + _WALL
+            if is_walled and not any(found.is_same(one) for one in seen):
+                seen.append(found)
+        return seen
+
+    def command(
+        self,
+        requested: Twist,
+        context: DecisionContext,
+        around: Surroundings,
+        allows: Allows,
+        points: Points,
+    ) -> Twist:
+        """The request to ask for; `requested` itself without an opening on the way."""
+        odometry, now = context.odometry, context.now
+        if odometry is None or context.odometry_age is None:
+            return requested
+        if self._last is not odometry:
+            if self._last is not None and odometry.jumps_from(self._last):
+                self._openings = []
+                self._release()
+            self._last = odometry
+        pose = _moved(odometry.pose, odometry.twist, context.odometry_age)
+        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        placed = [
+            (one, pose.x + cos * one.x - sin * one.y, pose.y + sin * one.x + cos * one.y)
+            for one in around.tracks
+        ]
+        self._tracks = tuple((x, y, one.radius) for one, x, y in placed)
+        if requested.is_zero:
+            self._release()
+            return requested
+        self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
+        self._wish = self._wished(requested, pose.yaw)
+        if self._opening is None:
+            self._choose(pose, now)
+        opening = self._opening
+        if opening is None:
+            return requested
+        s, side = opening.to_local(pose.x, pose.y, self._sign)
+        first, last = opening.ends(self._sign)
+        turned = pose.yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
+        heading = math.remainder(turned, 2.0 * math.pi)
+        place = _Place(s - first, side, heading, last - first, opening.half)
+        is_passed = place.s > place.depth + _BEYOND
+        if is_passed and around.tracks:
+            self._passed_at = now
+        wish = math.cos(self._wish - opening.angle) * self._sign
+        is_over = now - self._since > _GIVE_UP
+        if is_passed or place.s < -_FAR or wish < _OTHER_WAY or is_over:
+            self._release()
+            return requested
+        self._seen_since = {one.id: self._seen_since.get(one.id, now) for one in around.tracks}
+        others = []
+        for one, x, y in placed:
+            there, off = opening.to_local(x, y, self._sign)
+            there -= first
+            if now - self._seen_since[one.id] >= _PERSISTS[there > 0.3]:
+                others.append((one.id, there, off))
+        return self._through(place, others, now, allows, points)
+
+    def _wished(self, requested: Twist, yaw: float) -> float:
+        """The direction of the request in the frame of the odometry.
+
+        A base that turns on the spot wants to go anywhere on that side.
+        """
+        ahead = max(requested.linear, 0.0)
+        off = math.atan2(requested.lateral + self._lead * requested.angular, ahead)
+        if abs(off) > _SIDEWAYS and requested.lateral == 0.0:
+            before = math.remainder(self._wish - yaw, 2.0 * math.pi)
+            if before * off > 0.0 and abs(before) > _SIDEWAYS:
+                off = before
+            elif math.pi - abs(before) < 0.5:
+                off = math.copysign(math.pi, off)
+        return yaw + off
+
+    def _choose(self, pose: Pose, now: float) -> None:
+        """Take the nearest opening that the wish leads through, or whose wall it leads into."""
+        nearest, chosen = math.inf, None
+        for one in self._openings:
+            angle = math.remainder(self._wish - one.angle, 2.0 * math.pi)
+            if one.hits < _SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < 0.2:
+                continue
+            sign = 1.0 if abs(angle) < 0.5 * math.pi else -1.0
+            s, side = one.to_local(pose.x, pose.y, sign)
+            first, last = one.ends(sign)
+            s -= first
+            if s > last - first or (s > -0.05 and abs(side) > one.half):
+                continue
+            at = side - min(s, 0.0) * math.tan(angle)
+            wall = one.walls[0 if at * sign > 0.0 else 1]
+            leads_in = abs(at) < one.half and s > -_AHEAD
+            leads_to_wall = s > -_AT_WALL and abs(at) < wall
+            away = math.hypot(min(s, 0.0), side)
+            if (leads_in or leads_to_wall) and away < nearest:
+                nearest, chosen = away, (one, sign)
+        if chosen is None:
+            return
+        wish = self._wish
+        self._release()
+        self._wish, self._since = wish, now
+        self._opening, self._sign = chosen
+        if now - self._passed_at < _AGAIN:
+            self._busy_at, self._clear = now, self._rng.uniform(*_AFTER)
+
+    def _traffic(self, at: _Place, others: list[tuple[int, float, float]]) -> _Traffic:
+        """What the tracks (id, m from the begin, m to the left of the axis) do."""
+        slack = _CLOSE if self._is_mine else -_CLOSE
+        is_busy = is_behind = is_met = is_within = is_close = False
+        for id, s, off in others:
+            side = self._sides.get(id)
+            if side is None or s < -0.3 or s > at.depth + 0.3:
+                least = -0.1 if side is None else 0.5 * at.depth
+                side = self._sides[id] = -1.0 if s < least else 1.0
+            wide = at.half - 0.06 if s > 0.0 else at.half + 0.2
+            if not -_OUT < s < at.depth + _SEEN_BEYOND or abs(off) > wide:
+                continue
+            far = max(self._farthest.get(id, s) if s > -_LINE_UP else s, s)
+            self._farthest[id] = far
+            if side > 0.0 or (far > -_IN and s < far - 0.1):  # one that backs out comes, too
+                back, its = at.s + _IN, at.depth + _IN - s
+                if at.is_in and s > at.s:
+                    is_met |= s - at.s < 0.8 + at.depth and its > back + slack
+                elif s < at.depth + _IN or s - at.depth < -at.s + slack:
+                    is_busy = True
+                    is_within |= -0.3 < s < at.depth + 0.3
+            elif s > at.s and s > -_IN:
+                is_close |= s - at.s < _FOLLOW and s < at.depth + 0.2
+            elif math.hypot(s + _LINE_UP, off) < at.to_line_up + slack:
+                is_behind = True
+        return _Traffic(is_busy, is_within, is_behind, is_met, is_close)
+
+    def _through(
+        self,
+        at: _Place,
+        others: list[tuple[int, float, float]],
+        now: float,
+        allows: Allows,
+        points: Points,
+    ) -> Twist:
+        """The request at a place."""
+        if now > self._drawn_until and now - self._best_at > 2.0:
+            self._is_mine = self._rng.random() < 0.5
+            self._drawn_until = now + self._rng.uniform(*_PATIENCE)
+        traffic = self._traffic(at, others)
+        if not at.is_in:
+            self._is_backing, self._best, self._best_at = False, at.s, now
+        elif traffic.is_met or now - self._best_at > _STUCK:
+            self._is_backing = traffic.is_met or not self._is_backing
+            self._best, self._best_at = at.s, now
+        elif abs(at.s - self._best) > _PROGRESS:
+            self._best, self._best_at = at.s, now
+        if traffic.is_met or traffic.is_busy or self._is_backing:
+            self._busy_at, self._clear = now, self._rng.uniform(*_CLEAR)
+            self._clear += _HIDDEN if traffic.is_within else 0.0
+        if self._is_backing:
+            self.state = "back"
+            off = math.remainder(math.atan2(-at.side, -0.4) + math.pi - at.heading, 2.0 * math.pi)
+            return self._fastest(Twist(-0.5 * self._speed, min(max(off, -0.3), 0.3)), allows)
+        if at.is_in:
+            self.state = "in"
+            return self._fastest(self._along(at, points), allows)
+        if now - self._busy_at < self._clear or traffic.is_behind:
+            return self._give_way(at)
+        self._is_lined_up |= at.to_line_up < 0.08 or (abs(at.side) < 0.04 and at.s < -0.4)
+        self._is_lined_up &= abs(at.side) < 0.12
+        if not self._is_lined_up:
+            self.state = "go"
+            return self._drive(-_LINE_UP, 0.0, at)
+        self.state = "wait" if traffic.is_close else "go"
+        return ZERO if traffic.is_close else self._drive(at.s + _PURSUIT, 0.0, at)
+
+    def _give_way(self, at: _Place) -> Twist:
+        """Go aside, and wait there."""
+        self._is_lined_up = False
+        if abs(at.side) > at.half + _BESIDE or at.s < -_FREE:
+            self.state = "wait"
+            return ZERO
+        if not self._aside or abs(at.side) > 0.15:
+            is_off = abs(at.side) > 0.05
+            self._aside = math.copysign(1.0, at.side) if is_off else self._aside or -1.0
+        self.state = "aside"
+        return self._drive(min(at.s, -0.4) - 0.1, self._aside * (at.half + _BESIDE + 0.15), at)
+
+    def _along(self, at: _Place, points: Points) -> Twist:
+        """Along the middle between the sides of the opening, and else along its axis."""
+        if abs(at.heading) < 0.6 and -0.1 < at.s < at.depth + 0.05:
+            target = self._recovery.middle(points())
+            if target is not None:
+                turn = _GAIN * math.atan2(target[1], target[0])
+                turn = max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
+                return Twist(self._speed, turn)
+        return self._drive(at.s + _PURSUIT, 0.0, at)
+
+    def _fastest(self, twist: Twist, allows: Allows) -> Twist:
+        """The request along this way of which protection leaves most.
+
+        Protection turns a robot aside that asks for much, and lets one creep that asks for little.
+        """
+        best, found, most = -math.inf, twist, abs(twist.linear)
+        for speed in (most, _SLOW, _CREEP):
+            one = Twist(math.copysign(min(speed, most), twist.linear), twist.angular)
+            allowed = allows(one)
+            gain = math.copysign(allowed.linear, allowed.linear * one.linear)
+            gain -= _TURN_COST * abs(allowed.angular - one.angular)
+            if gain > best:
+                best, found = gain, one
+        return found
+
+    def _drive(self, s: float, side: float, at: _Place) -> Twist:
+        """Towards a place."""
+        limits = self._limits
+        off = math.remainder(math.atan2(side - at.side, s - at.s) - at.heading, 2.0 * math.pi)
+        turn = min(max(_GAIN * off, -limits.angular), limits.angular)
+        return Twist(self._speed * max(math.cos(off), 0.0) ** 2, turn)
+
+
+def _reach(sorted_places: Array) -> float:
+    """How far places (k,) in rising order reach from 0 without a hole."""
+    places = np.concatenate(((0.0,), sorted_places[sorted_places > 0.0]))
+    holes = np.flatnonzero(np.diff(places) > _HOLE)
+    return float(places[holes[0]] if len(holes) else places[-1])
+
+
+def _grown(old: float, new: float, is_more: bool) -> float:
+    """A length that grows faster than it shrinks: what is hidden is not gone."""
+    return old + (0.4 if is_more else 0.03) * (new - old)
+
+
+def _moved(pose: Pose, twist: Twist, seconds: float) -> Pose:
+    """The pose after some time at a constant twist."""
+    yaw = pose.yaw + 0.5 * seconds * twist.angular
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return Pose(
+        pose.x + seconds * (cos * twist.linear - sin * twist.lateral),
+        pose.y + seconds * (sin * twist.linear + cos * twist.lateral),
+        pose.yaw + seconds * twist.angular,
+    )

@@ -1,0 +1,138 @@
+"""Openings and right of way: what is seen, who waits, who backs out, and what never changes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
+from swarmd.protection.decision import DecisionContext
+from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.right_of_way import RightOfWay
+from swarmd.protection.tracks import Surroundings, Track
+
+BASE, ROOM = Limits(0.22, 2.84), Clearance(0.5, 0.18, 0.09)
+AHEAD = Twist(0.22)
+BEARINGS = np.radians(np.arange(-180.0, 180.0))
+HALF = 0.18  # m, of a door at x = 0; the wall reaches 2 m to each side
+FAR = 3.0  # m to whatever is behind
+
+
+def scan(pose: Pose) -> Scan:
+    """What a lidar sees of a wall at x = 0 with a door in its middle."""
+    angles = BEARINGS + pose.yaw
+    with np.errstate(divide="ignore"):
+        ranges = -pose.x / np.cos(angles)
+    y = pose.y + ranges * np.sin(angles)
+    is_wall = (ranges > 0.0) & (np.abs(y) > HALF) & (np.abs(y) < 2.0)
+    return Scan(0, 0.0, np.where(is_wall, np.minimum(ranges, FAR), FAR), BEARINGS, 0.1, 3.5)
+
+
+class Ride:
+    """A robot that stands at places one after the other, each for two scans."""
+
+    def __init__(self) -> None:
+        self.way = RightOfWay(ROOM, BASE, Recovery(ROOM, BASE, "one"), "one")
+        self.now = 0.0
+
+    def at(
+        self, pose: Pose, *tracks: Track, seconds: float = 1.0, requested: Twist = AHEAD
+    ) -> Twist:
+        """The request after some seconds at a place, among tracks in the base frame."""
+        asked = requested
+        for tick in range(round(seconds * 10)):
+            self.now += 0.1
+            odometry = Odometry(self.now, pose, ZERO)
+            context = DecisionContext(self.now, 0.0, odometry, 0.0)
+            if tick % 2 == 0:
+                self.way.observe(scan(pose), (0.0, 0.0), context)
+            around = Surroundings(tracks, np.empty((0, 2)))
+            asked = self.way.command(
+                requested, context, around, lambda twist: twist, lambda: np.empty((0, 2))
+            )
+        return asked
+
+
+def track(id: int, x: float, y: float = 0.0) -> Track:
+    return Track(id, x, y, 0.0, 0.0, 0.1, 0.05)
+
+
+def near(x: float, y: float = 0.0) -> Pose:
+    return Pose(x, y, 0.0)
+
+
+def test_without_an_opening_on_the_way_a_request_passes_unchanged() -> None:
+    ride = Ride()
+    away = Pose(-0.8, 0.0, np.pi)
+    assert ride.at(away) is AHEAD
+    assert ride.way.state == ""
+
+
+def test_a_free_opening_is_driven_through() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    assert ride.way.state == "go"
+    asked = ride.at(near(-0.1))
+    assert ride.way.state == "in"
+    assert asked.linear == pytest.approx(0.22)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_request_into_a_wall_leads_to_the_opening_beside(side: float) -> None:
+    ride = Ride()
+    asked = ride.at(near(-0.4, side * 0.8))
+    assert ride.way.state == "go"
+    assert asked.angular * side < 0.0
+
+
+def test_a_robot_goes_aside_and_waits_while_another_comes_out() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
+    assert ride.way.state == "aside"
+    assert ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9)) is ZERO
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.way.state == "go"
+
+
+@pytest.mark.parametrize(("there", "state"), [(0.15, "back"), (0.9, "in")])
+def test_of_two_that_meet_the_deeper_one_goes_on(there: float, state: str) -> None:
+    ride = Ride()
+    ride.at(near(-0.6))
+    own = 0.1 if state == "in" else -0.2
+    asked = ride.at(near(own), track(1, there - own), seconds=4.0)
+    assert ride.way.state == state
+    assert (asked.linear < 0.0) == (state == "back")
+
+
+def test_a_robot_follows_another_that_goes_in_at_a_distance() -> None:
+    ride = Ride()
+    ride.at(near(-0.5), track(1, 0.2), seconds=2.0)
+    assert ride.at(near(-0.5), track(1, 0.35), seconds=1.0) is ZERO
+    assert ride.at(near(-0.5), track(1, 0.6), seconds=1.0).linear > 0.0
+
+
+def test_a_robot_whose_request_leads_away_is_free_again() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
+    back = Twist(0.0, 2.84)
+    for yaw in (0.0, 1.5, 3.0):
+        ride.at(Pose(-1.0, 0.0, yaw), requested=back)
+    assert ride.at(Pose(-1.0, 0.0, 3.1)) is AHEAD
+
+
+def test_a_jump_of_odometry_forgets_all_openings() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    assert ride.at(near(40.0), seconds=0.1) is AHEAD
+    assert ride.at(near(-1.0), seconds=0.1) is AHEAD
+
+
+def test_equal_inputs_give_equal_requests() -> None:
+    rides = [Ride(), Ride()]
+    asked = [
+        [ride.at(near(-1.0 + 0.1 * i), track(1, 0.7), seconds=1.0) for i in range(8)]
+        for ride in rides
+    ]
+    assert asked[0] == asked[1]
