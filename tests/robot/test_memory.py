@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import pickle
 import zlib
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import swarmd
 from swarmd.core.errors import CodecError
 from swarmd.patterns.random_walk import RandomWalk
 from swarmd.robot.memory import recall, remember
@@ -95,3 +99,34 @@ def test_a_memory_beyond_its_limit_or_with_a_foreign_value_is_not_made(
     harness.robot._sensors.readings = {"a": lambda: 1.0}  # type: ignore[dict-item]
     with pytest.raises(CodecError, match="cannot be written"):
         remember(harness.robot)
+
+
+KERNELS = [
+    path for path in Path(swarmd.__path__[0]).rglob("*.py") if "import cython" in path.read_text()
+]
+
+
+@pytest.mark.parametrize("path", KERNELS, ids=lambda path: path.stem)
+def test_a_new_object_of_a_kernel_has_all_its_views(path: Path) -> None:
+    """A view that is not set ends the process where its object is written to a memory."""
+    for one in ast.parse(path.read_text()).body:
+        decorators = " ".join(map(ast.unparse, getattr(one, "decorator_list", ())))
+        if not isinstance(one, ast.ClassDef) or "auto_pickle(False)" in decorators:
+            continue
+        fields = [field for field in one.body if isinstance(field, ast.AnnAssign)]
+        views = {ast.unparse(one.target) for one in fields if "::1" in ast.unparse(one.annotation)}
+        methods = {
+            method.name: method for method in one.body if isinstance(method, ast.FunctionDef)
+        }
+        assert views <= stored(methods, "__init__"), one.name
+
+
+def stored(methods: Mapping[str, ast.FunctionDef], name: str) -> set[str]:
+    """The attributes that a method and those it calls set."""
+    found = set[str]()
+    for node in ast.walk(methods[name]) if name in methods else ():
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            found.add(node.attr)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("self."):
+            found |= stored(methods, ast.unparse(node.func).removeprefix("self."))
+    return found
