@@ -138,8 +138,12 @@ def cli(options: CommonOptions) -> None:
     """
 
 
+_FORK_SERVER = "swarmd.core.fork_server"
+
+
 def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmctl and exit with its code; every error is one line on stderr."""
+    is_fork = _FORK_SERVER in sys.modules  # of a process that may have a server, which goes on
     try:
         code = run_cli(cli, args, "swarmctl", exit_code_of)
     except SystemExit as end:  # by a signal
@@ -149,7 +153,7 @@ def main(args: list[str] | None = None) -> NoReturn:
     if "zenoh" in sys.modules:
         # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
         # into an interpreter which ends aborts the process. The answer is out.
-        if (fork_server := sys.modules.get("swarmd.core.fork_server")) is not None:
+        if not is_fork and (fork_server := sys.modules.get(_FORK_SERVER)) is not None:
             fork_server.remove_folder()
         os._exit(code)
     sys.exit(code)

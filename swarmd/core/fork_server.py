@@ -83,12 +83,8 @@ def start_server(modules: Iterable[str]) -> None:
 
 
 def remove_folder() -> None:
-    """Remove the server's socket and its folder, before a process ends without doing so.
-
-    A fork has the folder of the process that started the server, and leaves it there.
-    """
-    if multiprocessing.parent_process() is None:
-        shutil.rmtree(get_temp_dir(), ignore_errors=True)
+    """Remove the server's socket and its folder, before a process ends without doing so."""
+    shutil.rmtree(get_temp_dir(), ignore_errors=True)
 
 
 def fork_main(

@@ -176,7 +176,7 @@ BROKEN = [
     ("import os\nimport nothing_of_that_name\n", "No module named 'nothing_of_that_name' (own"),
     ("x = 1\n\ndef broken(:\n", "SyntaxError: invalid syntax (own.py:3)"),
     ("x = 1\n", "must hold exactly one Pattern"),
-    (V2.replace("speed:", "pace:"), "no parameter 'speed'; there are: pace"),
+    (V2.replace("speed:", "pace:"), "no parameter 'speed'; there are: avoidance, pace"),
     (V2.replace("needs =", "x = 1 / 0\n    needs ="), "ZeroDivisionError"),
     ("import os\nos._exit(3)\n", "ended with code 3"),
     ("import ctypes\nctypes.string_at(0)\n", "killed by SIGSEGV"),
