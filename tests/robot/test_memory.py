@@ -105,7 +105,7 @@ def test_other_bytes_are_refused_and_run_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(CodecError, match="of this version|list"):
+    with pytest.raises(CodecError, match=r"of this version|list"):
         recall(data, harness.robot._lifecycle.identity.settings)
     assert capsys.readouterr().out == ""
     assert not any(tmp_path.iterdir())
