@@ -22,7 +22,13 @@ from swarmd.settings.yamlfile import read, shown
 from swarmd.sim.experiments.compare import Side, sides_of
 from swarmd.sim.experiments.plan import Plan
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_jobs
-from swarmd.sim.experiments.requirements import Finding, check, missing_runs, parse_requirement
+from swarmd.sim.experiments.requirements import (
+    RUNS,
+    Finding,
+    check,
+    missing_runs,
+    parse_requirement,
+)
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
 from swarmd.sim.experiments.store import Row
@@ -83,6 +89,7 @@ def mark_results(lesson: Lesson, folder: Path) -> Mark:
     for where, texts in lesson.targets.items():
         try:
             sides = sides_of(str(folder / where))
+            _check_measured(sides[0].results, texts)
             findings += _findings(sides, texts)
             if lacking := missing_runs(sides):
                 faults.append(f"{where}: {lacking}")
@@ -139,6 +146,13 @@ def _with_pattern(effective: Mapping[str, Any], pattern: str, folder: Path) -> d
 
 def _findings(sides: Sequence[Side], texts: Sequence[str]) -> list[Finding]:
     return [check(parse_requirement(text), side) for side in sides for text in texts]
+
+
+def _check_measured(results: Results, texts: Sequence[str]) -> None:
+    """ConfigError if runs lack a metric: a pupil's file would measure it, in this process."""
+    for one in map(parse_requirement, texts):
+        if one.metric not in (RUNS, *results.metrics):
+            raise ConfigError(f"{results.folder}: the runs have not measured {one.metric}")
 
 
 def _missed(findings: Sequence[Finding]) -> Iterator[str]:

@@ -161,7 +161,8 @@ def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
     """The two-sided p that times to an event (n,) have one distribution; NaN: not until the end.
 
     The log-rank test: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports 50, 1966.
-    It counts pairs as independent runs. None below two runs on a side, and without any event.
+    It counts pairs as independent runs. None below two runs on a side, and without any event while
+    both sides had runs and some of them could have lacked it.
     """
     from scipy.stats import CensoredData, logrank
 
@@ -171,7 +172,9 @@ def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
         CensoredData(uncensored=x[~np.isnan(x)], right=np.full(int(np.isnan(x).sum()), end))
         for x, end in ((a, end_a), (b, end_b))
     ]
-    return float(logrank(*both).pvalue)
+    with np.errstate(invalid="ignore"):  # without such an event: 0 / 0
+        p = float(logrank(*both).pvalue)
+    return None if np.isnan(p) else p
 
 
 def restricted(times: Array, horizon: float) -> Array:

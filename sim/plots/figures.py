@@ -6,6 +6,7 @@ import logging
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from string import ascii_lowercase
 from textwrap import fill
@@ -441,7 +442,8 @@ def _lettered(facets: Mapping[str, select.Facet], look: Look) -> dict[str, selec
     panels = [panel for panel in dict.fromkeys(one.panel for one in facets.values()) if panel]
     if look.width is None or not panels:
         return dict(facets)
-    letters = {panel: f"({ascii_lowercase[k % 26]})" for k, panel in enumerate(panels)}
+    names = [*ascii_lowercase, *map("".join, product(ascii_lowercase, repeat=2))]
+    letters = {panel: f"({name})" for panel, name in zip(panels, names, strict=False)}
     _log.warning("panels: %s", ", ".join(f"{letter} {p}" for p, letter in letters.items()))
     return {name: replace(one, panel=letters[one.panel]) for name, one in facets.items()}
 

@@ -292,6 +292,7 @@ class Tracker:
         self._next = 1
         self._is_gap, self._first, self._last = _places(0), _places(0), _places(0)
         self._wall_x, self._wall_y = _doubles(0), _doubles(0)
+        # A view that is not set ends the process when the memory of a robot is taken.
         self._x, self._y, self._ranges = _doubles(0), _doubles(0), _doubles(0)
         self._bearings, self._ages = _doubles(0), _doubles(0)
 

@@ -39,7 +39,7 @@ class Converter:
         wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
         self._offset = wall - boot
         self._scans: dict[str, Scan] = {}  # the last one by topic, with its geometry
-        self._memory: list[bytes] = []  # the parts so far
+        self._memory: list[frames.MemoryEntry] = []  # the parts so far
         self._robot = begin.about.get("robot", "")
         self.writer = RecordingWriter(
             Path(begin.folder),
@@ -60,9 +60,10 @@ class Converter:
             case frames.InputEntry():
                 self._input(entry, stamp)
             case frames.MemoryEntry():
-                self._memory = [*self._memory, entry.data] if entry.part else [entry.data]
+                own = (one for one in self._memory if one.at == entry.at and one.part < entry.part)
+                self._memory = [*own, entry]
                 if len(self._memory) == entry.parts:
-                    data = b"".join(self._memory)
+                    data = b"".join(one.data for one in self._memory)
                     self._write(entry, MEMORY, messages.bytes_message(data, stamp))
             case frames.DecisionEntry():
                 self._write(entry, "/decision", messages.decision_message(entry, stamp))

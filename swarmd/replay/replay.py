@@ -264,6 +264,8 @@ def repeat(
     if fault and not platform:
         notes.append(f"{fault}; what the robot learned before is not repeated")
     found = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
+    if not found.safe.count:
+        raise ConfigError(f"{where}: no decision follows a memory; nothing can be compared")
     return head, replace(found, notes=(*filter(None, notes), *found.notes))
 
 

@@ -14,6 +14,7 @@ from types import MappingProxyType, MethodType
 from typing import Any
 
 import numpy as np
+from msgspec import MsgspecError
 
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Array
@@ -27,21 +28,21 @@ _PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.")
 _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
-        *("arrival_delay", "behaviour", "events", "goal", "hazard", "host_messages", "machine"),
-        *("messages", "record", "token_bucket", "values", "verbs"),
+        *("arrival_delay", "behaviour", "events", "goal", "hazard", "host_messages", "messages"),
+        *("record", "token_bucket", "values", "verbs"),
     )
 )
 """Modules of the core with values and pure classes alone."""
 _OTHERS = frozenset(
-    {("array", "_array_reconstructor"), ("array", "array"), ("builtins", "bytearray")}
-    | {("builtins", "frozenset"), ("builtins", "set"), ("collections", "deque")}
+    {("array", "_array_reconstructor"), ("array", "array"), ("collections", "deque")}
     | {("collections", "Counter"), ("msgspec._utils", "rebuild")}
     | {("random", "Random"), (__name__, "_array"), (__name__, "_method"), (__name__, "_proxy")}
     | {(__name__, "_scalar"), (__name__, "_view")}
 )
 _FAULTS = (
-    *(pickle.UnpicklingError, pickle.PickleError, zlib.error, AttributeError, EOFError),
-    *(ImportError, IndexError, KeyError, MemoryError, TypeError, ValueError),
+    *(pickle.UnpicklingError, pickle.PickleError, zlib.error, ArithmeticError, AssertionError),
+    *(AttributeError, BufferError, EOFError, ImportError, LookupError, MemoryError, MsgspecError),
+    *(RuntimeError, TypeError, ValueError),
 )
 """Raised for damaged bytes, and for those of another version."""
 
@@ -51,7 +52,7 @@ def remember(robot: Robot, limit: int = MAX_BYTES) -> bytes:
     file = io.BytesIO()
     try:
         _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(robot)
-    except (*_FAULTS, RecursionError) as error:  # such as a value of another library
+    except _FAULTS as error:  # such as a value of another library
         raise CodecError(f"the memory of the robot cannot be written: {error!r}") from error
     data = zlib.compress(file.getvalue(), 1)
     if len(data) > limit:
@@ -112,13 +113,20 @@ class _Unpickler(pickle.Unpickler):
         found = None
         if (module, name) in _OTHERS:
             found = super().find_class(module, name)
-        elif (module in _VALUES or module.startswith(_PACKAGES)) and "." not in name:
+        elif _is_ours(module) and "." not in name:
             found = super().find_class(module, name)
-            if not isinstance(found, type) and not name.startswith("__pyx_unpickle_"):
+            # A module holds classes of others, too, such as Path, which writes files.
+            is_class = isinstance(found, type) and _is_ours(found.__module__)
+            if not is_class and not name.startswith("__pyx_unpickle_"):
                 found = None
         if found is None:
             raise pickle.UnpicklingError(f"{module}.{name} is no part of a robot's memory")
         return found
+
+
+def _is_ours(module: str) -> bool:
+    """True for the modules whose classes are in a memory."""
+    return module in _VALUES or (module.startswith(_PACKAGES) and module != __name__)
 
 
 def _is_view(obj: Any) -> bool:
@@ -144,7 +152,10 @@ def _address(array: Array) -> int:
 def _array(
     data: bytes | bytearray, shape: tuple[int, ...], strides: tuple[int, ...], kind: str
 ) -> Array:
-    return np.ndarray(shape, kind, data, 0, strides)
+    array: Array = np.ndarray(shape, kind, data, 0, strides)
+    if array.nbytes != len(data):  # else a few bytes make an endless array
+        raise ValueError(f"an array of {array.nbytes} bytes is made of {len(data)}")
+    return array
 
 
 def _proxy(values: dict[str, Any]) -> MappingProxyType[str, Any]:
@@ -164,11 +175,13 @@ def _view(
     is_view: bool,
 ) -> Any:
     array: Any = np.ndarray(shape, kind, base, start, strides)
+    if array.nbytes > MAX_BYTES:
+        raise ValueError(f"a view of {array.nbytes} bytes; at most {MAX_BYTES} fit")
     return memoryview(array) if is_view else array
 
 
 def _method(one: Any, name: str) -> MethodType:
-    found = getattr(one, name)
-    if not isinstance(found, MethodType):
+    found = getattr(one, name) if _is_ours(type(one).__module__) else None
+    if not isinstance(found, MethodType) or name.startswith("__"):
         raise pickle.UnpicklingError(f"{name} is no method")
     return found

@@ -109,20 +109,24 @@ class Client:
         self.sent += 1
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
-    def look_back(self, moment: Moment) -> None:
-        """Send a moment of the past once, with the number that its frame had.
+    def look_back(self, source: Source, moment: Moment) -> None:
+        """Send a moment of the past once, with the number that its frame had, and what else waits.
 
         A command that quotes that number is as late as the picture is old.
         """
-        if self._is_sending or self._unacked >= MAX_UNACKED:
+        if self._is_sending:
             return
-        self._rows, self._others = {}, ()  # the present is sent anew
-        if moment is not self._looked:
+        texts, frame = [], None
+        if source.revision != self._known:  # the moment may show robots that the page lacks
+            texts.append(self._hello(source))
+            self._looked = None
+        if moment is not self._looked and self._unacked < MAX_UNACKED:
+            self._looked, frame = moment, moment.frame
             self._unacked += 1
-            self._sending = asyncio.create_task(self._send([moment.text], [], moment.frame))
-        elif self._answers:
-            self._sending = asyncio.create_task(self._send([], [], None))
-        self._looked = moment
+            self._rows, self._others = {}, ()  # the present is sent anew
+            texts.append(moment.text)
+        if texts or self._answers:
+            self._sending = asyncio.create_task(self._send(texts, [], frame))
 
     def end(self) -> None:
         """Send nothing more."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import zlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -131,7 +131,9 @@ class Survey:
 
 def plots_of(moments: Sequence[Moment], first: int) -> Mapping[str, Any]:
     """Moments from number `first` on as a message: times, and by name a value for each or None."""
-    keys = list(dict.fromkeys(key for one in moments for key in one.values))
+    known = dict.fromkeys(key for one in reversed(moments) for key in one.values)
+    # The three of all swarms, then the latest: a robot may give other names each second.
+    keys = sorted(known, key=lambda key: ":" in key)[: 3 + MAX_KEYS]
     return {
         "kind": "plots",
         "first": first,
@@ -174,7 +176,7 @@ def measured(
     for key, found in [*given.items()][:MAX_KEYS]:
         words = [one for one in found if isinstance(one, str | bool)]
         if words:
-            values[key] = max(map(words.count, {*words})) / len(words)
+            values[key] = max(Counter(words).values()) / len(words)
         else:
             values[key] = sum(found) / len(found)
     return {key: value for key, value in values.items() if math.isfinite(value)}

@@ -308,7 +308,7 @@ class ViewServer:
             if moment is None:
                 client.advance(self.source, frame, rows, now)
             else:
-                client.look_back(moment)
+                client.look_back(self.source, moment)
         return rows_at
 
     def _rows(self) -> Rows:

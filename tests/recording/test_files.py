@@ -263,6 +263,7 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     converter = Converter(frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, FileLimits()))
     entries: tuple[frames.Entry, ...] = (
         frames.MemoryEntry(2.0, b"lost", 0, 2),  # its second part was dropped
+        frames.MemoryEntry(2.5, b"late", 1, 2),  # its first part was dropped
         frames.MemoryEntry(2.0, b"kno", 0, 2),
         frames.MemoryEntry(2.0, b"wn", 1, 2),
         frames.DecisionEntry(2.0, "scan", "running", "", decision),

@@ -303,6 +303,20 @@ def test_a_recording_in_a_run_without_a_readable_memory_is_refused(tmp_path: Pat
         repeat([found], ORIGINS, story.robot.platform)
 
 
+def test_a_recording_that_ends_with_its_memory_is_refused(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.robot.advance(1.0)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    file = story.recorder.finish()
+    topics = [one.topic for one in file.messages]
+    end = topics.index("/memory")
+    decision = file.messages[topics.index("/decision")]
+    cut = replace(file, messages=[decision, *file.messages[: end + 1]])
+    with pytest.raises(ConfigError, match="nothing can be compared"):
+        repeat([cut], ORIGINS)
+
+
 def test_a_recording_outside_a_run_without_a_memory_is_repeated_with_a_note(tmp_path: Path) -> None:
     story = Story(tmp_path)
     story.robot.advance(1.0)

@@ -50,12 +50,26 @@ def test_a_recalled_robot_shares_nothing_with_the_first(harness: RobotHarness) -
     assert not other.latches
 
 
+@pytest.mark.parametrize("seconds", [0.0, 1.0])
+def test_a_robot_that_has_seen_nothing_has_a_memory(seconds: float) -> None:
+    harness = RobotHarness(patterns={"random_walk": RandomWalk})
+    harness.advance(seconds)
+    assert recalled(harness).status(harness.now) == harness.robot.status(harness.now)
+
+
 def test_views_of_one_array_share_its_numbers_again(harness: RobotHarness) -> None:
     numbers = np.zeros(4)
     harness.robot._sensors.readings = {"whole": numbers, "part": numbers[1:3]}  # type: ignore[dict-item]
     readings: Any = recalled(harness).readings
     readings["whole"][2] = 7.0
     assert readings["part"].tolist() == [0.0, 7.0]
+
+
+def pickled(*parts: bytes) -> bytes:
+    return zlib.compress(b"".join(parts) + b".")
+
+
+METHOD, MEMORY = b"cswarmd.robot.memory\n_method\n", b"cswarmd.robot.memory\n"
 
 
 class Harmful:
@@ -72,16 +86,32 @@ class Harmful:
         zlib.compress(b"cos\nsystem\n(S'true'\ntR."),
         zlib.compress(b"cswarmd.core.files\nsync_folder\n(S'/'\ntR."),
         zlib.compress(b"cswarmd.robot.memory\npickle.loads\n(S'/'\ntR."),
+        # A class that a module of the core imports, its method, and the call of that.
+        pickled(METHOD, b"(cswarmd.core.machine\nPath\n(S'told'\ntRS'touch'\ntR)R"),
+        pickled(METHOD, b"(cswarmd.core.values\nPath\n(S'told'\ntRS'touch'\ntR)R"),
+        pickled(METHOD, b"(crandom\nRandom\n)RS'randbytes'\ntR(I9\ntR"),
+        pickled(MEMORY, b"_Unpickler\n(S''\nNtR"),
+        # A few bytes for a large object.
+        pickled(b"cbuiltins\nbytearray\n(I1000000000000\ntR"),
+        pickled(MEMORY, b"_array\n(C\x08", bytes(8), b"(I1000000000000\nt(I0\ntS'<f8'\ntR"),
+        pickled(MEMORY, b"_array\n(N(I9\nt(I8\ntS'<f8'\ntR"),
+        pickled(MEMORY, b"_view\n(C\x08", bytes(8), b"I0\n(I1000000000000\nt(I0\ntS'<f8'\nI00\ntR"),
         zlib.compress(pickle.dumps([1, 2])),
         zlib.compress(bytes(1 << 25)),
     ],
 )
 def test_other_bytes_are_refused_and_run_nothing(
-    harness: RobotHarness, data: bytes, capsys: pytest.CaptureFixture[str]
+    harness: RobotHarness,
+    data: bytes,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    with pytest.raises(CodecError):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(CodecError, match=r"of this version|list"):
         recall(data, harness.robot._lifecycle.identity.settings)
     assert capsys.readouterr().out == ""
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_memory_that_was_cut_off_is_refused(harness: RobotHarness) -> None:

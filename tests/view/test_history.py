@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.view.history import MAX_KEYS, History, Survey, measured
+from swarmd.view.history import MAX_KEYS, History, Moment, Survey, measured, plots_of
 from swarmd.view.playback import Playback
 from tests.view.test_server import OneRobot
 
@@ -53,6 +53,22 @@ def test_a_robot_that_reports_much_does_not_fill_the_plots() -> None:
     assert len(measured(places(), places(), 1.0, rows, None)) == MAX_KEYS
 
 
+def test_a_robot_that_reports_under_other_names_each_second_does_not_fill_the_plots() -> None:
+    moments = [
+        Moment(
+            float(at),
+            {"active": 1.0, **{f"report:k{at}-{i}": 1.0 for i in range(MAX_KEYS)}},
+            b"",
+            b"",
+        )
+        for at in range(300)
+    ]
+    moments.append(Moment(300.0, {"report:now": 1.0}, b"", b""))
+    values = plots_of(moments, 0)["values"]
+    assert len(values) <= 3 + MAX_KEYS
+    assert {"active", "report:now", "report:k299-0"} <= values.keys()
+
+
 def test_moments_are_kept_and_found_by_time() -> None:
     now = [0.0]
     history = History(OneRobot(), lambda: now[0])
@@ -77,7 +93,10 @@ def test_moments_are_kept_and_found_by_time() -> None:
     assert oldest.time == message["times"][0]
 
 
-def test_a_recorded_run_is_surveyed_whole_and_its_time_stays() -> None:
+def test_a_recorded_run_is_surveyed_whole_and_its_time_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarmd.view.history.SURVEY_TIME", 0.0)  # a moment at a time
     source: Any = OneRobot()
     source.playback = Playback(["one"], lambda _: None, lambda: 0.0)
     source.playback.load("one", 60.0)

@@ -215,6 +215,19 @@ async def test_what_a_page_sees_of_the_past_starts_nothing(monkeypatch: pytest.M
         assert commander.verbs == ["stop"]
 
 
+async def test_a_page_that_looks_back_learns_of_new_robots_and_gets_plots() -> None:
+    async with (
+        serving(frame_period=0.01) as (server, address),
+        connect(socket_of(address), max_size=None) as page,
+    ):
+        first = (await message(page, "plots"))["times"][0]
+        await page.send(json.dumps({"kind": "past", "time": first}))
+        await message(page, "plots")  # although it acknowledges no frame
+        server.source.revision = 2  # type: ignore[misc]
+        assert (await message(page, "hello"))["swarm"] == "one"
+        await message(page, "plots")
+
+
 async def test_nonsense_of_a_page_is_ignored() -> None:
     nonsense = (
         *("[]", "{}", "1", "x", '{"kind":"select","names":[{}, 1, "r9"]}', "[" * 9999),

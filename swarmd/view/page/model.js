@@ -4,6 +4,7 @@ export const STALE = 5; // s without news after which a robot is shown as not he
 const TRAIL = 300; // places kept for each robot
 const TRAIL_STEP = 0.02; // m between two of them
 const KEPT = 300; // moments that are plotted of a living swarm
+const MOST = 100; // values that are plotted: robots may report under other names each second
 
 export class Model extends EventTarget {
   constructor() {
@@ -95,13 +96,20 @@ export class Model extends EventTarget {
     const before = this.plots.times.length;
     this.plots.times.push(...times);
     for (const [key, some] of Object.entries(values)) {
+      if (!this.plots.values[key] && Object.keys(this.plots.values).length >= MOST) continue;
       const all = this.plots.values[key] ||= [];
       while (all.length < before) all.push(null);
       all.push(...some);
     }
     this.plots.next = first + times.length;
     const over = this.playback ? 0 : this.plots.times.length - KEPT;
-    if (over > 0) for (const all of [this.plots.times, ...Object.values(this.plots.values)]) all.splice(0, over);
+    if (over > 0) {
+      this.plots.times.splice(0, over);
+      for (const [key, all] of Object.entries(this.plots.values)) {
+        all.splice(0, over);
+        if (all.every((one) => one === null)) delete this.plots.values[key];
+      }
+    }
     this.tell('plots');
   }
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from swarmd.sim.cli.classroom import classroom
 from swarmd.sim.experiments import lessons
-from swarmd.sim.experiments.lessons import Lesson, load_lessons
+from swarmd.sim.experiments.lessons import Lesson, load_lessons, mark_results
 from swarmd.sim.experiments.simulate import simulate
 from tests.support.examples import part
 from tests.support.processes import has_landlock
@@ -143,6 +143,30 @@ def test_handed_in_results_are_compared_with_the_targets(
         "cem": False,
     }
     assert result.exit_code == 1
+
+
+@pytest.mark.integration
+def test_handed_in_results_run_no_code(tmp_path: Path) -> None:
+    place = tmp_path / "eve/runs/first"
+    (tmp_path / "evil.py").write_text(
+        f"open({str(tmp_path / 'told')!r}, 'x')\ndef warm(trace): ...\n"
+    )
+    simulate("drive", seeds=1, set={"duration": 2}, out=place, traces=True)
+    manifest = json.loads((place / "manifest.json").read_text())
+    origin = f"{tmp_path / 'evil.py'}:warm"
+    manifest["metrics"] = [
+        {
+            "name": "warm.py:warm",
+            "unit": "",
+            "better": None,
+            "is_time_to_event": False,
+            "origin": origin,
+        }
+    ]
+    (place / "manifest.json").write_text(json.dumps(manifest))
+    found = mark_results(Lesson("First", {"runs/first": ["warm.py:warm >= 0"]}), tmp_path / "eve")
+    assert "have not measured warm.py:warm" in found.why
+    assert not (tmp_path / "told").exists()
 
 
 @pytest.mark.integration

@@ -185,6 +185,9 @@ def test_the_log_rank_test_is_that_of_its_definition() -> None:
     p = chi2.sf((observed - expected) ** 2 / variance, 1)
     assert logrank_p(a, b, 60.0, 60.0) == pytest.approx(p)
     assert logrank_p(np.full(3, np.nan), np.full(3, np.nan), 60.0, 60.0) is None
+    # At 90 s the runs of one side are over; at 5 s all have the event.
+    assert logrank_p(np.full(3, np.nan), np.full(3, 90.0), 60.0, 300.0) is None
+    assert logrank_p(np.full(3, 5.0), np.full(3, 5.0), 60.0, 60.0) is None
 
 
 def test_the_restricted_mean_is_the_area_under_the_survival_curve() -> None:
