@@ -141,10 +141,18 @@ def _address(array: Array) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+def _kind(kind: str) -> np.dtype[Any]:
+    """The type of numbers; not that of objects, whose bytes are addresses in memory."""
+    found = np.dtype(kind)
+    if found.kind not in "biufc":
+        raise pickle.UnpicklingError(f"an array of {kind!r}; expected numbers")
+    return found
+
+
 def _array(
     data: bytes | bytearray, shape: tuple[int, ...], strides: tuple[int, ...], kind: str
 ) -> Array:
-    return np.ndarray(shape, kind, data, 0, strides)
+    return np.ndarray(shape, _kind(kind), data, 0, strides)
 
 
 def _proxy(values: dict[str, Any]) -> MappingProxyType[str, Any]:
@@ -152,7 +160,7 @@ def _proxy(values: dict[str, Any]) -> MappingProxyType[str, Any]:
 
 
 def _scalar(data: bytes, kind: str) -> Any:
-    return np.frombuffer(data, kind)[0]
+    return np.frombuffer(data, _kind(kind))[0]
 
 
 def _view(
@@ -163,7 +171,7 @@ def _view(
     kind: str,
     is_view: bool,
 ) -> Any:
-    array: Any = np.ndarray(shape, kind, base, start, strides)
+    array: Any = np.ndarray(shape, _kind(kind), base, start, strides)
     return memoryview(array) if is_view else array
 
 

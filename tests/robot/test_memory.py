@@ -11,6 +11,7 @@ import pytest
 
 from swarmd.core.errors import CodecError
 from swarmd.patterns.random_walk import RandomWalk
+from swarmd.robot import memory
 from swarmd.robot.memory import recall, remember
 from swarmd.robot.robot import Robot
 from tests.support.robot_harness import RobotHarness
@@ -57,6 +58,25 @@ def test_views_of_one_array_share_its_numbers_again(harness: RobotHarness) -> No
 class Harmful:
     def __reduce__(self) -> Any:
         return print, ("this must not run",)
+
+
+class Addresses:
+    """An array of objects whose bytes are addresses."""
+
+    def __init__(self, name: str, *rest: Any) -> None:
+        self.made = getattr(memory, name), (bytearray(8), *rest)
+
+    def __reduce__(self) -> Any:
+        return self.made
+
+
+def test_bytes_are_never_taken_for_the_addresses_of_objects(harness: RobotHarness) -> None:
+    settings = harness.robot._lifecycle.identity.settings
+    array = Addresses("_array", (1,), (8,), "O")
+    view = Addresses("_view", 0, (1,), (8,), "O", False)
+    for one in (array, view):
+        with pytest.raises(CodecError, match="expected numbers"):
+            recall(zlib.compress(pickle.dumps(one)), settings)
 
 
 @pytest.mark.parametrize(
