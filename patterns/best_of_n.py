@@ -124,6 +124,7 @@ class BestOfN(Pattern[BestOfNParams]):
         """Apply changed parameters; an opinion that no longer exists is drawn again."""
         self._check(params)
         super().update(params)
+        self._heard = {}  # maybe of options that are no more
         if self.opinion >= params.options:
             self.opinion = int(self.context.rng.integers(params.options))
 
