@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError
+from swarmd.core.events import ScanInput
 from swarmd.patterns.random_walk import RandomWalk
 from swarmd.robot import memory
 from swarmd.robot.memory import recall, remember
 from swarmd.robot.robot import Robot
+from swarmd.testing.scans import Disc, scan_of
 from tests.support.robot_harness import RobotHarness
 
 
@@ -45,6 +48,25 @@ def test_a_recalled_robot_shares_nothing_with_the_first(harness: RobotHarness) -
     harness.applied("estop", id="e1", reason="a chair")
     assert other.status(before.uptime) != harness.robot.status(harness.now)
     assert not other.latches
+
+
+def test_a_recalled_robot_goes_on_with_its_tracks(harness: RobotHarness) -> None:
+    noise = np.random.default_rng(1)
+    harness.scans = lambda seq, now: replace(
+        scan_of(harness.platform, [Disc(1.0, 0.5, 0.1)], seq=seq, noise=0.005, rng=noise), stamp=now
+    )
+    harness.ask("param", params={"avoidance": "orca"})
+    harness.advance(1.5)
+    robot, other = harness.robot, recalled(harness)
+    for k in range(3):
+        now = harness.now + 0.2 * (k + 1)
+        scan = ScanInput(harness.scans(10_000 + k, now))
+        for one in (robot, other):
+            one.step(scan, now)
+        found = robot.tracks(now)
+        assert found is not None
+        assert len(found.tracks) == 1
+        assert other.tracks(now) == found
 
 
 def test_views_of_one_array_share_its_numbers_again(harness: RobotHarness) -> None:
