@@ -99,7 +99,12 @@ def test_an_option_that_is_no_more_is_not_adopted() -> None:
     subject = TestBestOfN.subject("burger")
     three = {"reading:quality_2"}
     platform = replace(subject.platform, provides=subject.platform.provides | three)
-    some = {"rule": "voter", "initial": 0, "exploration": 0.1, "dissemination": 0.1}
+    some: dict[str, Value] = {
+        "rule": "voter",
+        "initial": 0,
+        "exploration": 0.1,
+        "dissemination": 0.1,
+    }
     pattern: Any = Subject(BestOfN, platform, {**some, "options": 3}).make()
     readings = {"quality_0": 1.0, "quality_1": 1.0, "quality_2": 1.0}
     heard = (Message("robot-2", "opinion", 2, 0.0),)

@@ -58,8 +58,8 @@ def test_a_recalled_robot_goes_on_with_its_tracks(harness: RobotHarness) -> None
     harness.ask("param", params={"avoidance": "orca"})
     harness.advance(1.5)
     robot, other = harness.robot, recalled(harness)
-    for k in range(3):
-        now = harness.now + 0.2 * (k + 1)
+    for k in range(2):
+        now = harness.now + 0.1 * (k + 1)
         scan = ScanInput(harness.scans(10_000 + k, now))
         for one in (robot, other):
             one.step(scan, now)
