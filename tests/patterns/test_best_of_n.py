@@ -113,3 +113,10 @@ def test_an_option_that_is_no_more_is_not_adopted() -> None:
     for k in range(1, 20):
         pattern.step(Inputs(0.1 * k, 0.1, readings=readings))
     assert pattern.opinion == 0
+
+
+def test_an_option_of_no_quality_is_never_promoted() -> None:
+    pattern = make()
+    readings = {"quality_0": 0.0, "quality_1": 1.0}
+    said = [pattern.step(Inputs(0.1 * k, 0.1, readings=readings)).messages for k in range(6000)]
+    assert not any(said)
