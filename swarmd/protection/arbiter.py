@@ -146,6 +146,7 @@ class Protection:
             self.following.on_odometry(odometry)
         if self._is_avoiding:
             self._tracker.on_odometry(odometry)
+        if self._recovery is not None:  # a hold may end avoidance for a while
             self._right_of_way.on_odometry(odometry)
 
     def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
@@ -183,7 +184,7 @@ class Protection:
                 self._is_avoiding = is_avoiding
                 self._tracker.reset()  # what has moved meanwhile
                 self._avoidance.reset()
-                self._right_of_way.forget()
+                self._right_of_way.reset()
         if requested is not self._requested:  # most are judged more than once
             self._requested, self._wanted = requested, _zero
             if requested is not None and requested.is_finite:

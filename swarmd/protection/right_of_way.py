@@ -204,11 +204,6 @@ class RightOfWay:
         self._speed = 0.5 * self._limits.linear  # or the fastest request, as in recovery
         self._release()
 
-    def forget(self) -> None:
-        """Forget the openings, too: the frame of the odometry may move without being watched."""
-        self._openings, self._last = [], None
-        self.reset()
-
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
         last, self._last = self._last, odometry
