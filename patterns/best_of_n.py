@@ -32,8 +32,6 @@ from swarmd.api import (
 )
 
 _CHANNEL = "opinion"
-# Shortest mean time in s of sending: an option of no quality is promoted hardly ever.
-_LEAST = 1e-3
 
 
 class BestOfNParams(Params, frozen=True, kw_only=True):
@@ -124,6 +122,7 @@ class BestOfN(Pattern[BestOfNParams]):
         """Apply changed parameters; an opinion that no longer exists is drawn again."""
         self._check(params)
         super().update(params)
+        self._heard = {}  # maybe of options that are no more
         if self.opinion >= params.options:
             self.opinion = int(self.context.rng.integers(params.options))
 
@@ -140,10 +139,11 @@ class BestOfN(Pattern[BestOfNParams]):
                 self._until = now + self._random(params.exploration)
             else:
                 quality = min(max(inputs.readings.get(f"quality_{self.opinion}", 0.0), 0.0), 1.0)
-                self._until = now + self._random(max(params.dissemination * quality, _LEAST))
+                self._until = now + self._random(params.dissemination * quality)
             self._promotes = not self._promotes
         report = {"opinion": self.opinion, "promotes": self._promotes}
-        if not self._promotes or now < self._share_at:
+        # A promotion of no quality ends as it begins.
+        if not self._promotes or not self._share_at <= now < self._until:
             return Outputs(report=report)
         self._share_at = now + params.share_period
         return Outputs(messages={_CHANNEL: self.opinion}, report=report)

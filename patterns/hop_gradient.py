@@ -29,6 +29,7 @@ from swarmd.api import (
 _CHANNEL = "hops"
 # Counts and hops are below this.
 _MAX_COUNT, _MAX_HOPS = 1 << 40, 10_000
+_MAX_LEADERS = 1000  # whose counts are remembered: a neighbour may name any
 
 
 class _Leader(NamedTuple):
@@ -128,6 +129,14 @@ class HopGradient(Pattern[HopGradientParams]):
         known = self._counts.get(leader)
         if known is None or count > known[0]:
             self._counts[leader] = count, at
+            if len(self._counts) > _MAX_LEADERS:
+                self._forget()
+
+    def _forget(self) -> None:
+        """Forget the half of the leaders whose counts rose first, but none that is heard."""
+        kept = {one.leader for one in self._heard.values()}
+        kept |= set(sorted(self._counts, key=lambda one: self._counts[one][1])[_MAX_LEADERS // 2 :])
+        self._counts = {one: count for one, count in self._counts.items() if one in kept}
 
     def _choose(self, now: float) -> tuple[_Leader, int] | None:
         """The best living leader and the hops to it; None without a source."""

@@ -26,6 +26,7 @@ from swarmd.api import (
 )
 
 _AHEAD_HALF_WIDTH = math.radians(60.0)
+_LEAST_TURN = 0.01  # rad/s: with less a tumble takes no longer
 
 
 class SourceSeekingParams(Params, frozen=True, kw_only=True):
@@ -123,5 +124,5 @@ class SourceSeeking(TimedPattern[SourceSeekingParams]):
         if is_blocked and ahead is not None and ahead.bearing:
             self._side = -math.copysign(1.0, ahead.bearing)
         angle = float(rng.uniform(params.least_angle, params.most_angle))
-        self.begin(now, tumble=angle / params.turn)
+        self.begin(now, tumble=angle / max(params.turn, _LEAST_TURN))
         return Twist(angular=self._side * params.turn)

@@ -21,6 +21,8 @@ Colour = Shade | Annotated[list[Shade], Meta(min_length=3, max_length=3)]
 """Black 0 to white 1, or red, green and blue."""
 COLOURS = ("red", "green", "blue")
 MAX_TILES = 1_000_000
+MAX_PIXELS = 16_000_000
+"""Of a picture, which takes 24 bytes a pixel."""
 _GREY = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the grey of a colour (ITU-R BT.601)."""
 
@@ -177,6 +179,10 @@ def picture(path: str) -> Array:
         raise PluginError("a floor with a picture needs pillow; install swarmd[film]") from error
     try:
         with Image.open(path) as image:
+            width, height = image.size
+            if width * height > MAX_PIXELS:
+                text = f"has {width} x {height} pixels; expected {MAX_PIXELS} at most"
+                raise ConfigError(f"image {path!r} {text}")
             return np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise ConfigError(f"image {path!r} is no picture that can be read: {error}") from error

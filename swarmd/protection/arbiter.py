@@ -146,6 +146,8 @@ class Protection:
             self.following.on_odometry(odometry)
         if self._is_avoiding:
             self._tracker.on_odometry(odometry)
+        if self._recovery is not None:  # a hold may end avoidance for a while
+            self._right_of_way.on_odometry(odometry)
 
     def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
         """The tracks by which the robot avoids; None if it does not."""

@@ -38,6 +38,7 @@ _SAME_AXIS, _SAME_HALF, _SAME_SPAN, _SAME_ANGLE = 0.14, 0.08, 0.2, 0.4  # m, rad
 _SIGHTINGS = 2  # of an opening before it counts
 _FORGET_ONE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
 _MOST = 8  # openings
+_MOST_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or a fence
 
 _AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
 _FAR = 2.0  # m before an opening beyond which it does not
@@ -203,6 +204,13 @@ class RightOfWay:
         self._speed = 0.5 * self._limits.linear  # or the fastest request, as in recovery
         self._release()
 
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
+        last, self._last = self._last, odometry
+        if last is not None and (odometry.stamp < last.stamp or odometry.jumps_from(last)):
+            self._openings = []
+            self._release()
+
     def _release(self) -> None:
         """Let requests pass until there is another opening on the way."""
         self._opening: Opening | None = None
@@ -253,7 +261,12 @@ class RightOfWay:
             for one in self._openings
             if context.now - one.seen_at < (_FORGET if one.hits >= _SIGHTINGS else _FORGET_ONE)
             or one is self._opening
-        ][-_MOST:]
+        ]
+        if len(self._openings) > _MOST:  # those that were seen once go first
+            self._openings.sort(
+                key=lambda one: (one is self._opening, one.hits >= _SIGHTINGS, one.seen_at)
+            )
+            del self._openings[:-_MOST]
 
     def _found(
         self, points: Array, ranges: Array, is_wall: NDArray[np.bool_], now: float
@@ -262,12 +275,17 @@ class RightOfWay:
         n = len(ranges)
         seen: list[Opening] = []
         steps = np.roll(ranges, -1) - ranges
-        for index in np.flatnonzero(np.abs(steps) > _JUMP).tolist():
+        ends = np.flatnonzero(np.abs(steps) > _JUMP)
+        posts = np.where(steps[ends] > 0.0, ends, (ends + 1) % n)
+        posts, ends = posts[is_wall[posts]], ends[is_wall[posts]]
+        if len(ends) > _MOST_ENDS:
+            near = np.sort(np.argsort(ranges[posts], kind="stable")[:_MOST_ENDS])
+            posts, ends = posts[near], ends[near]
+        for index, post in zip(ends.tolist(), posts.tolist(), strict=True):
             way = 1 if steps[index] > 0.0 else -1
-            post = index if way > 0 else (index + 1) % n
             rows = (post + way * np.arange(2, n // 2)) % n
             rows = rows[is_wall[rows]]
-            if not is_wall[post] or not len(rows):
+            if not len(rows):
                 continue
             across = points[rows] - points[post]
             away = np.hypot(across[:, 0], across[:, 1])
@@ -300,10 +318,7 @@ class RightOfWay:
         if odometry is None or context.odometry_age is None:
             return requested
         if self._last is not odometry:
-            if self._last is not None and odometry.jumps_from(self._last):
-                self._openings = []
-                self._release()
-            self._last = odometry
+            self.on_odometry(odometry)
         pose = _moved(odometry.pose, odometry.twist, context.odometry_age)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         placed = [
@@ -335,6 +350,9 @@ class RightOfWay:
             self._release()
             return requested
         self._seen_since = {one.id: self._seen_since.get(one.id, now) for one in around.tracks}
+        for by_track in (self._sides, self._farthest):
+            for id in by_track.keys() - self._seen_since.keys():
+                del by_track[id]
         others = []
         for one, x, y in placed:
             there, off = opening.to_local(x, y, self._sign)

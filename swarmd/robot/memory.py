@@ -149,10 +149,18 @@ def _address(array: Array) -> int:
     return int(array.__array_interface__["data"][0])
 
 
+def _kind(kind: str) -> np.dtype[Any]:
+    """The type of numbers; not that of objects, whose bytes are addresses in memory."""
+    found = np.dtype(kind)
+    if found.kind not in "biufc":
+        raise pickle.UnpicklingError(f"an array of {kind!r}; expected numbers")
+    return found
+
+
 def _array(
     data: bytes | bytearray, shape: tuple[int, ...], strides: tuple[int, ...], kind: str
 ) -> Array:
-    array: Array = np.ndarray(shape, kind, data, 0, strides)
+    array: Array = np.ndarray(shape, _kind(kind), data, 0, strides)
     if array.nbytes != len(data):  # else a few bytes make an endless array
         raise ValueError(f"an array of {array.nbytes} bytes is made of {len(data)}")
     return array
@@ -163,7 +171,7 @@ def _proxy(values: dict[str, Any]) -> MappingProxyType[str, Any]:
 
 
 def _scalar(data: bytes, kind: str) -> Any:
-    return np.frombuffer(data, kind)[0]
+    return np.frombuffer(data, _kind(kind))[0]
 
 
 def _view(
@@ -174,7 +182,7 @@ def _view(
     kind: str,
     is_view: bool,
 ) -> Any:
-    array: Any = np.ndarray(shape, kind, base, start, strides)
+    array: Any = np.ndarray(shape, _kind(kind), base, start, strides)
     if array.nbytes > MAX_BYTES:
         raise ValueError(f"a view of {array.nbytes} bytes; at most {MAX_BYTES} fit")
     return memoryview(array) if is_view else array

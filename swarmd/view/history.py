@@ -88,6 +88,7 @@ class Survey:
         self._source = source
         self._run = ""
         self._moments: list[Moment] = []
+        self._before = 0  # moments of earlier runs
         self._left: Iterator[float] = iter(())
 
     def advance(self, sequence: int) -> None:
@@ -105,6 +106,7 @@ class Survey:
         playback = self._source.playback
         assert playback is not None
         if playback.run != self._run:
+            self._before += len(self._moments)
             self._run, self._moments = playback.run, []
             self._left = iter(np.linspace(0.0, playback.duration, SAMPLES).tolist())
         now = next(self._left, None)
@@ -121,11 +123,11 @@ class Survey:
         return True
 
     def since(self, known: int) -> tuple[int, Mapping[str, Any] | None]:
-        """As `History.since`; a page that knows more than there is gets all anew."""
-        count = len(self._moments)
+        """As `History.since`; a page that knows another run alone gets all anew."""
+        count = self._before + len(self._moments)
         if known == count:
             return count, None
-        first = known if known < count else 0
+        first = known - self._before if self._before < known < count else 0
         return count, plots_of(self._moments[first:], first)
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -90,3 +93,30 @@ def test_keeps_its_opinion_if_none_is_heard_or_all_are_invalid() -> None:
 def test_an_option_without_a_reading_of_its_quality_is_refused() -> None:
     with pytest.raises(ConfigError, match="quality_2"):
         make(options=3)
+
+
+def test_an_option_that_is_no_more_is_not_adopted() -> None:
+    subject = TestBestOfN.subject("burger")
+    three = {"reading:quality_2"}
+    platform = replace(subject.platform, provides=subject.platform.provides | three)
+    some: dict[str, Value] = {
+        "rule": "voter",
+        "initial": 0,
+        "exploration": 0.1,
+        "dissemination": 0.1,
+    }
+    pattern: Any = Subject(BestOfN, platform, {**some, "options": 3}).make()
+    readings = {"quality_0": 1.0, "quality_1": 1.0, "quality_2": 1.0}
+    heard = (Message("robot-2", "opinion", 2, 0.0),)
+    pattern.step(Inputs(0.0, 0.1, messages=heard, readings=readings))
+    pattern.update(Subject(BestOfN, platform, {**some, "options": 2}).make().params)
+    for k in range(1, 20):
+        pattern.step(Inputs(0.1 * k, 0.1, readings=readings))
+    assert pattern.opinion == 0
+
+
+def test_an_option_of_no_quality_is_never_promoted() -> None:
+    pattern = make()
+    readings = {"quality_0": 0.0, "quality_1": 1.0}
+    said = [pattern.step(Inputs(0.1 * k, 0.1, readings=readings)).messages for k in range(6000)]
+    assert not any(said)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from swarmd.core.values import Inputs, Message, Outputs, Value
@@ -96,3 +98,12 @@ def test_a_restarted_leader_counts_on_from_what_the_others_remember() -> None:
 )
 def test_a_malformed_message_is_ignored(value: list[Value]) -> None:
     assert place(Robot().step({"x": value})) == ("robot-1", 0)
+
+
+def test_a_neighbour_that_names_ever_new_leaders_fills_no_memory() -> None:
+    robot = Robot()
+    pattern: Any = robot.pattern
+    for k in range(3000):
+        robot.step({"x": [1, f"robot-{k}x", 0, k], "y": [1, "robot-0", 0, 1]}, after=0.001)
+    assert place(robot.step(after=0.001)) == ("robot-0", 1)
+    assert len(pattern._counts) <= 1001

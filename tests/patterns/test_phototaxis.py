@@ -94,3 +94,7 @@ def test_passes_an_obstacle_on_its_free_side() -> None:
 
 def test_light_at_or_below_dark_counts_as_none() -> None:
     assert run(lambda now: (0.05, 0.05), dark=0.1)[-1].linear == 0.0
+
+
+def test_without_a_turn_it_stands_in_the_dark() -> None:
+    assert set(run(lambda now: DARK, turn=0.0)) == {Twist()}

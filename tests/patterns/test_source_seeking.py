@@ -79,3 +79,7 @@ def test_stands_where_the_reading_is_enough() -> None:
 def test_a_least_angle_beyond_the_largest_is_refused() -> None:
     with pytest.raises(ConfigError, match="least_angle"):
         run(lambda now: 0.0, 1.0, least_angle=2.0, most_angle=1.0)
+
+
+def test_without_a_turn_it_stands_once_the_reading_falls() -> None:
+    assert run(lambda now: -now, 5.0, turn=0.0)[-1] == Twist()

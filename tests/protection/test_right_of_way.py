@@ -136,3 +136,54 @@ def test_equal_inputs_give_equal_requests() -> None:
         for ride in rides
     ]
     assert asked[0] == asked[1]
+
+
+def test_a_jump_that_nothing_asked_through_forgets_all_openings() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    for seconds, place in ((0.1, -1.0), (0.1, -4.0), (60.0, -4.0)):  # the base starts anew
+        ride.now += seconds
+        ride.way.on_odometry(Odometry(ride.now, near(place), ZERO))
+    ride.now += 0.1
+    odometry = Odometry(ride.now, near(-1.0), ZERO)
+    around = Surroundings((), np.empty((0, 2)))
+    context = DecisionContext(ride.now, 0.0, odometry, 0.0)
+    asked = ride.way.command(AHEAD, context, around, lambda twist: twist, lambda: np.empty((0, 2)))
+    assert asked is AHEAD
+    assert ride.way.state == ""
+
+
+def test_openings_that_were_seen_once_do_not_push_out_a_known_one() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.way.reset()
+    for k in range(1, 12):  # each at another place, by a step of odometry
+        ride.way.observe(
+            scan(near(-1.0)),
+            (0.0, 0.0),
+            DecisionContext(ride.now, 0.0, Odometry(ride.now, Pose(-1.0, 3.0 * k, 0.0), ZERO), 0.0),
+        )
+    ride.at(near(-1.0), seconds=0.1)
+    assert ride.way.state == "go"
+
+
+def test_a_door_is_found_beside_many_ends_of_walls() -> None:
+    ride, pose = Ride(), near(-0.6)
+    seen = scan(pose)
+    behind = np.abs(BEARINGS) > 1.7
+    seen.ranges[behind] = np.where(np.arange(behind.sum()) % 2, 2.4, 1.9)
+    for _ in range(2):
+        odometry = Odometry(ride.now, pose, ZERO)
+        ride.way.observe(seen, (0.0, 0.0), DecisionContext(ride.now, 0.0, odometry, 0.0))
+    around = Surroundings((), np.empty((0, 2)))
+    context = DecisionContext(ride.now, 0.0, Odometry(ride.now, pose, ZERO), 0.0)
+    ride.way.command(AHEAD, context, around, lambda twist: twist, lambda: np.empty((0, 2)))
+    assert ride.way.state == "go"
+
+
+def test_tracks_that_have_ended_are_forgotten_at_a_door() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    for id in range(1, 40):
+        ride.at(near(-1.0), track(id, 1.6), seconds=3.5)
+    assert len(ride.way._sides) <= 1

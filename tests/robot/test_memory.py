@@ -11,12 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import swarmd
 from swarmd.core.errors import CodecError
+from swarmd.core.events import ScanInput
 from swarmd.patterns.random_walk import RandomWalk
+from swarmd.robot import memory
 from swarmd.robot.memory import recall, remember
 from swarmd.robot.robot import Robot
+from swarmd.testing.scans import Disc, scan_of
 from tests.support.robot_harness import RobotHarness
 
 
@@ -57,6 +61,25 @@ def test_a_robot_that_has_seen_nothing_has_a_memory(seconds: float) -> None:
     assert recalled(harness).status(harness.now) == harness.robot.status(harness.now)
 
 
+def test_a_recalled_robot_goes_on_with_its_tracks(harness: RobotHarness) -> None:
+    noise = np.random.default_rng(1)
+    harness.scans = lambda seq, now: replace(
+        scan_of(harness.platform, [Disc(1.0, 0.5, 0.1)], seq=seq, noise=0.005, rng=noise), stamp=now
+    )
+    harness.ask("param", params={"avoidance": "orca"})
+    harness.advance(1.5)
+    robot, other = harness.robot, recalled(harness)
+    for k in range(2):
+        now = harness.now + 0.1 * (k + 1)
+        scan = ScanInput(harness.scans(10_000 + k, now))
+        for one in (robot, other):
+            one.step(scan, now)
+        found = robot.tracks(now)
+        assert found is not None
+        assert len(found.tracks) == 1
+        assert other.tracks(now) == found
+
+
 def test_views_of_one_array_share_its_numbers_again(harness: RobotHarness) -> None:
     numbers = np.zeros(4)
     harness.robot._sensors.readings = {"whole": numbers, "part": numbers[1:3]}  # type: ignore[dict-item]
@@ -75,6 +98,25 @@ METHOD, MEMORY = b"cswarmd.robot.memory\n_method\n", b"cswarmd.robot.memory\n"
 class Harmful:
     def __reduce__(self) -> Any:
         return print, ("this must not run",)
+
+
+class Addresses:
+    """An array of objects whose bytes are addresses."""
+
+    def __init__(self, name: str, *rest: Any) -> None:
+        self.made = getattr(memory, name), (bytearray(8), *rest)
+
+    def __reduce__(self) -> Any:
+        return self.made
+
+
+def test_bytes_are_never_taken_for_the_addresses_of_objects(harness: RobotHarness) -> None:
+    settings = harness.robot._lifecycle.identity.settings
+    array = Addresses("_array", (1,), (8,), "O")
+    view = Addresses("_view", 0, (1,), (8,), "O", False)
+    for one in (array, view):
+        with pytest.raises(CodecError, match="expected numbers"):
+            recall(zlib.compress(pickle.dumps(one)), settings)
 
 
 @pytest.mark.parametrize(

@@ -73,6 +73,9 @@ def test_a_picture_lies_on_its_rectangle_with_its_top_at_the_highest_y(tmp_path:
     assert colours.tolist() == [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1], [0, 0, 0]]
     with pytest.raises(ConfigError, match=r"none\.png"):
         floor({**patch, "image": "none.png"}).check()
+    image.new("1", (5000, 5000)).save(tmp_path / "large.png")
+    with pytest.raises(ConfigError, match="5000 x 5000 pixels"):
+        floor({**patch, "image": str(tmp_path / "large.png")}).check()
 
 
 @pytest.mark.parametrize(
@@ -92,7 +95,7 @@ def test_a_patch_without_sense_is_refused(wrong: Mapping[str, Any]) -> None:
 
 
 def test_a_robot_reads_the_floor_at_each_of_its_sensors() -> None:
-    platform = load_platform("turtlebot4")
+    platform = replace(load_platform("turtlebot4"), sensors={})
     sensors = {"ground": np.array([[0.2, 0.1, math.nan], [0.2, -0.1, math.nan]])}
     equipped = replace(platform, sensors=sensors)
     half = floor({"rectangle": [-1.0, 0.0, 2.0, 4.0]})  # black on the left half
