@@ -292,7 +292,7 @@ class Tracker:
         self._next = 1
         self._is_gap, self._first, self._last = _places(0), _places(0), _places(0)
         self._wall_x, self._wall_y = _doubles(0), _doubles(0)
-        # A compiled tracker whose views were never set cannot be pickled: the process ends (SIGSEGV).
+        # Pickling a compiled tracker whose views were never set ends the process (SIGSEGV).
         self._x, self._y, self._ranges = _doubles(0), _doubles(0), _doubles(0)
         self._bearings, self._ages = _doubles(0), _doubles(0)
 
