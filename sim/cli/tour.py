@@ -90,8 +90,8 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
             time.sleep(step.seconds)
             fleet.check()
     click.echo(
-        "\nThe swarm has ended. To keep one:  swarmctl sim up, and in another terminal the commands"
-        "\nabove, or the map in a browser:    swarmctl view --web"
+        "\nThe swarm has ended. To keep one, with its map in a browser: swarmctl sim up --web, and"
+        "\nin another terminal the commands above."
         "\nLessons: docs/tutorial/README.md"
     )
     return 0

@@ -290,8 +290,6 @@ class Tracker:
         self._history = deque(maxlen=HISTORY)
         self._filters = []
         self._next = 1
-        # Set all: a view without memory cannot be written into the memory of a robot.
-        self._x = self._y = self._ranges = self._bearings = self._ages = _doubles(0)
         self._is_gap, self._first, self._last = _places(0), _places(0), _places(0)
         self._wall_x, self._wall_y = _doubles(0), _doubles(0)
         # A view that is not set ends the process when the memory of a robot is taken.

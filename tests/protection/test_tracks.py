@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -234,3 +235,8 @@ def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: fl
     assert found[0] == found[1]
     assert max(len(tracks) for tracks, _ in found[0]) >= 4
     assert all(walls for _, walls in found[0][3:])
+
+
+def test_a_tracker_without_a_scan_can_be_pickled() -> None:
+    tracker = Tracker(load_platform("waffle_pi"))
+    assert isinstance(pickle.loads(pickle.dumps(tracker)), Tracker)

@@ -152,9 +152,15 @@ export class Plots {
       ctx.lineTo(place, h - axis);
       ctx.stroke();
       ctx.textAlign = mark === first ? 'left' : at >= until ? 'right' : 'center';
-      const words = isLive ? (mark ? Math.abs(mark) < 60 ? `${mark} s` : `${mark / 60} min` : 'now') : step >= 60 ? ago(mark) : `${mark} s`;
-      ctx.fillText(words, place, h - 0.25 * rem);
+      ctx.fillText(this.words(mark, step), place, h - 0.25 * rem);
     }
+  }
+
+  // The words below a line of the axis: s before now of a living swarm, s since the start of a recorded run.
+  words(mark, step) {
+    if (this.model.playback) return step >= 60 ? ago(mark) : `${mark} s`;
+    if (mark > -60) return mark ? `${mark} s` : 'now';
+    return mark % 60 ? `-${ago(-mark)}` : `${mark / 60} min`;
   }
 
   drawMarks(x, from, until, bottom, line, dim) {
