@@ -116,7 +116,7 @@ def test_bytes_are_never_taken_for_the_addresses_of_objects(harness: RobotHarnes
     view = Addresses("_view", 0, (1,), (8,), "O", False)
     for one in (array, view):
         with pytest.raises(CodecError, match="expected numbers"):
-            recall(zlib.compress(pickle.dumps(one)), settings)
+            recall(zlib.compress(pickle.dumps(one, pickle.HIGHEST_PROTOCOL)), settings)
 
 
 @pytest.mark.parametrize(
