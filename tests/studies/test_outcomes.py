@@ -19,6 +19,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "discussed_dispersion": {"seconds": 46.0},
     "levy_walk": {"has_slow": False},
     "line_formation": {"settings": (SHORT,)},
+    "lloyd_coverage": {"duration": 80.0},
     "one_bit_aggregation": {"duration": 120.0},
     "random_walk": {"duration": 40.0},
     "vicsek_alignment": {"has_sizes": False},
@@ -36,11 +37,13 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 
 # test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
 ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
+# Ten seconds of processor time each; tests/patterns has their rules.
+LONG = {"collective_perception", "response_threshold"}
 
 
 @pytest.mark.parametrize(
     "pattern",
-    [pytest.param(p, marks=[pytest.mark.evidence] * (p in ELSEWHERE)) for p in MODULES],
+    [pytest.param(p, marks=[pytest.mark.evidence] * (p in ELSEWHERE | LONG)) for p in MODULES],
 )
 def test_one_run_reaches_every_outcome(pattern: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if pattern in RUNS:

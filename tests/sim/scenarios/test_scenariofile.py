@@ -30,6 +30,7 @@ def plain(platform: Platform) -> dict[str, Any]:
     data = asdict(platform)
     data["footprint"] = platform.footprint.tolist()
     data["scan"]["bearings"] = platform.scan.bearings.tolist()
+    data["sensors"] = {name: one.tolist() for name, one in platform.sensors.items()}
     return data
 
 
@@ -158,13 +159,16 @@ def test_an_unknown_name_is_refused(name: str) -> None:
         load_scenario(name)
 
 
-def test_the_scenario_on_the_page_about_scenarios_is_one(tmp_path: Path) -> None:
+def test_the_scenarios_on_the_page_about_scenarios_are_some(tmp_path: Path) -> None:
     page = Path(__file__).parents[3] / "docs" / "experiments.md"
-    (block,) = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
-    (tmp_path / "page.yaml").write_text(block)
-    scenario = load_scenario(tmp_path / "page.yaml")
-    assert scenario.starts(0).shape == (5, 3)
-    assert len(scenario.events) == 5
+    blocks = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    events = []
+    for block in blocks:
+        (tmp_path / "page.yaml").write_text(block)
+        scenario = load_scenario(tmp_path / "page.yaml")
+        assert scenario.starts(0).shape == (5, 3)
+        events.append(len(scenario.events))
+    assert events == [5, 2]
 
 
 def test_an_arena_has_all_that_the_file_names(load: Load) -> None:
