@@ -177,9 +177,9 @@ class Protection:
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-        if recovery is not None:
-            avoids = permit.avoids
-            is_avoiding: cython.bint = self._avoids if avoids is None else avoids
+        if recovery is not None and is_running and hold is None:  # a hold has no permit of its run
+            avoids = self._avoids if permit.avoids is None else permit.avoids
+            is_avoiding: cython.bint = permit.may_recover and avoids
             if is_avoiding != self._is_avoiding:
                 self._is_avoiding = is_avoiding
                 self._tracker.reset()  # what has moved meanwhile

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
 from swarmd.protection import velocity_obstacles as interpreted
 from swarmd.protection.avoidance import Avoidance
@@ -215,3 +216,16 @@ def test_the_permit_of_a_run_comes_before_the_platform(platform: Platform, avoid
     permit = Permit(may_recover=True, avoids=avoids)
     decisions = [decision for _, decision in sim.run(AHEAD, 3.0, permit).decisions]
     assert any(decision.avoided is not None for decision in decisions) is avoids
+
+
+def test_a_hold_ends_no_tracks_of_a_run_that_avoids() -> None:
+    """In a hold a robot has no permit, and its run goes on afterwards."""
+    sim = FilterSim(BURGER, [pole(0.1, Pose(1.0))])
+    sim.run(AHEAD, 2.0, Permit(may_recover=True, avoids=True))
+    context = sim.sensors.context(sim.time)
+    before = sim.protection.tracks(context)
+    assert before
+    sim.protection.decide(AHEAD, context, True, Reason.STALE_SCAN)
+    assert sim.protection.tracks(context) == before
+    sim.protection.decide(AHEAD, context, True, None, Permit(may_recover=False, avoids=True))
+    assert sim.protection.tracks(context) is None
