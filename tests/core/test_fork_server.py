@@ -89,3 +89,16 @@ def test_forked_processes_end_with_their_parent(tmp_path: Path) -> None:
         assert is_running(child)
         parent.kill()
     wait_until(lambda: not is_running(child), "the child has ended")
+
+
+def test_a_process_that_has_ended_unnoticed_gets_no_signal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server has taken its exit code, and this process has not read it yet."""
+    forked = fork(tmp_path, "one", "two")
+    assert forked.wait(30.0) == 7
+    monkeypatch.setattr(ForkedProcess, "poll", lambda _: None)
+    wait_until(lambda: not is_running(forked.pid), "the server has taken its exit code")
+    forked.kill()
+    monkeypatch.undo()
+    assert forked.returncode == 7
