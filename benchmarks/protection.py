@@ -18,7 +18,6 @@ from swarmd.core.events import (
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -216,13 +215,9 @@ def moving_rows(platform: Platform) -> Iterator[Row]:
 
 def avoidance_rows(platform: Platform) -> Iterator[Row]:
     """The same in a pattern with recovery beside eight moving robots, in alternation."""
-    avoiding = dataclasses.replace(
-        platform, protection={**platform.protection, "avoidance": "orca"}
-    )
+    permits = [Permit(may_recover=True, avoids=avoids) for avoids in (False, True)]
     scans = circling(platform, 8)
-    ones = [
-        Moving(one, scans, Twist(0.02), Permit(may_recover=True)) for one in (platform, avoiding)
-    ]
+    ones = [Moving(platform, scans, Twist(0.02), permit) for permit in permits]
     times: list[list[float]] = [[], []]
     for _ in range(3):
         for one, some in zip(ones, times, strict=True):

@@ -275,8 +275,7 @@ def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any
     """
     of_mode = {"reciprocal": "barrier", "orca": "barrier", "ghost": "off"}.get(mode, mode)
     protection: dict[str, Any] = {"mode": of_mode}
-    if mode == "orca":
-        protection["avoidance"] = "orca"
+    protection["avoidance"] = "orca" if mode == "orca" else "none"
     if barrier:
         protection["barrier"] = dict(barrier)
     found: dict[str, Any] = {"extends": kind, "protection": protection}

@@ -106,7 +106,7 @@ class Protection:
         if clearance is not None:
             self._recovery = Recovery(clearance, platform.limits, seed)
             self._avoids = platform.protection.get("avoidance", "none") == "orca"
-            self._is_avoiding = self._avoids
+            self._is_avoiding = False
             self._avoidance = Avoidance(clearance, platform.limits)
             self._tracker = load_kernel("swarmd.protection.tracks").Tracker(platform)
             self._right_of_way = RightOfWay(clearance, platform.limits, self._recovery, seed)
@@ -177,9 +177,10 @@ class Protection:
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-        if recovery is not None and is_running and hold is None:  # a hold has no permit of its run
+        # In a hold there is no permit of the run, which goes on afterwards.
+        if recovery is not None and (hold is None or not is_running):
             avoids = self._avoids if permit.avoids is None else permit.avoids
-            is_avoiding: cython.bint = permit.may_recover and avoids
+            is_avoiding: cython.bint = is_running and permit.may_recover and avoids
             if is_avoiding != self._is_avoiding:
                 self._is_avoiding = is_avoiding
                 self._tracker.reset()  # what has moved meanwhile

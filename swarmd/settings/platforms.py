@@ -114,11 +114,11 @@ class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """The protection mode and the settings of each; `preset` names one of the potential field.
 
     - `avoidance`: `orca` leads a robot past moving ones, in the modes `barrier` and `stop_zone`.
-      None: the robot drives at them until protection or recovery turns it away.
+      `none`: the robot drives at them until protection or recovery turns it away.
     """
 
     mode: Mode = "barrier"
-    avoidance: Avoidance = "none"
+    avoidance: Avoidance = "orca"
     preset: str
     presets: dict[str, PotentialFieldSettings]
     barrier: BarrierSettings | None = None

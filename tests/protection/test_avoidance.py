@@ -24,8 +24,8 @@ from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
 
-BURGER = under_barrier(load_platform("burger"))
-AVOIDING = replace(BURGER, protection={**BURGER.protection, "avoidance": "orca"})
+AVOIDING = under_barrier(load_platform("burger"))
+BURGER = replace(AVOIDING, protection={**AVOIDING.protection, "avoidance": "none"})
 BASE, HOLONOMIC = Limits(0.22, 2.84), Limits(0.22, 2.84, 0.22)
 AHEAD = Twist(0.22)
 NO_WALLS = np.empty((0, 2))
@@ -228,4 +228,15 @@ def test_a_hold_ends_no_tracks_of_a_run_that_avoids() -> None:
     sim.protection.decide(AHEAD, context, True, Reason.STALE_SCAN)
     assert sim.protection.tracks(context) == before
     sim.protection.decide(AHEAD, context, True, None, Permit(may_recover=False, avoids=True))
+    assert sim.protection.tracks(context) is None
+
+
+def test_a_robot_that_does_not_run_keeps_no_tracks() -> None:
+    sim = FilterSim(AVOIDING, [pole(0.1, Pose(1.0))])
+    context = sim.sensors.context(sim.time)
+    assert sim.protection.tracks(context) is None
+    sim.run(AHEAD, 2.0, Permit(may_recover=True))
+    context = sim.sensors.context(sim.time)
+    assert sim.protection.tracks(context)
+    sim.protection.decide(AHEAD, context, False, None, Permit(may_recover=True))
     assert sim.protection.tracks(context) is None

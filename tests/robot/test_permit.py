@@ -243,7 +243,7 @@ def test_a_robot_shows_the_tracks_by_which_it_avoids() -> None:
     harness.scans = lambda seq, now: replace(
         scan_of(harness.platform, [Disc(1.0, 0.5, 0.1)], seq=seq, noise=0.005, rng=noise), stamp=now
     )
-    run_pattern(harness, "forward")
+    run_pattern(harness, "forward", params={"avoidance": "none"})
     harness.advance(1.0)
     assert harness.robot.tracks(harness.now) is None
     harness.ask("param", params={"avoidance": "orca"})

@@ -101,7 +101,7 @@ def test_flattens_the_preset_in_force(folder: Path) -> None:
     platform = load_platform(write(folder, with_value("protection.preset", "repo")))
     assert platform.protection == {
         "mode": "potential_field",
-        "avoidance": "none",
+        "avoidance": "orca",
         "preset": "repo",
         "threshold": 0.3,
         "rays": 5,
