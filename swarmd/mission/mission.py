@@ -231,21 +231,34 @@ def _channels(document: schema.Document, classes: PatternClasses) -> dict[str, t
     return found
 
 
+_FAILED = "failed: "
+
+
 class _Node(ABC):
-    """Carries out one element. `ended` is the reason why it has ended; empty before."""
+    """Carries out one element.
+
+    `ended` is the reason why it has ended, empty before; `has_failed`: whether it ended by failing.
+    """
 
     def __init__(self, element: schema.Element) -> None:
         self.name = element.label
-        self.ended = ""
+        self.ended, self.has_failed = "", False
         self._is_new = True
         self._until = None if element.until is None else ConditionState(element.until)
+        self._fails = None if element.fails is None else ConditionState(element.fails)
+        self._retry, self._retries = element.retry or 0, 0
 
     def start(self, now: float) -> None:
         """Start, or start again from the beginning."""
-        self.ended = ""
+        self._retries = 0
+        self._begin(now)
+
+    def _begin(self, now: float) -> None:
+        self.ended, self.has_failed = "", False
         self._is_new = True
-        if self._until is not None:
-            self._until.start(now)
+        for condition in (self._until, self._fails):
+            if condition is not None:
+                condition.start(now)
 
     def check(self, seen: Observation) -> str:
         """The reason why it has ended, evaluated once before each step.
@@ -253,9 +266,33 @@ class _Node(ABC):
         It never ends before its first step: until then its parts' reports are from an earlier time.
         """
         is_new, self._is_new = self._is_new, False
-        if self._until is not None and not self.ended and self._until.is_met(seen) and not is_new:
-            self.ended = str(self._until.condition)
+        if not self.ended:
+            until, fails = self._until, self._fails
+            # Both are evaluated at every step for their memory.
+            is_over = until is not None and until.is_met(seen) and not is_new
+            is_lost = fails is not None and fails.is_met(seen) and not is_new
+            if until is not None and is_over:
+                self.ended = str(until.condition)
+            elif fails is not None and is_lost:
+                self._fail(str(fails.condition), seen.now)
+                self._is_new = False
         return self.ended
+
+    def _fail(self, reason: str, now: float) -> None:
+        """Fail for a reason, or begin again."""
+        if self._retries < self._retry:
+            self._retries += 1
+            self._begin(now)
+        else:
+            prefix = "" if reason.startswith(_FAILED) else _FAILED
+            self.ended, self.has_failed = prefix + reason, True
+
+    def _end_like(self, child: _Node, now: float) -> None:
+        """End, or fail, as an element in it has."""
+        if child.has_failed:
+            self._fail(child.ended, now)
+        else:
+            self.ended = child.ended
 
     @abstractmethod
     def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
@@ -284,35 +321,39 @@ class _RunNode(_Node):
 
 
 class _SequenceNode(_Node):
-    def __init__(self, element: schema.Sequence) -> None:
+    """A sequence goes on where a step ends, a fallback where an item fails."""
+
+    def __init__(self, element: schema.Sequence | schema.Fallback) -> None:
         super().__init__(element)
         self._steps = [_node(step) for step in element.children]
-        self._repeats = element.then == "repeat"
+        self._is_fallback = isinstance(element, schema.Fallback)
+        self._repeats = isinstance(element, schema.Sequence) and element.then == "repeat"
         self._index = 0
 
-    def start(self, now: float) -> None:
-        super().start(now)
+    def _begin(self, now: float) -> None:
+        super()._begin(now)
         self._index = 0
         self._steps[0].start(now)
 
     def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         current = self._steps[self._index]
         if current.check(seen):
-            if self._is_final:
-                self.ended = current.ended
+            if self._is_last(current):
+                self._end_like(current, seen.now)
                 return None
             self._index = (self._index + 1) % len(self._steps)
             current = self._steps[self._index]
             current.start(seen.now)
             current.check(seen)
         twist = current.step(mission, inputs, seen)
-        if self._is_final:
-            self.ended = current.ended
+        if current.ended and self._is_last(current):
+            self._end_like(current, seen.now)
         return twist
 
-    @property
-    def _is_final(self) -> bool:
-        return self._index == len(self._steps) - 1 and not self._repeats
+    def _is_last(self, current: _Node) -> bool:
+        """Whether nothing follows a step that has ended."""
+        is_final = self._index == len(self._steps) - 1 and not self._repeats
+        return is_final or current.has_failed != self._is_fallback
 
     @property
     def phase(self) -> str:
@@ -325,8 +366,8 @@ class _ParallelNode(_Node):
         self._items = [_node(child) for child in element.children]
         self._driver = element.drives
 
-    def start(self, now: float) -> None:
-        super().start(now)
+    def _begin(self, now: float) -> None:
+        super()._begin(now)
         for item in self._items:
             item.start(now)
 
@@ -338,7 +379,10 @@ class _ParallelNode(_Node):
             twist = item.step(mission, inputs, seen)
             if item.name == self._driver:
                 requested = twist
-        if all(item.ended for item in self._items):
+        failed = next((item for item in self._items if item.has_failed), None)
+        if failed is not None:
+            self._fail(failed.ended, seen.now)
+        elif all(item.ended for item in self._items):
             self.ended = "; ".join(item.ended for item in self._items)
         return requested
 
@@ -356,8 +400,8 @@ class _SwitchNode(_Node):
         ]
         self._chosen: _Node | None = None
 
-    def start(self, now: float) -> None:
-        super().start(now)
+    def _begin(self, now: float) -> None:
+        super()._begin(now)
         self._chosen = None
         for when, _ in self._branches:
             if when is not None:
@@ -372,6 +416,8 @@ class _SwitchNode(_Node):
             if chosen is not None:
                 chosen.start(seen.now)
         if chosen is None or chosen.check(seen):
+            if chosen is not None and chosen.has_failed:
+                self._fail(chosen.ended, seen.now)
             return None
         return chosen.step(mission, inputs, seen)
 
@@ -384,7 +430,7 @@ def _node(element: schema.Element) -> _Node:
     match element:
         case schema.RunPart():
             return _RunNode(element)
-        case schema.Sequence():
+        case schema.Sequence() | schema.Fallback():
             return _SequenceNode(element)
         case schema.Parallel():
             return _ParallelNode(element)

@@ -1,8 +1,8 @@
 """The file of a mission as tagged structs, and what can be checked in it without its patterns.
 
-An element is a RunPart, Sequence, Parallel or Switch; the key that names its kind (`part`,
-`sequence`, `parallel`, `switch`) is the tag. `swarmd.mission.validate` checks what needs the
-patterns.
+An element is a RunPart, Sequence, Parallel, Switch or Fallback; the key that names its kind
+(`part`, `sequence`, `parallel`, `switch`, `fallback`) is the tag. `swarmd.mission.validate` checks
+what needs the patterns.
 """
 
 from __future__ import annotations
@@ -41,10 +41,15 @@ Reference: TypeAlias = tuple[str, str]
 
 
 class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of every element; `when` only in a branch of a switch."""
+    """The keys of every element; `when` only in a branch of a switch.
+
+    `until` ends it, and `fails` makes it fail, which `retry` times begins it again instead.
+    """
 
     name: str = ""
     until: Condition | None = None
+    fails: Condition | None = None
+    retry: Annotated[int, Meta(ge=1, le=1000)] | None = None
     when: Condition | None = None
 
     @property
@@ -89,7 +94,14 @@ class Switch(ElementBase, frozen=True, tag="switch"):
     children: Elements = msgspec.field(name="switch")
 
 
-Element: TypeAlias = RunPart | Sequence | Parallel | Switch
+class Fallback(ElementBase, frozen=True, tag="fallback"):
+    """Runs its first item, and the next one where an item fails."""
+
+    children: Elements = msgspec.field(name="fallback")
+
+
+Element: TypeAlias = RunPart | Sequence | Parallel | Switch | Fallback
+_KINDS = ("sequence", "parallel", "switch", "fallback")
 
 
 class Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -219,10 +231,10 @@ def elements(root: Element | None, keys: Keys = ()) -> Iterator[tuple[Keys, Elem
 def conditions(root: Element | None) -> Iterator[tuple[Keys, Condition]]:
     """All conditions of an element and of the elements in it, each with its place."""
     for keys, element in elements(root):
-        if element.until is not None:
-            yield (*keys, "until"), element.until
-        if element.when is not None:
-            yield (*keys, "when"), element.when
+        for key in ("until", "fails", "when"):
+            condition: Condition | None = getattr(element, key)
+            if condition is not None:
+                yield (*keys, key), condition
 
 
 def parts_in(element: Element) -> set[str]:
@@ -256,7 +268,7 @@ def _expanded(element: Any) -> Any:
         return element
     return {
         key: [_expanded(one) for one in value]
-        if key in ("sequence", "parallel", "switch") and isinstance(value, list)
+        if key in _KINDS and isinstance(value, list)
         else value
         for key, value in element.items()
     }
@@ -276,11 +288,24 @@ def _can_end(element: Element) -> bool:
         return True
     if isinstance(element, Sequence):
         return element.then == "end"
+    if isinstance(element, Fallback):
+        return any(map(_can_end, element.children))
     return isinstance(element, Parallel) and all(map(_can_end, element.children))
+
+
+def _can_fail(element: Element) -> bool:
+    """Whether it can fail: by its condition, or because what runs in it can."""
+    if element.fails is not None:
+        return True
+    if isinstance(element, Fallback):
+        return all(map(_can_fail, element.children))
+    return any(map(_can_fail, element.children))
 
 
 def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     """What the types of a struct cannot express."""
+    if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
+        yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
         case RunPart():
             yield from _check_part(value.part, (*keys, "part"), names)
@@ -293,6 +318,11 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
                 if branch.when is None:
                     text = "is missing; only the last branch may go without a condition"
                     yield fault_at((*keys, "switch", index, "when"), text)
+        case Fallback():
+            for index, item in enumerate(value.children[:-1]):
+                if not _can_fail(item):
+                    text = "never fails, and more items follow; give it a fails"
+                    yield fault_at((*keys, "fallback", index), text)
         case Done():
             yield from _check_part(value.part, (*keys, "done"), names)
         case Settled() | Reported():
@@ -302,7 +332,7 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
             yield from _check_map(value, keys, names)
         case _:
             pass
-    if isinstance(value, Sequence | Parallel):
+    if isinstance(value, Sequence | Parallel | Fallback):
         for index, child in enumerate(value.children):
             if child.when is not None:
                 text = "belongs to a branch of a switch; take until, or leave it out"

@@ -266,3 +266,59 @@ def test_a_map_value_that_only_update_refuses_is_a_fault(
     )
     with pytest.raises(ConfigError, match=r"yaml:5: .* vote\.window to 1\.0"):
         made(tmp_path, text)
+
+
+LOST = "fails: {nearer: 0.5}"
+
+
+def phases(found: list[Outputs]) -> list[object]:
+    return [one.report["phase"] for one in found]
+
+
+def test_a_fallback_goes_on_where_an_item_fails_and_ends_with_the_first_that_ends(
+    tmp_path: Path,
+) -> None:
+    text = parts("go", "brief") + f"fallback: [{{part: go, {LOST}}}, brief]\n"
+    mission = made(tmp_path, text)
+    assert phases(steps(mission, 0.0, 1.0)) == ["go", "go"]
+    assert phases(steps(mission, 2.0, 3.0, range_=0.4)) == ["brief", "brief"]
+    (last,) = steps(mission, 4.0)
+    assert last.done == "brief: three steps"
+    mission = made(tmp_path, parts("go", "brief") + f"fallback: [{{part: brief, {LOST}}}, go]\n")
+    assert [one.done for one in steps(mission, 0.0, 1.0, 2.0)][-1] == "brief: three steps"
+
+
+def test_a_mission_whose_last_resort_fails_ends_and_says_so(tmp_path: Path) -> None:
+    text = parts("go", "other") + f"fallback: [{{part: go, {LOST}}}, {{part: other, {LOST}}}]\n"
+    found = steps(made(tmp_path, text), *range(3), range_=0.4)
+    assert phases(found) == ["go", "other", "other"]
+    assert [one.done for one in found] == [None, None, "failed: something is nearer than 0.5 m"]
+
+
+def test_a_failed_step_fails_its_sequence_which_is_tried_again_so_many_times(
+    tmp_path: Path,
+) -> None:
+    text = parts("go", "other") + (
+        f"sequence: [{{part: go, until: {{timeout: 1}}}}, {{part: other, {LOST}}}]\n"
+        "then: stay\nretry: 2\n"
+    )
+    found = steps(made(tmp_path, text), *range(10), range_=0.4)
+    assert phases(found)[:8] == ["go", "other", "go", "go", "other", "go", "go", "other"]
+    assert [one.done for one in found].index("failed: something is nearer than 0.5 m") == 8
+    assert not any(one.done for one in found[:8])
+
+
+def test_an_element_that_is_tried_again_begins_its_times_anew(tmp_path: Path) -> None:
+    text = parts("go") + f"part: go\n{LOST}\nretry: 1\nuntil: {{timeout: 3}}\n"
+    mission = made(tmp_path, text)
+    steps(mission, 0.0, 1.0)
+    assert steps(mission, 2.0, range_=0.4)[0].done is None
+    assert [one.done for one in steps(mission, 3.0, 4.0, 5.0)] == [None, None, "3 s have passed"]
+
+
+def test_an_item_that_fails_fails_its_parallel_and_a_branch_its_switch(tmp_path: Path) -> None:
+    both = f"parallel: [{{part: go, {LOST}}}, other]\ndrives: other\n"
+    branch = f"switch: [{{part: go, {LOST}}}]\n"
+    for text in (parts("go", "other") + both, parts("go") + branch):
+        found = steps(made(tmp_path, text), 0.0, 1.0, range_=0.4)
+        assert [one.done for one in found] == [None, "failed: something is nearer than 0.5 m"]
