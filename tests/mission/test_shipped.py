@@ -54,7 +54,7 @@ def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> Non
     path.write_text(SHOWN[0].replace("0.6, 1.0", "0.4, 0.5").replace("timeout", "timeot"))
     done = swarmctl("mission", "check", str(path))
     assert done.code == 2
-    assert len(done.err.splitlines()) == 4
+    assert len(done.err.splitlines()) == 3
     assert "sequence[0].until " in done.err
     path.write_text(SHOWN[0])
     done = swarmctl("mission", "check", str(path), "-o", "json")
