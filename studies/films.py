@@ -37,8 +37,30 @@ class Shot:
     size: tuple[int, int] = (480, 340)
 
 
+def _even(name: str, value: float) -> Mapping[str, Any]:
+    """A field of one value."""
+    return {"kind": "gaussian", "name": name, "center": [0, 0], "sigma": 1000, "peak": value}
+
+
 _ROOM = {"arena.size": [6, 6]}
 _VOTE = {"groups.tb3.parameters": {"opinions": 3}, "duration": 40}
+_OPTIONS = {"fields": [_even("quality_0", 0.6), _even("quality_1", 0.9)]}
+
+
+def _shot(pattern: str, title: str, stop: float, colour: str, **more: Any) -> Shot:
+    """A pattern that needs no scenario of its own: 25 robots that stand, and what they report."""
+    sets = {
+        "groups.tb3.pattern": pattern,
+        "groups.tb3.count": 25,
+        "start": {"layout": "grid", "spacing": 1.0},
+        "radio": {"neighborhood": "range", "range": 1.5},
+        **_ROOM,
+        **more,
+    }
+    text = f"{pattern}; {title}"
+    return Shot(scenario="flocking", title=text, stop=stop, sets=sets, colour=colour)
+
+
 SHOTS = MappingProxyType(
     {
         "demo": Shot(
@@ -49,6 +71,9 @@ SHOTS = MappingProxyType(
             size=(640, 420),
         ),
         "film_attraction": Shot(scenario="aggregation", title="attraction", stop=90.0),
+        "film_best_of_n": _shot(
+            "best_of_n", "quality 0.6 and 0.9", 120.0, "report:opinion", **_OPTIONS
+        ),
         "film_circle_formation": Shot(
             scenario="circle_formation",
             title="circle_formation; one robot is removed",
@@ -62,27 +87,66 @@ SHOTS = MappingProxyType(
             colour="opinion",
             camera="top",
         ),
+        "film_cross_inhibition": _shot(
+            "cross_inhibition", "quality 0.6 and 0.9", 120.0, "report:opinion", **_OPTIONS
+        ),
         "film_discussed_dispersion": Shot(
             scenario="paper_exp2", title="discussed_dispersion", stop=40.0, colour="opinion"
         ),
         "film_dispersion": Shot(scenario="dispersion", title="dispersion", stop=40.0, sets=_ROOM),
         "film_drive": Shot(scenario="drive", title="drive, towards a wall", stop=25.0),
+        "film_firefly_synchronization": _shot(
+            "firefly_synchronization", "phase", 20.0, "report:phase"
+        ),
         "film_flocking": Shot(scenario="flocking", title="flocking", stop=40.0, seed=1),
+        "film_hop_gradient": _shot("hop_gradient", "hops to the leader", 20.0, "report:hops"),
+        "film_levy_walk": Shot(
+            scenario="random_walk",
+            title="levy_walk",
+            stop=120.0,
+            sets={"groups.tb3.pattern": "levy_walk"},
+        ),
         "film_line_formation": Shot(
             scenario="line_formation",
             title="line_formation; one robot is removed",
             stop=60.0,
             sets=_ROOM,
         ),
+        "film_lloyd_coverage": Shot(
+            scenario="lloyd_coverage", title="lloyd_coverage, from a corner", stop=90.0
+        ),
         "film_majority_rule": Shot(
             scenario="voting_range", title="majority_rule", stop=30.0, colour="opinion", sets=_VOTE
+        ),
+        "film_one_bit_aggregation": Shot(
+            scenario="one_bit_aggregation", title="one_bit_aggregation", stop=240.0
         ),
         "film_phototaxis": Shot(
             scenario="phototaxis", title="phototaxis, to a lamp on the right", stop=60.0
         ),
         "film_random_walk": Shot(scenario="random_walk", title="random_walk", stop=60.0),
+        "film_response_threshold": _shot(
+            "response_threshold",
+            "a stimulus is strongest in the middle",
+            60.0,
+            "report:works",
+            fields=[{**_even("stimulus", 12.0), "sigma": 1.5}],
+        ),
         "film_source_seeking": Shot(
             scenario="source_seeking", title="source_seeking, up to the right", stop=120.0
+        ),
+        "film_trimmed_consensus": _shot("trimmed_consensus", "value", 60.0, "report:value"),
+        "film_vicsek_alignment": Shot(
+            scenario="flocking",
+            title="vicsek_alignment, noise 0.5",
+            stop=30.0,
+            sets={
+                "groups.tb3.pattern": "vicsek_alignment",
+                "groups.tb3.count": 12,
+                "groups.tb3.parameters": {"noise": 0.5},
+                "start.size": [4, 4],
+                "radio": {"range_and_bearing": True},
+            },
         ),
         "film_voter_model": Shot(
             scenario="voting_range",
