@@ -31,6 +31,7 @@ CONTENTS = {
         "docs/patterns/trimmed_consensus",
         "docs/patterns/vicsek_alignment",
         "docs/patterns/lloyd_coverage",
+        "docs/patterns/hexagonal_lattice",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",

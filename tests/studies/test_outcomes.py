@@ -21,6 +21,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "line_formation": {"settings": (SHORT,)},
     "lloyd_coverage": {"duration": 80.0},
     "one_bit_aggregation": {"duration": 120.0},
+    "hexagonal_lattice": {"has_more": False},
     "random_walk": {"duration": 40.0},
     "vicsek_alignment": {"has_sizes": False},
     "flocking": {"duration": 30.0},
