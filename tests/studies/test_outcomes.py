@@ -18,6 +18,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "circle_formation": {"settings": (SHORT,)},
     "discussed_dispersion": {"seconds": 46.0},
     "levy_walk": {"has_slow": False},
+    "leader_following": {"has_bodies": False},
     "line_formation": {"settings": (SHORT,)},
     "lloyd_coverage": {"duration": 80.0},
     "one_bit_aggregation": {"duration": 120.0},
