@@ -31,6 +31,8 @@ CONTENTS = {
         "docs/patterns/trimmed_consensus",
         "docs/patterns/vicsek_alignment",
         "docs/patterns/lloyd_coverage",
+        "docs/patterns/hexagonal_lattice",
+        "docs/patterns/leader_following",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",

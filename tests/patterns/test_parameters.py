@@ -25,7 +25,8 @@ WITHOUT_UNIT = {
     "rays",
     "surge",
 }
-WITHOUT_UNIT |= {"concavity", "coupling", "exponent", "refractory", "steepness", "stop"}
+WITHOUT_UNIT |= {"band", "concavity", "coupling", "exponent", "refractory", "steepness", "stop"}
+WITHOUT_UNIT |= {"pace", "strongest"}
 
 
 @pytest.mark.parametrize("name", FOUND)

@@ -1,0 +1,182 @@
+"""Leader following: a chain of robots, each at a time headway behind the robot before it.
+
+Source: the constant time headway of Ioannou and Chien, "Autonomous intelligent cruise control",
+IEEE Trans. Vehicular Technology 42, 1993: a robot aims at the gap standstill + headway x speed.
+With a lag of the speed, speeds pass on along the chain by 1 / (headway lag s^2 + headway s + 1),
+which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, van de Wouw and
+Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
+2014).
+
+Ours: the chain is in the order of ids behind the leader. Each robot follows the last robot before
+it that it senses, so that a robot that is lost leaves no gap in the chain for longer than `lease`.
+A robot that senses none before it leads; its id passes down the chain by messages.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from swarmd.api import (
+    Context,
+    Inputs,
+    Outputs,
+    Params,
+    Pattern,
+    Recovery,
+    Scalar,
+    TopSpeed,
+    TopTurn,
+    Twist,
+    about,
+    of_threshold,
+)
+
+_CHANNEL = "leader"
+_MAX_ID = 64  # characters; a longer one is no robot's
+
+
+class LeaderFollowingParams(Params, frozen=True, kw_only=True):
+    """The leader and its way, the gaps and the times."""
+
+    speed: TopSpeed
+    turn: TopTurn
+    leader: Annotated[
+        str,
+        about("id of the leader; empty: the lowest id", source="ours: none without any choice"),
+    ] = ""
+    pace: Annotated[
+        float,
+        about(
+            "the leader's share of `speed`, so that followers can catch up",
+            ge=0.0,
+            le=1.0,
+            source="ours",
+        ),
+    ] = 0.5
+    curve: Annotated[
+        float,
+        about("the leader's turn rate", ge=-4.0, le=4.0, unit="rad/s", source="ours: straight"),
+    ] = 0.0
+    standstill: Annotated[
+        float,
+        about(
+            "gap to the robot before at rest, from axle to axle",
+            ge=0.05,
+            le=20.0,
+            unit="m",
+            source="Ioannou and Chien 1993; the value: the protection threshold",
+            derived=of_threshold(1.0),
+        ),
+    ]
+    headway: Annotated[
+        float,
+        about(
+            "further gap for each m/s; string stable from twice the lag on",
+            ge=0.05,
+            le=60.0,
+            unit="s",
+            source="Ioannou and Chien 1993; the value: five lags",
+        ),
+    ] = 1.5
+    lag: Annotated[
+        float,
+        about(
+            "time constant of the speed, of the robot and its sensors together",
+            ge=0.0,
+            le=10.0,
+            unit="s",
+            source="Ploeg et al. 2014, tau; the value: ours",
+        ),
+    ] = 0.3
+    lease: Annotated[
+        float,
+        about(
+            "a robot that is not sensed for longer is lost",
+            ge=0.2,
+            le=60.0,
+            unit="s",
+            source="ours: ten beacons",
+        ),
+    ] = 2.0
+    share_period: Annotated[
+        float,
+        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
+    ] = 0.5
+    recovery: Recovery = False
+
+
+class LeaderFollowing(Pattern[LeaderFollowingParams]):
+    """Follows the last robot before it in the chain; leads where none is before it."""
+
+    params_type = LeaderFollowingParams
+    needs = frozenset({"neighbors.distance", "neighbors.bearing"})
+    channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base
+
+    def __init__(self, params: LeaderFollowingParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._sensed: dict[str, float] = {}  # when, by neighbour before it
+        self._leader = self._lost = ""
+        self._speed = self._share_at = 0.0
+        self._since: float | None = None
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """The command, and the leader's id for those behind it."""
+        now, params = inputs.now, self.params
+        self._since = now if self._since is None else self._since
+        before = self._before(inputs)
+        if before is None and self._sensed:
+            aim, turn, before_id = self._speed, 0.0, max(self._sensed, key=self._place)
+        elif before is None:
+            before_id = ""
+            # At the start it waits for robots to be sensed.
+            is_ready = now - self._since >= params.lease
+            aim, turn = (params.pace * params.speed, params.curve) if is_ready else (0.0, 0.0)
+            if is_ready and self._leader != self.context.robot:
+                self._lost, self._leader = self._leader, self.context.robot
+        else:
+            before_id, distance, bearing = before
+            aim = (distance - params.standstill) / params.headway
+            turn = 2.0 * bearing
+            if abs(bearing) > 0.5 * math.pi:
+                aim = 0.0  # it turns first
+            self._adopt(inputs, before_id)
+        share = min(1.0, inputs.dt / params.lag) if params.lag > 0.0 else 1.0
+        aim = max(-params.speed, min(params.speed, aim))
+        self._speed += share * (aim - self._speed)
+        twist = Twist(self._speed, max(-params.turn, min(params.turn, turn)))
+        report: dict[str, Scalar] = {
+            "leader": self._leader,
+            "before": before_id,
+            "lost": self._lost,
+            "speed": self._speed,
+        }
+        if not self._leader or now < self._share_at:
+            return Outputs(twist, report=report)
+        self._share_at = now + params.share_period
+        return Outputs(twist, {_CHANNEL: self._leader}, report)
+
+    def _before(self, inputs: Inputs) -> tuple[str, float, float] | None:
+        """The last robot before it that is sensed: its id, distance and bearing."""
+        own, last = self._place(self.context.robot), None
+        for one in inputs.neighbors:
+            if one.distance is None or one.bearing is None or self._place(one.id) >= own:
+                continue
+            self._sensed[one.id] = inputs.now
+            if last is None or self._place(one.id) > self._place(last[0]):
+                last = one.id, one.distance, one.bearing
+        since = inputs.now - self.params.lease
+        self._sensed = {name: at for name, at in self._sensed.items() if at >= since}
+        return last
+
+    def _place(self, name: str) -> tuple[bool, str]:
+        return name != self.params.leader, name
+
+    def _adopt(self, inputs: Inputs, before: str) -> None:
+        """Take the leader's id from the robot before it."""
+        for message in inputs.messages:
+            name = message.value
+            if message.channel != _CHANNEL or message.sender != before:
+                continue
+            if isinstance(name, str) and 0 < len(name) <= _MAX_ID and name != self._leader:
+                self._lost, self._leader = self._leader, name
