@@ -22,7 +22,7 @@ from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.lockstep.processes import RunProcess, run_processes
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
-TABLES = ("experiment", "sizes", "argos", "growth", "cores")
+TABLES = ("experiment", "sizes", "pucks", "argos", "growth", "cores")
 SIZES = (7, 100, 1000)
 PATTERNS = ("attraction", "random_walk", "drive")
 SECONDS = {7: 20, 100: 10, 1000: 5}
@@ -37,6 +37,13 @@ SHORT_RAYS = {
         "extends": "waffle_pi",
         "scan": {"rays": 24, "rate": 10.0, "range_max": 1.2, "max_gap_deg": 40.0},
     },
+}
+# Ten robots without protection drive into a heap, from all sides.
+HEAP = {
+    "items.0.source": [0.0, 0.0, 0.9],
+    "groups.tb3.pattern": "drive",
+    "platforms": {"burger": {"extends": "burger", "protection": {"mode": "off"}}},
+    "start": {"layout": "ring", "radius": 1.3, "heading_deg": 180.0},
 }
 CORE_BUDGETS = {100: ">= 14 x", 1000: ">= 1.8 x"}
 CORE_PARTS = 6  # pairs of one core and two, in turn
@@ -83,6 +90,12 @@ def size_rows(patterns: Sequence[str]) -> Iterator[Row]:
             yield Row(f"times real time, {n} robots, {pattern}", factors, budget, unit="x")
             rates = [n / one for one in taken]
             yield Row(f"robot-seconds a CPU-second, {n}, {pattern}", rates, unit="")
+
+
+def puck_rows(count: int = 20) -> Iterator[Row]:
+    for what, overrides in (("random_walk", {}), ("driven into the heap", HEAP)):
+        factors = [1.0 / one for one in seconds_of("pucks", overrides, count)]
+        yield Row(f"times real time, 10 robots, 200 pucks, {what}", factors, ">= 1 x", unit="x")
 
 
 def argos_rows(
@@ -136,6 +149,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     tables = {
         "experiment": ("one processor: experiment 1", experiment_rows()),
         "sizes": ("one processor: one robot a square metre, realistic", size_rows(given.patterns)),
+        "pucks": ("one processor: pucks that robots push", puck_rows()),
         "argos": ("one processor: short rays", argos_rows()),
         "growth": ("one processor: growth, one robot a square metre", growth_rows()),
         "cores": ("one run on two cores", core_rows()),

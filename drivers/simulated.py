@@ -96,6 +96,11 @@ class SimulatedDriver:
         if self._link is not None:
             self._link.send("sent", hw_codec.encode_message(self._robot, channel, payload))
 
+    def grip(self, is_closed: bool) -> None:
+        """Close or open the simulated gripper; dropped while there is no link."""
+        if self._link is not None:
+            self._link.send("grip", hw_codec.encode_grip(is_closed))
+
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry arrive and a robot takes commands; moves nothing."""
         seen = _CheckSink(self._platform.scan)

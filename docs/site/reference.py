@@ -44,6 +44,7 @@ from swarmd.sim.scenarios.schema import (
     StartSection,
 )
 from swarmd.sim.world.floor import Patch
+from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.sim.world.scalar_fields import Field
@@ -164,6 +165,7 @@ def scenarios() -> Iterator[str]:
     yield from _schema("arena.boxes", BoxSection)
     yield from _schema("arena.poles", PoleSection)
     yield from _schema("arena.segments", SegmentSection)
+    yield from _schema("items", ItemKind)
     for kind in get_args(Field):
         yield from _schema(f"fields, kind {kind.__struct_config__.tag}", kind)
     yield from _schema("fields, kind floor: patches", Patch)

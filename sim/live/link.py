@@ -92,6 +92,7 @@ class WorldLink:
         """
         self._lock = threading.Lock()
         self._commands: dict[str, Command] = {}
+        self._grips: dict[str, bool] = {}
         self._messages: list[hw_codec.MessageWire] = []
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
@@ -142,6 +143,8 @@ class WorldLink:
                     self._on_command(robot, payload, arrival)
                 elif name == "sent":
                     self._on_sent(robot, payload)
+                elif name == "grip":
+                    self._grips[robot] = hw_codec.decode_grip(payload)
                 else:
                     self._dropped += 1
             except CodecError:  # keep the newest valid command
@@ -152,6 +155,11 @@ class WorldLink:
         self.receive()
         commands, self._commands = self._commands, {}
         return commands
+
+    def take_grips(self) -> Mapping[str, bool]:
+        """The newest command of each gripper since the last call, up to the last `receive`."""
+        grips, self._grips = self._grips, {}
+        return grips
 
     def take_messages(self) -> list[hw_codec.MessageWire]:
         """The messages that patterns have sent, up to the last `receive`, in order of arrival."""

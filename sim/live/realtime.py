@@ -80,7 +80,9 @@ class RealTimeWorld:
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
         # The robots whose daemons commanded them lately.
         self._there: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
-        self._readings_due = Staggered(np.full(n if world.fields else 0, READINGS_RATE), start)
+        self._readings_due = Staggered(
+            np.full(n if world.has_readings else 0, READINGS_RATE), start
+        )
         self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
@@ -124,6 +126,8 @@ class RealTimeWorld:
             received = (twist.linear, twist.angular, twist.lateral)
             self._commands[row] = (0.0, 0.0, 0.0) if is_late else received
             self._arrivals[row] = command.arrival
+        for robot, is_closed in self._link.take_grips().items():
+            self._world.grips[self._rows[robot]] = is_closed
 
     def _publish(self) -> None:
         world, transport = self._world, self._transport
@@ -211,7 +215,7 @@ class RealTimeWorld:
         emulated = self._emulated.side.dropped if self._emulated else 0
         poses, twists, commanded = world.poses(), world.twists(), self._is_fresh(self._clock())
         present = np.flatnonzero(np.isfinite(poses[:, 0]))
-        boxes = zip(world.movable_boxes, _triples(world.box_poses()), strict=True)
+        boxes = zip(world.loose, _triples(world.loose_poses()), strict=True)
         return WorldState(
             time=world.time,
             real_time_factor=self._pacer.real_time_factor(),

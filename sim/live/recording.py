@@ -56,8 +56,8 @@ class LiveRecorder:
             world.ids,
             world.platforms,
             settings.meta,
-            movable_boxes=world.movable_boxes,
-            box_shapes=world.box_shapes,
+            movable_boxes=world.loose,
+            box_shapes=world.loose_shapes,
         )
         self.is_running = False
         self.contacts = 0
@@ -94,7 +94,7 @@ class LiveRecorder:
         self._note_contacts()
         if self._settings.path is not None and len(self._due.due(self._world.time)):
             world = self._world
-            self._builder.add(self.seconds, world.poses(), safe, world.box_poses())
+            self._builder.add(self.seconds, world.poses(), safe, world.loose_poses())
         if self._settings.seconds is not None and self.seconds >= self._settings.seconds - 1e-9:
             self.finish()
 

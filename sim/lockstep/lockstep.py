@@ -111,7 +111,7 @@ class Lockstep:
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
-        readers = n if scenario.fields else 0
+        readers = n if self.world.has_readings else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self.alarms = Alarms(n, self.world.dt)
@@ -203,12 +203,16 @@ class Lockstep:
         process = self._process
         if process.count == 1 and not (self._flights or self._published):
             return
-        out = self.commands[process.rows], self._flights, self._published
+        grips = self.world.grips
+        out = self.commands[process.rows], grips[process.rows], self._flights, self._published
         self._flights, self._published = [], []
         published: list[tuple[int, dict[str, Latch]]] = []
-        for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
+        for index, (commands, closed, some_sent, some_published) in enumerate(
+            process.exchange(out)
+        ):
             if index != process.index:
                 self.commands[process.rows_of[index]] = commands
+                grips[process.rows_of[index]] = closed
                 self.has_new_commands = True
             self._radio.carry(some_sent, process.own)
             published += some_published
@@ -227,6 +231,10 @@ class Lockstep:
         except CodecError:
             return
         self._flights += self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
+
+    def grip(self, row: int, is_closed: bool) -> None:
+        """Close or open the gripper of a robot from the next step of the world on."""
+        self.world.grips[row] = is_closed
 
     def publish_latches(self, row: int, latches: Mapping[str, Latch]) -> None:
         """Keep the latches of a robot; present peers act on them now, later ones when they join."""

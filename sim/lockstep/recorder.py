@@ -37,8 +37,8 @@ class LockstepRecorder:
             world.ids,
             world.platforms,
             {},
-            movable_boxes=world.movable_boxes,
-            box_shapes=world.box_shapes,
+            movable_boxes=world.loose,
+            box_shapes=world.loose_shapes,
         )
         self._samples = 0
         self._latest: list[tuple[Any, ...]] = []  # of `_values`, instant by instant
@@ -53,7 +53,7 @@ class LockstepRecorder:
     def record_instant(self, now: float, safe: Array, shells: Sequence[RobotShell | None]) -> None:
         """Record all robots at `now`, with the commands `safe` (n, 3) in force."""
         world = self._world
-        self._builder.add(now, world.poses(), safe, world.box_poses())
+        self._builder.add(now, world.poses(), safe, world.loose_poses())
         for row, shell in enumerate(shells):
             if shell is not None and (report := shell.robot.report):
                 self._note("report", report, row)

@@ -74,6 +74,8 @@ class RobotShell:
             self._drive(actions.trial, now)
         if actions.host is not None:
             self._drive(actions.host, now)
+        if actions.grip is not None:
+            outputs.grip(row, actions.grip)
         if actions.messages:
             for name, value in actions.messages.items():
                 outputs.send_message(self.row, name, value, now)

@@ -21,6 +21,7 @@ from swarmd.sim.metrics import (
     consensus,
     contacts,
     coverage,
+    delivery,
     formation,
     gap,
     kinematics,
@@ -45,6 +46,7 @@ _ALL = (
     *contacts.METRICS,
     *gap.METRICS,
     *clearance.METRICS,
+    *delivery.METRICS,
     *protection.METRICS,
 )
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric
-from swarmd.sim.metrics.window import arena_of
+from swarmd.sim.metrics.window import arena_of, tall_boxes
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import Arena, Pole
 from swarmd.sim.world.geometry import apart, gaps, radius, transform
@@ -67,10 +67,11 @@ def _obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array,
         yield np.array([box.x, box.y]), radius(box.shape), _from_fixed(box.corners)
     for pole in arena.poles:
         yield np.array([pole.x, pole.y]), pole.radius, _from_pole(pole)
-    if trace.box_pose is None or trace.box_shapes is None:
+    movable = tall_boxes(trace)
+    if movable is None:
         return
-    for index, shape in enumerate(trace.box_shapes):
-        pose = trace.box_pose[span, index]
+    for shape, poses in zip(movable[0], movable[1].swapaxes(0, 1), strict=True):
+        pose = poses[span]
         yield pose[:, None, :2], radius(shape), _from_moving(transform(shape, pose))
 
 

@@ -14,7 +14,7 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric, at_end
 from swarmd.sim.metrics.pairs import Pairs
-from swarmd.sim.metrics.window import arena_of, cut, mean, presence
+from swarmd.sim.metrics.window import arena_of, cut, mean, presence, tall_boxes
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.line_of_sight import LineOfSight
@@ -102,13 +102,14 @@ def _seen(trace: Trace, sight: LineOfSight, links: Pairs) -> Pairs:
     """The links with line of sight."""
     here = trace.pose[links.instant, links.a, :2]
     there = trace.pose[links.instant, links.b, :2]
-    if trace.box_pose is None or trace.box_shapes is None:
+    movable = tall_boxes(trace)
+    if movable is None:
         is_clear = sight.is_clear(here, there)
     else:
         is_clear = np.ones(len(here), dtype=bool)
         for instant in np.unique(links.instant):
             of = links.instant == instant
-            movable_boxes = transform(trace.box_shapes, trace.box_pose[instant])
+            movable_boxes = transform(movable[0], movable[1][instant])
             is_clear[of] = sight.is_clear(here[of], there[of], movable_boxes)
     return pairs.chosen(links, is_clear)
 

@@ -82,6 +82,15 @@ def arena_of(trace: Trace) -> Arena | None:
         return None
 
 
+def tall_boxes(trace: Trace) -> tuple[Array, Array] | None:
+    """The outlines (m, k, 2) and poses (T, m, 3) of the movable boxes, without items."""
+    if trace.box_pose is None or trace.box_shapes is None:
+        return None
+    arena = arena_of(trace)
+    m = len(trace.movable_boxes) - (0 if arena is None else len(arena.items))
+    return (trace.box_shapes[:m], trace.box_pose[:, :m]) if m else None
+
+
 def centroids(trace: Trace) -> Array:
     """(T, 2) the mean position of the present robots' axle centres; NaN without one."""
     is_present = presence(trace)

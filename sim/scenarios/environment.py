@@ -12,6 +12,7 @@ from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.sim.scenarios.schema import ArenaSection
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.floor import FloorField
+from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.scalar_fields import Field
 
 
@@ -24,8 +25,12 @@ def blamed(layers: Layered, *keys: str | int, prefix: str = "") -> Iterator[None
         raise layers.error(keys, f"{prefix}{error}") from error
 
 
-def arena_of(layers: Layered, section: ArenaSection) -> Arena:
-    """The arena; ConfigError for duplicate box names and for places outside the walls."""
+def arena_of(layers: Layered, section: ArenaSection, items: Sequence[ItemKind] = ()) -> Arena:
+    """The arena; ConfigError for duplicate names and for places outside the walls."""
+    for index, kind in enumerate(items):
+        discs = [disc[:2] for disc in (kind.source, kind.nest) if disc is not None]
+        for place in (*discs, *kind.at):
+            check_inside(layers, section, ("items", index), place)
     for index, box in enumerate(section.boxes):
         if box.at is not None:
             check_inside(layers, section, ("arena", "boxes", index, "at"), box.at)
@@ -54,6 +59,7 @@ def arena_of(layers: Layered, section: ArenaSection) -> Arena:
             ),
             poles=tuple(Pole(*pole.at, pole.radius) for pole in section.poles),
             segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
+            items=tuple(item for kind in items for item in kind.things),
         )
 
 

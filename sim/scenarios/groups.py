@@ -16,6 +16,7 @@ from swarmd.settings.platforms import PlatformFile, platform_names, platform_of,
 from swarmd.settings.yamlfile import Data
 from swarmd.sim.scenarios.environment import blamed
 from swarmd.sim.scenarios.schema import GroupSection, ScenarioFile
+from swarmd.sim.world.item_kind import with_items
 from swarmd.sim.world.radio import with_bearings
 from swarmd.sim.world.scalar_fields import Field, with_readings
 
@@ -71,7 +72,7 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
     for name, (platform, _) in platforms.items():
         heard = replace(platform, provides=platform.provides | {"neighbors"})
         placed = with_bearings(heard) if file.radio.range_and_bearing else heard
-        sensing[name] = with_readings(placed, fields)
+        sensing[name] = with_items(with_readings(placed, fields), file.items)
     robots = {
         robot: sensing[platform_name(file.groups[group].platform)]
         for robot, group in sorted(group_of.items())

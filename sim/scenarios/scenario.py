@@ -11,6 +11,7 @@ from swarmd.core.host_messages import Layers
 from swarmd.core.values import Array, Platform, Scalar, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.scalar_fields import Field
@@ -77,6 +78,7 @@ class Scenario:
     starts: Callable[[int], Array]
     arena: Arena
     fields: tuple[Field, ...]
+    items: tuple[ItemKind, ...] = ()
     realism: Realism
     visibility: Visibility
     radio: RadioSettings

@@ -124,7 +124,7 @@ def _overridden(
     file = layers.build(ScenarioFile)
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
-    arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
+    arena, fields = arena_of(layers, file.arena, file.items), fields_of(layers, file.fields)
     with blamed(layers, "radio"):
         check_radio(file.radio)
     groups = groups_of(layers, file, fields)
@@ -154,6 +154,7 @@ def _overridden(
         starts=starts,
         arena=arena,
         fields=fields,
+        items=tuple(file.items),
         realism=realism_of(file.realism, where),
         visibility=file.lidar_visibility,
         radio=file.radio,

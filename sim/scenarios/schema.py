@@ -9,6 +9,7 @@ from msgspec import Meta, Struct, field
 from swarmd.core.bounds import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.settings.swarmfile import PlatformGrants
+from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
@@ -137,6 +138,7 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     radio: RadioSettings = RadioSettings()
     arena: ArenaSection = ArenaSection()
     fields: list[dict[str, Any]] = []
+    items: list[ItemKind] = []
     platforms: dict[str, dict[str, Any]] = {}
     groups: dict[str, GroupSection]
     start: StartSection = StartSection()

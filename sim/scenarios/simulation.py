@@ -21,6 +21,7 @@ def world_of(scenario: Scenario, seed: int, *, sectors: int = 10) -> World:
         visibility=scenario.visibility,
         realism=scenario.realism,
         fields=scenario.fields,
+        items=scenario.items,
         seed=seed,
         sectors=sectors,
     )

@@ -37,6 +37,7 @@ class WorldSource(LiveSource):
         arena = parse_arena(spec.arena) if scenario is None else scenario.arena
         self.arena = shown_arena(arena, () if scenario is None else scenario.fields)
         self._shapes = {name: box.shape for name, box in arena.movable_boxes}
+        self._shapes |= {item.name: item.shape for item in arena.items}
         self._radio_range = spec.radio_range if scenario is None else scenario.radio.range
         self._state: WorldState | None = None
         self.link = link_of(spec.platforms().values())

@@ -56,6 +56,25 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
+class Item:
+    """A low thing on the floor: centre and size in m. With a `mass` in kg it is a round puck.
+
+    Without a mass it is flat. Lidars, lamps and radios do not meet it.
+    """
+
+    x: float
+    y: float
+    size: float
+    name: str
+    mass: float | None = None
+
+    @property
+    def shape(self) -> Array:
+        """The corners (4, 2) of the square around it, counter-clockwise, in m."""
+        return Box(0.0, 0.0, self.size, self.size).shape
+
+
+@dataclass(frozen=True, slots=True)
 class Pole:
     """A fixed round pole: centre and radius in m; as high as the walls."""
 
@@ -106,13 +125,15 @@ class Arena:
     boxes: tuple[Box, ...] = ()
     poles: tuple[Pole, ...] = ()
     segments: tuple[Segment, ...] = ()
+    items: tuple[Item, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [name for name, _ in self.named_boxes]
-        for index, name in enumerate(names):
+        known = set[str]()
+        for name in (*(name for name, _ in self.named_boxes), *(item.name for item in self.items)):
             check_id(name, "box name")
-            if name in names[:index]:
+            if name in known:
                 raise ConfigError(f"arena has two boxes named {name!r}; every box needs its own")
+            known.add(name)
         for name, box in self.named_boxes:
             if box.mass is None and not box.is_placed:
                 raise ConfigError(f"box {name} is not in the arena and has no mass; give it one")
@@ -161,6 +182,7 @@ class Arena:
         words += [_box_text(box) for box in self.boxes]
         words += [":".join(("pole", *map(_text, astuple(pole)))) for pole in self.poles]
         words += [":".join(("segment", *map(_text, astuple(wall)))) for wall in self.segments]
+        words += [_item_text(item) for item in self.items]
         return ",".join(words)
 
 
@@ -174,6 +196,11 @@ def _box_text(box: Box) -> str:
     if not box.is_placed:
         words.append("out")
     return ":".join(words)
+
+
+def _item_text(item: Item) -> str:
+    values = (item.x, item.y, item.size, *(() if item.mass is None else (item.mass,)))
+    return ":".join((f"item/{item.name}", *map(_text, values)))
 
 
 def _degrees(yaw: float) -> str:
@@ -195,6 +222,7 @@ def parse_arena(text: str) -> Arena:
     `LxW` in m, then any number of `,box:x:y:length:width:yaw_deg:mass`, `,pole:x:y:radius` and
     `,segment:x1:y1:x2:y2`. The yaw and mass of a box are optional: without a mass it is fixed.
     `box/crate:...` names it; `:out` after the mass leaves it out of the arena at first.
+    `,item/NAME:x:y:size:mass` is an item, whose mass is optional too.
     """
     try:
         return _parsed(text)
@@ -211,7 +239,7 @@ def _parsed(text: str) -> Arena:
     match = _SIZE.fullmatch(size)
     if match is None:
         raise _TextError(f"{size!r} is no length and width")
-    found: dict[str, list[Any]] = {"box": [], "pole": [], "segment": []}
+    found: dict[str, list[Any]] = {"box": [], "pole": [], "segment": [], "item": []}
     for item in items:
         head, *words = item.split(":")
         kind, _, name = head.partition("/")
@@ -224,8 +252,11 @@ def _parsed(text: str) -> Arena:
             segment = Segment(*map(_number, words))
             _size(segment.box.length)
             found["segment"].append(segment)
+        elif kind == "item" and 3 <= len(words) <= 4:
+            at, side, *mass = map(_number, words)
+            found["item"].append(Item(at, side, _size(mass[0]), name, *mass[1:]))
         else:
-            raise _TextError(f"{item!r} is not a valid box, pole or segment")
+            raise _TextError(f"{item!r} is not a valid box, pole, segment or item")
     length, width = (_size(_number(word)) for word in match.groups())
     return Arena(length, width, *(tuple(kind) for kind in found.values()))
 

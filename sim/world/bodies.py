@@ -16,7 +16,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Heights, Platform
-from swarmd.sim.world.arena import Arena, Box
+from swarmd.sim.world.arena import Arena, Box, Item
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
 """Geom groups: collision shapes; visible bodies and lidar housings at true height; the arena."""
@@ -38,7 +38,7 @@ _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjModel:
     """The compiled model; body i owns qpos and qvel 3i to 3i + 2: x, y, yaw.
 
-    The robots come first, then the arena's movable boxes.
+    The robots come first, then the arena's movable boxes, then its pucks.
     """
     return build_spec(robots, arena, dt).compile()
 
@@ -57,6 +57,8 @@ def build_spec(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoc
         _add_shapes(body, robot, platform)
     for name, box in arena.movable_boxes:
         _add_movable_box(spec, name, box)
+    for item in arena.items:
+        _add_item(spec, item)
     return spec
 
 
@@ -108,6 +110,14 @@ def _add_movable_box(spec: mujoco.MjSpec, name: str, box: Box) -> None:
     for joint in body.joints:
         joint.solimp_friction = _STIFF
     _add_box(body, f"box/{name}", (0.0, 0.0), (box.length / 2.0, box.width / 2.0))
+
+
+def _add_item(spec: mujoco.MjSpec, item: Item) -> None:
+    """A sphere, the cheapest shape to collide: in the plane of all centres it is a disc."""
+    mass, radius = item.mass or 1.0, item.size / 2.0
+    body = _add_planar(spec, f"box-body/{item.name}", mass, mass * radius**2 / 2.0)
+    sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+    _add_solid(body, f"box/{item.name}", sphere, (0.0, 0.0), (radius, 0.0, 0.0))
 
 
 def _add_planar(spec: mujoco.MjSpec, name: str, mass: float, inert: float) -> mujoco.MjsBody:

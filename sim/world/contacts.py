@@ -73,13 +73,18 @@ class ContactPoints:
 class ContactReader:
     """Reads the contacts of robots from the contacts of a model."""
 
-    def __init__(self, model: mujoco.MjModel, robots: int) -> None:
-        """`robots`: how many of the model's bodies are robots; they come first."""
+    def __init__(self, model: mujoco.MjModel, robots: int, counted: int) -> None:
+        """`robots`: how many of the model's bodies are robots; they come first.
+
+        Contacts with bodies beyond the first `counted` are left out.
+        """
         # Body 0 is the arena, row i is body i + 1. The arena gets the last row: it comes last in a
         # pair and never moves.
         row = np.array(model.geom_bodyid, dtype=np.intp) - 1
         self._rows = np.where(row < 0, model.nbody - 1, row)
         self._robots = robots
+        is_left_out = row >= counted
+        self._is_left_out = is_left_out if is_left_out.any() else None
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> ContactPoints:
@@ -91,7 +96,10 @@ class ContactReader:
         found = data.contact
         geoms = np.asarray(found.geom, dtype=np.intp)
         rows = self._rows.take(geoms)
-        touching = ((found.dist <= 0.0) & (rows.min(axis=1) < self._robots)).nonzero()[0]
+        is_touching = (found.dist <= 0.0) & (rows.min(axis=1) < self._robots)
+        if self._is_left_out is not None:
+            is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
+        touching = is_touching.nonzero()[0]
         geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
         place, normal = found.pos.take(touching, axis=0), found.frame.take(touching, axis=0)
         standing = np.zeros((1, 3))

@@ -13,8 +13,9 @@ from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.bodies import ARENA_TYPE, SOLID_BIT, moment
 from swarmd.sim.world.geometry import overlaps, transform
 
-_GRAVITY = 9.81
-_FRICTION = 0.4
+GRAVITY = 9.81
+FRICTION = 0.4
+"""Of boxes and pucks on the floor."""
 
 
 class MovableBoxes:
@@ -36,7 +37,7 @@ class MovableBoxes:
         self.is_there = np.zeros(m, dtype=np.bool_)
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
         lever = np.array([_lever(box) for box in boxes])
-        self._grip = np.array([_FRICTION * _GRAVITY * (box.mass or 0.0) for box in boxes])
+        self._grip = np.array([FRICTION * GRAVITY * (box.mass or 0.0) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)
         self._inert = np.array([(b.mass, b.mass, moment(b)) for b in boxes]).reshape(m, 3)
         starts = np.array([(box.x, box.y, box.yaw) for box in boxes]).reshape(m, 3)

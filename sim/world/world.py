@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import repeat
 
 import mujoco
@@ -22,6 +23,8 @@ from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.geometry import Indices, radius, transform
+from swarmd.sim.world.item_kind import ItemKind
+from swarmd.sim.world.items import Items
 from swarmd.sim.world.lidar import RangeSensors, Visibility
 from swarmd.sim.world.light import LightField, Shadows
 from swarmd.sim.world.movable_boxes import MovableBoxes
@@ -33,10 +36,11 @@ from swarmd.sim.world.scalar_fields import Field, readings_at
 
 
 class World:
-    """Planar MuJoCo bodies with range sensors and odometry, and movable boxes.
+    """Planar MuJoCo bodies with range sensors and odometry, movable boxes, and items.
 
     `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
-    (m, 4, 2), their outlines in their own frames.
+    (m, 4, 2), their outlines in their own frames; `loose`, `loose_shapes` and `loose_poses()` are
+    those of boxes and then items. `grips` (n,): which robots' grippers are told to be closed.
     """
 
     def __init__(
@@ -49,12 +53,14 @@ class World:
         realism: Realism = IDEAL,
         seed: int = 0,
         fields: Sequence[Field] = (),
+        items: Sequence[ItemKind] = (),
         dt: float = 0.01,
         sectors: int = 10,
     ) -> None:
         """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
 
-        `seed` is for the randomness of `realism`; `readings` samples `fields`. `visibility`: a
+        `seed` is for the randomness of `realism` and the places of `items`, which are those of
+        `arena`; `readings` samples `fields`. `visibility`: a
         range sensor sees the whole footprint of another robot (`body`), or only the cross-section
         in its plane (`real`). `body` is the default because the published behaviours need it: with
         true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and
@@ -68,7 +74,8 @@ class World:
         for platform in self.platforms:
             check_measures(platform)
         self.arena, self.dt = arena, dt
-        self.model = bodies.build_model(robots, arena, dt)
+        pucks = tuple(item for item in arena.items if item.mass is not None)
+        self.model = bodies.build_model(robots, replace(arena, items=pucks), dt)
         self.data = mujoco.MjData(self.model)
         # Views of MuJoCo's memory.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
@@ -76,6 +83,11 @@ class World:
         self._robot_poses = self._qpos[: 3 * n].reshape(-1, 3)
         self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
+        self._items = Items(items, arena, self.platforms, seed)
+        self._begin_items(starts)
+        self.loose = (*self.movable_boxes, *self._items.names)
+        self.loose_shapes = np.concatenate((self.box_shapes, self._items.shapes))
+        self.grips = np.zeros(n, dtype=np.bool_)
         mujoco.mj_forward(self.model, self.data)
         memory = self.data.qpos, self.data.qvel, self.data.qfrc_applied
         base = load_kernel("swarmd.sim.world.base")
@@ -88,7 +100,7 @@ class World:
             ages.flags.writeable = False
         self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
         self._are_all_in = True
-        self._contacts = ContactReader(self.model, n)
+        self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
         self._rolling: list[RollingScans] = []
@@ -108,6 +120,16 @@ class World:
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
         self._shadows: Shadows | None = None  # made for the first reading of a lamp
+
+    def _begin_items(self, starts: Array) -> None:
+        outlines = [
+            transform(platform.footprint, start)
+            for platform, start in zip(self.platforms, starts, strict=True)
+        ]
+        boxes = self.box_poses()
+        is_there = np.isfinite(boxes[:, 0])
+        outlines += list(transform(self.box_shapes[is_there], boxes[is_there]))
+        self._items.begin(self.model, self.data, outlines)
 
     @property
     def time(self) -> float:
@@ -134,8 +156,11 @@ class World:
         self._bases.drive()
         if self.movable_boxes:
             self._movable_boxes.apply_friction()
+        self._items.apply_friction()
         mujoco.mj_step(self.model, data)
         self._steps += 1
+        if self._items.has_flat:
+            self._items.follow(self._robot_poses, self.grips)
         if data.ncon:
             self._touching.append(self._contacts.after_step(data, *self._bases.before))
         self._is_rolled = False
@@ -236,16 +261,21 @@ class World:
         return list(map(Odometry, repeat(now), places, speeds))
 
     def readings(self, robot: int) -> Mapping[str, float]:
-        """The values of the fields at the robot's sensors, or at its axle, by name."""
+        """The values of the fields at the robot's sensors or axle, and of near items, by name."""
         is_clear = None
         if any(isinstance(field, LightField) and field.shadows for field in self.fields):
             if self._shadows is None:
                 shapes = [platform.footprint for platform in self.platforms]
                 self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
             is_clear = self._shadows.around(robot, self._all_poses())
-        return readings_at(
-            self.fields, self.platforms[robot].sensors, self.poses()[robot], is_clear
-        )
+        pose = self.poses()[robot]
+        found = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
+        return found | self._items.readings(robot, pose) if self._items.names else found
+
+    @property
+    def has_readings(self) -> bool:
+        """Whether robots read anything besides their scans and odometry."""
+        return bool(self.fields or self._items.names)
 
     def change_fields(self, fields: Sequence[Field]) -> None:
         """Put `fields` in the place of all fields that have their names."""
@@ -255,6 +285,10 @@ class World:
     def box_poses(self) -> Array:
         """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN for one outside the arena."""
         return self._movable_boxes.poses()
+
+    def loose_poses(self) -> Array:
+        """(m + q, 3) x, y in m and yaw in rad of the movable boxes and the items."""
+        return np.concatenate((self.box_poses(), self._items.poses()))
 
     def place(self, box: str, pose: tuple[float, float, float]) -> None:
         """Put a movable box at rest at x, y in m and yaw in rad.
@@ -273,6 +307,8 @@ class World:
     def take_out(self, robot: int) -> None:
         """Remove a robot from contacts and scans for good."""
         self._is_out[robot], self._are_all_in = True, False
+        self._items.release(robot)
+        self.grips[robot] = False
         geom = self.model.geom(self.ids[robot]).id
         self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
 

@@ -343,6 +343,7 @@ _INPUTS = (
     "neighbors.distance",
     "neighbors.bearing",
     "neighbors.heading",
+    "gripper",
 )
 _READING = "reading:"
 
@@ -380,10 +381,12 @@ class Outputs(Struct, frozen=True, array_like=True):
 
     `twist` is the requested command; with None the robot stands still. `messages` are by channel.
     `report` is shown by members, describe and traces (state, opinion ...). `done`: the reason why
-    the pattern has finished; None while it has not.
+    the pattern has finished; None while it has not. `grip`: close the gripper, or open it; None
+    leaves it as it is, as does the end of a run. A pattern with a gripper needs `gripper`.
     """
 
     twist: Twist | None = None
     messages: Mapping[str, Value] = {}
     report: Mapping[str, Scalar] = {}
     done: str | None = None
+    grip: bool | None = None

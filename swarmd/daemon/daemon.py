@@ -8,6 +8,7 @@ daemon until the id is claimed. Every exit path commands zero.
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import gc
 import logging
 import math
@@ -48,7 +49,7 @@ from swarmd.daemon.store import CodeFiles, LatchFile
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
-from swarmd.driver_api.driver import Driver, check_protected, message_carrier
+from swarmd.driver_api.driver import Driver, check_protected, gripper_of, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -107,6 +108,11 @@ class Daemon:
 
     def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
         check_protected(settings.platform, driver, settings.driver)
+        self._gripper = gripper_of(driver)
+        if self._gripper is None:
+            platform = settings.platform
+            platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
+            settings = dataclasses.replace(settings, platform=platform)
         self._settings = settings
         self._carrier = message_carrier(driver)
         base = base_options(settings.driver_options, f"driver {settings.driver}")
@@ -527,6 +533,8 @@ class Daemon:
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)
+        if actions.grip is not None and self._gripper is not None:
+            self._gripper.grip(actions.grip)
         for name, value in actions.messages.items():
             try:
                 payload = encode_value(value)

@@ -137,11 +137,37 @@ class MessageCarrier(Protocol):
         """Send an encoded value to all robots in reach: never blocks; dropped while lost."""
 
 
+@runtime_checkable
+class Gripper(Protocol):
+    """What a driver also offers if its base has a gripper.
+
+    A daemon with any other driver takes `gripper` away from what its platform provides, so that the
+    robot refuses patterns that need one.
+    """
+
+    def grip(self, is_closed: bool) -> None:
+        """Close or open the gripper, called with each step of a pattern that says so: never blocks.
+
+        Dropped while the base is lost.
+        """
+
+
 def message_carrier(driver: Driver) -> MessageCarrier | None:
     """The driver, or the driver that it wraps, if its base carries messages."""
+    bare = _unwrapped(driver)
+    return bare if isinstance(bare, MessageCarrier) and bare.carries_messages else None
+
+
+def gripper_of(driver: Driver) -> Gripper | None:
+    """The driver, or the driver that it wraps, if its base has a gripper."""
+    bare = _unwrapped(driver)
+    return bare if isinstance(bare, Gripper) else None
+
+
+def _unwrapped(driver: Driver) -> Driver:
     while hasattr(driver, "wrapped"):
         driver = driver.wrapped
-    return driver if isinstance(driver, MessageCarrier) and driver.carries_messages else None
+    return driver
 
 
 class DriverFactory(Protocol):

@@ -1,8 +1,8 @@
 """The wire between a simulated robot and its daemon: scan, odometry, neighbours, readings, command.
 
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
-The daemon sends the frames `cmd_vel` and `sent`, the robot those of INPUTS and `received`. Arrays
-travel as little-endian float32; regular bearings and ages as (first, step). `range_min` and
+The daemon sends the frames `cmd_vel`, `grip` and `sent`, the robot those of INPUTS and `received`.
+Arrays travel as little-endian float32; regular bearings and ages as (first, step). `range_min` and
 `range_max` come from the platform file, not from the message.
 """
 
@@ -131,12 +131,19 @@ class CommandWire(Struct, frozen=True, array_like=True):
     requested_scan_seq: Annotated[int, Meta(ge=-1, le=2**53)]
 
 
+class GripWire(Struct, frozen=True, array_like=True):
+    """The command of the gripper."""
+
+    is_closed: bool
+
+
 _scan = Decoder(ScanWire, MAX_SENSOR_PAYLOAD)
 _odometry = Decoder(OdometryWire)
 _neighbors = Decoder(NeighborsWire)
 _pose = Decoder(PoseWire)
 _readings = Decoder(ReadingsWire)
 _command = Decoder(CommandWire)
+_grip = Decoder(GripWire)
 _message = Decoder(MessageWire)
 _messages = Decoder(MessagesWire, MAX_SENSOR_PAYLOAD)
 
@@ -236,6 +243,16 @@ def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> byte
 def decode_command(payload: bytes) -> CommandWire:
     """A safe command and the scans behind it."""
     return _command(payload)
+
+
+def encode_grip(is_closed: bool) -> bytes:
+    """The bytes of a gripper's command."""
+    return encode(GripWire(is_closed))
+
+
+def decode_grip(payload: bytes) -> bool:
+    """Whether the gripper closes."""
+    return _grip(payload).is_closed
 
 
 def encode_message(robot: str, channel: str, payload: bytes) -> bytes:

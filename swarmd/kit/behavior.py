@@ -60,8 +60,8 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
-    - `needs`: what the robot must sense, of scan, ranges, odometry, neighbors, neighbors.distance,
-      neighbors.bearing, neighbors.heading and reading:<name>.
+    - `needs`: what the robot must have, of scan, ranges, odometry, neighbors, neighbors.distance,
+      neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
     - `is_symmetric`: mirrored inputs give mirrored commands; PatternContract checks it.

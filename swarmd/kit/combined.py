@@ -43,9 +43,9 @@ class CombinedPattern(Pattern[P]):
         return self.combine({name: self.step_part(name, inputs) for name in self.parts}, inputs)
 
     def combine(self, outputs: Mapping[str, Outputs], inputs: Inputs) -> Outputs:
-        """The outputs of all parts as one: the first command, all messages, reports as `part.key`.
+        """The outputs of all parts as one: the first command and grip, all messages, all reports.
 
-        Done when all parts are. Override it for another choice.
+        A report has the name `part.key`. Done when all parts are. Override it for another choice.
         """
         twists = [part.twist for part in outputs.values() if part.twist is not None]
         reasons = [part.done for part in outputs.values() if part.done is not None]
@@ -55,7 +55,9 @@ class CombinedPattern(Pattern[P]):
             messages.update(part.messages)
             report.update({f"{name}.{key}": value for key, value in part.report.items()})
         done = "; ".join(reasons) if reasons and len(reasons) == len(outputs) else None
-        return Outputs(twists[0] if twists else None, messages, report, done)
+        grips = [part.grip for part in outputs.values() if part.grip is not None]
+        grip = grips[0] if grips else None
+        return Outputs(twists[0] if twists else None, messages, report, done, grip)
 
     def step_part(self, name: str, inputs: Inputs) -> Outputs:
         """Step one part with its own messages and dt; the messages it sends get outer names."""

@@ -94,9 +94,11 @@ class Mission(CombinedPattern[Params]):
         if not self._root.check(seen):
             twist = self._root.step(self, inputs, seen)
         messages: dict[str, Value] = {}
+        grip = None
         for outputs in self._stepped.values():
             messages.update(outputs.messages)
-        return Outputs(twist, messages, self._report(), self._root.ended or None)
+            grip = outputs.grip if grip is None else grip
+        return Outputs(twist, messages, self._report(), self._root.ended or None, grip)
 
     def run_part(self, name: str, inputs: Inputs) -> Outputs:
         """One step of a part; its reports set the parameters of others at once."""

@@ -154,7 +154,9 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
             reported = _plain(reported)
         if isinstance(reported, (int, float, str)):
             report[str(name)] = reported
-    return Outputs(twist, messages, report, None if outputs.done is None else str(outputs.done))
+    done = None if outputs.done is None else str(outputs.done)
+    grip = None if outputs.grip is None else bool(outputs.grip)
+    return Outputs(twist, messages, report, done, grip)
 
 
 def _in_one_line(error: BaseException) -> str:

@@ -31,7 +31,8 @@ class Actions(Struct, frozen=True, eq=False):
     earlier requests: a run is answered when its pattern has been loaded. A `trial` has a process of
     its own and leaves the running pattern alone. `has_status`: publish `Robot.status`. `is_quiet`:
     there is nothing but the command, and `wake_at` is as before. `failed_code`: provisional code
-    has failed. `ended`: state and reason after the end of a run; empty if none ended.
+    has failed. `ended`: state and reason after the end of a run; empty if none ended. `grip`: close
+    the gripper, or open it.
     """
 
     twist: Twist
@@ -49,3 +50,4 @@ class Actions(Struct, frozen=True, eq=False):
     replies: tuple[Reply, ...] = ()
     failed_code: FailedCode | None = None
     ended: str = ""
+    grip: bool | None = None

@@ -352,7 +352,7 @@ class Lifecycle:
             self.fault("its twist is not finite", effects)
             return
         outputs = event.outputs
-        self.report = outputs.report
+        self.report, effects.grip = outputs.report, outputs.grip
         if outputs.messages:
             passed = self.outbox.take(outputs.messages, running.channels, effects.now)
             effects.messages = {running.full_name(name): value for name, value in passed.items()}

@@ -78,6 +78,7 @@ class Effects:
     host = cython.declare(object, visibility="public")
     failed_code = cython.declare(object, visibility="public")
     ended = cython.declare(object, visibility="public")
+    grip = cython.declare(object, visibility="public")
 
     def __init__(self, now: cython.double) -> None:
         self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""
@@ -647,6 +648,7 @@ class Ticker:
             effects.replies,
             effects.failed_code,
             effects.ended,
+            effects.grip,
         )
         return actions
 

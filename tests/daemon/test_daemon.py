@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import errno
 import logging
 import threading
@@ -81,6 +82,24 @@ async def test_zero_is_sent_at_20_hz_before_any_run(settings: DaemonSettings) ->
     await run(Daemon(settings, driver), stop, stop.set)
     assert len(driver.sent) > 5
     assert all(twist.is_zero for twist in driver.sent)
+
+
+class GrippingDriver(RecordingDriver):
+    """A recording driver whose base has a gripper."""
+
+    def grip(self, is_closed: bool) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("kind", "has"), [(RecordingDriver, False), (GrippingDriver, True)])
+async def test_a_robot_whose_driver_has_no_gripper_provides_none(
+    settings: DaemonSettings, kind: type[RecordingDriver], has: bool
+) -> None:
+    platform = settings.platform
+    platform = dataclasses.replace(platform, provides=platform.provides | {"gripper"})
+    daemon, stop = Daemon(dataclasses.replace(settings, platform=platform), kind()), asyncio.Event()
+    await run(daemon, stop, stop.set)
+    assert ("gripper" in daemon._robot.platform.provides) is has
 
 
 async def test_a_daemon_that_raises_sends_zero_and_ends(

@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
-from swarmd.driver_api.driver import ZeroSenderSpec, message_carrier
+from swarmd.driver_api.driver import ZeroSenderSpec, gripper_of, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MessageWire,
@@ -198,6 +198,26 @@ def test_a_platform_with_a_ring_is_refused() -> None:
     """The robot would be held for ever: a simulated base does not measure it."""
     with pytest.raises(ConfigError, match="ranges: null"):
         SimulatedDriver(swarm="s", robot="r", platform=with_ring(PLATFORM), options={})
+
+
+@story(Body)
+async def test_the_gripper_of_the_world_gets_the_newest_command(
+    harness: DriverHarness, robot: Body
+) -> None:
+    driver = harness.driver
+    assert isinstance(driver, SimulatedDriver)
+    assert gripper_of(WatchedDriver(driver, ZeroSenderSpec("none", {}), name="none")) is driver
+    got: dict[str, bool] = {}
+
+    def is_taken(is_closed: bool) -> bool:
+        driver.grip(is_closed)
+        robot.link.receive()
+        got.update(robot.link.take_grips())
+        return got == {"r": is_closed}
+
+    await harness.until(lambda: is_taken(True))
+    await harness.until(lambda: is_taken(False))
+    assert got == {"r": False}
 
 
 @story(Body, radio=True)

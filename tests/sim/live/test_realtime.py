@@ -23,6 +23,7 @@ from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldReply, WorldRequest, WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
+from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import Radio, RadioSettings
 from swarmd.sim.world.realism import IDEAL, Actuation, LidarNoise, Realism
 from swarmd.sim.world.scalar_fields import Field, UniformField
@@ -41,6 +42,7 @@ class HandLink:
 
     def __init__(self) -> None:
         self.commands: dict[str, Command] = {}
+        self.grips: dict[str, bool] = {}
         self.said: list[MessageWire] = []
         self.requests: list[PendingRequest] = []
         self.sent: list[tuple[str, str, Any]] = []
@@ -48,6 +50,10 @@ class HandLink:
     def take_commands(self) -> Mapping[str, Command]:
         commands, self.commands = self.commands, {}
         return commands
+
+    def take_grips(self) -> Mapping[str, bool]:
+        grips, self.grips = self.grips, {}
+        return grips
 
     def take_messages(self) -> list[MessageWire]:
         messages, self.said = self.said, []
@@ -102,14 +108,16 @@ class ManualWorld:
         radio: RadioSettings | None = None,
         fields: tuple[Field, ...] = (),
         boxes: tuple[Box, ...] = (),
+        items: tuple[ItemKind, ...] = (),
         emulator: EmulatorFactory | None = None,
         command_timeouts: Sequence[float] | None = None,
         link: WorldLink | None = None,
     ) -> None:
         self.now = 100.0
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-        robots, arena = dict.fromkeys(IDS, load_platform("burger")), Arena(6.0, 6.0, boxes)
-        self.world = World(robots, arena, starts, realism=realism, fields=fields)
+        robots = dict.fromkeys(IDS, load_platform("burger"))
+        arena = Arena(6.0, 6.0, boxes, items=tuple(item for kind in items for item in kind.things))
+        self.world = World(robots, arena, starts, realism=realism, fields=fields, items=items)
         self.link = HandLink()
         self.recorder = LiveRecorder(self.world, settings or RecorderSettings())
         emulated = None
@@ -156,6 +164,18 @@ def test_a_command_moves_its_robot_until_half_a_second_after_the_last() -> None:
     live.command("a", -0.1, live.world._seq[0])
     live.pass_time(0.3)
     assert live.speed() == pytest.approx(-0.1)
+
+
+def test_a_gripper_carries_an_item_which_the_state_shows_and_the_robot_reads() -> None:
+    food = ItemKind(name="food", at=[(0.06, 0.0)], source=(2.0, 2.0, 0.5))
+    live = ManualWorld(items=(food,), command_timeouts=FOR_EVER)
+    live.link.grips["a"] = True
+    live.command("a", 0.2)
+    live.pass_time(1.0)
+    assert live.sent("readings")[-1]["held"] == 1.0
+    assert live.sent("readings", "b")[-1]["held"] == 0.0
+    boxes = live.server._state().boxes
+    assert boxes["food-1"][0] == pytest.approx(float(live.world.poses()[0, 0]) + 0.038)
 
 
 @pytest.mark.parametrize(("scans_ago", "moves"), [(5, False), (3, True)])

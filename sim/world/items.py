@@ -1,0 +1,178 @@
+"""Items on the floor: flat ones that robots pick up and drop, and pucks that they push.
+
+Items are low: no lidar, lamp or radio is hidden by them, and protection does not know them. A robot
+senses the items near it as readings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Platform
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.geometry import overlaps
+from swarmd.sim.world.item_kind import DELIVERED, HELD, ItemKind
+from swarmd.sim.world.movable_boxes import FRICTION, GRAVITY
+from swarmd.sim.world.seeding import generator
+
+GRIP = 0.08
+"""Metres from the middle of a robot's front edge within which a gripper takes an item."""
+_TRIES = 1000  # draws of one place
+
+
+class Items:
+    """All items of a world; row i of every array is item `names[i]`, in the order of the kinds.
+
+    `shapes` (q, 4, 2) are squares as large as the items.
+    """
+
+    def __init__(
+        self, kinds: Sequence[ItemKind], arena: Arena, platforms: Sequence[Platform], seed: int
+    ) -> None:
+        """Items without places yet: `begin` gives them."""
+        self._kinds, self._arena, n = tuple(kinds), arena, len(platforms)
+        self._solid = [box.corners for _, box in arena.fixed]
+        self._solid += [pole.corners for pole in arena.poles]
+        things = [kind.things for kind in kinds]
+        self.names = tuple(item.name for some in things for item in some)
+        self.shapes = np.array([item.shape for some in things for item in some]).reshape(-1, 4, 2)
+        self._of = np.repeat(np.arange(len(things)), list(map(len, things)))
+        self._places = np.zeros((len(self.names), 3))
+        self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
+        mass = np.array([kind.mass or 0.0 for kind in kinds])
+        inert = np.array([(m, m, m * k.size**2 / 8.0) for m, k in zip(mass, kinds, strict=True)])
+        self._is_flat = (mass == 0.0)[self._of]
+        self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)
+        self._inert = inert.reshape(-1, 3)[self._of][self._pucks]
+        self._dofs = slice(0, 0)
+        # The middle of the front edge of each robot, ahead of its axle.
+        self._front = np.array([platform.footprint[:, 0].max() for platform in platforms])
+        self._is_closed = np.zeros(n, dtype=np.bool_)
+        self._held = np.full(n, -1)
+        self.delivered = np.zeros(n, dtype=np.int64)
+
+    def begin(self, model: mujoco.MjModel, data: mujoco.MjData, outlines: Sequence[Array]) -> None:
+        """Put all items in their places; the last bodies of the model are the pucks.
+
+        `outlines` (c, 2) are those of robots and boxes, which no puck may overlap; ConfigError if
+        there is no room.
+        """
+        self._data, self._dt = data, float(model.opt.timestep)
+        self._dofs = slice(model.nv - 3 * len(self._pucks), model.nv)
+        solid = self._solid
+        for number, kind in enumerate(self._kinds):
+            rows = np.flatnonzero(self._of == number)
+            others = solid if kind.mass is None else [*solid, *outlines]
+            for row, place in zip(rows.tolist(), kind.at or (None,) * len(rows), strict=True):
+                if place is None:
+                    self._places[row, :2] = self._drawn(number, others, self._places[:row, :2])
+                else:
+                    self._places[row, :2] = place
+        if len(self._pucks):
+            data.qpos[self._dofs] = self._places[self._pucks].ravel()
+
+    def poses(self) -> Array:
+        """(q, 3) x, y in m and yaw in rad of the items."""
+        if len(self._pucks):
+            self._places[self._pucks] = self._data.qpos[self._dofs].reshape(-1, 3)
+        return self._places.copy()
+
+    def apply_friction(self) -> None:
+        """Set the floor's friction on the pucks for the next step: it stops them, or brakes fully.
+
+        A force needs no constraint of MuJoCo's solver, so a puck at rest costs next to nothing.
+        """
+        if not len(self._pucks):
+            return
+        speed = self._data.qvel[self._dofs].reshape(-1, 3)
+        size = np.hypot(speed[:, 0], speed[:, 1])[:, None]
+        lost = np.minimum(FRICTION * GRAVITY / np.maximum(size, 1e-12), 1.0 / self._dt)
+        self._data.qfrc_applied[self._dofs] = (-self._inert * lost * speed).ravel()
+
+    def follow(self, poses: Array, is_closed: NDArray[np.bool_]) -> None:
+        """Carry, pick up and drop flat items, with robots at `poses` (n, 3).
+
+        `is_closed` (n,): the command of each gripper. A gripper that closes takes the nearest item
+        within GRIP m of the front edge. It drops its item as it opens.
+        """
+        changed = np.flatnonzero(is_closed != self._is_closed).tolist()
+        if not changed and not (self._held >= 0).any():
+            return
+        front = poses[:, :2] + self._front[:, None] * np.stack(
+            (np.cos(poses[:, 2]), np.sin(poses[:, 2])), axis=-1
+        )
+        for robot in changed:
+            self._is_closed[robot] = is_closed[robot]
+            if is_closed[robot]:
+                self._pick(robot, front[robot])
+            elif self._held[robot] >= 0:
+                self._drop(robot)
+        holding = np.flatnonzero(self._held >= 0)
+        self._places[self._held[holding], :2] = front[holding]
+
+    def readings(self, robot: int, pose: Array) -> dict[str, float]:
+        """What `robot` at `pose` (3,) senses of items; see ItemKind."""
+        found = {}
+        places = self.poses()[:, :2]
+        away = places - pose[:2]
+        distance = np.hypot(away[:, 0], away[:, 1])
+        distance[self._held[self._held >= 0]] = np.inf
+        for number, kind in enumerate(self._kinds):
+            near = np.flatnonzero((self._of == number) & (distance <= kind.range))
+            found[kind.name] = float(len(near))
+            bearing = reach = 0.0
+            if len(near):
+                nearest = near[distance[near].argmin()]
+                x, y = away[nearest]
+                reach = float(distance[nearest])
+                bearing = math.remainder(math.atan2(y, x) - float(pose[2]), 2.0 * math.pi)
+            found[f"{kind.name}_distance"], found[f"{kind.name}_bearing"] = reach, bearing
+        if self.has_flat:
+            found[HELD] = float(self._held[robot] >= 0)
+            found[DELIVERED] = float(self.delivered[robot])
+        return found
+
+    def release(self, robot: int) -> None:
+        """Leave the item of a robot that is taken out of the arena where it is."""
+        self._held[robot], self._is_closed[robot] = -1, False
+
+    def _pick(self, robot: int, front: Array) -> None:
+        distance = np.hypot(*(self._places[:, :2] - front).T)
+        distance[~self._is_flat] = np.inf
+        distance[self._held[self._held >= 0]] = np.inf
+        nearest = int(distance.argmin())
+        if distance[nearest] <= GRIP:
+            self._held[robot] = nearest
+
+    def _drop(self, robot: int) -> None:
+        item = int(self._held[robot])
+        self._held[robot] = -1
+        number = int(self._of[item])
+        nest = self._kinds[number].nest
+        if nest is not None and math.dist(self._places[item, :2], nest[:2]) <= nest[2]:
+            self.delivered[robot] += 1
+            self._places[item, :2] = self._drawn(number, self._solid, self._places[:0, :2])
+
+    def _drawn(self, number: int, solid: Sequence[Array], taken: Array) -> Array:
+        """A free place (2,) in the source of a kind; ConfigError if there seems to be none."""
+        kind, rng = self._kinds[number], self._rngs[number]
+        assert kind.source is not None
+        x, y, radius = kind.source
+        walls = np.array([self._arena.length, self._arena.width]) / 2.0 - kind.size / 2.0
+        for _ in range(_TRIES):
+            away, angle = radius * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
+            place = np.array([x + away * math.cos(angle), y + away * math.sin(angle)])
+            if (np.abs(place) > walls).any():
+                continue
+            if len(taken) and np.hypot(*(taken - place).T).min() < kind.size:
+                continue
+            square = place + self.shapes[self._of == number][0]
+            if not any(overlaps(square, other) for other in solid):
+                return place
+        raise ConfigError(f"items {kind.name}: no room in the source {list(kind.source)}")
