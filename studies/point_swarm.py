@@ -1,8 +1,9 @@
 """A swarm of points that run one pattern: exact motion and an exact radio, hundreds of robots.
 
 Each robot's pattern runs in a `PatternExecutor` as on a robot, at its own rate and phase. The
-robots are unicycles without bodies: commands apply at once, and no protection changes them. A run
-in lockstep has bodies, lidars and protection, and costs some ten times as much.
+robots are unicycles without bodies: commands apply at once, and no protection changes them. Their
+odometry is their pose. A run in lockstep has bodies, lidars and protection, and costs some ten
+times as much.
 """
 
 from __future__ import annotations
@@ -22,7 +23,19 @@ from numpy.typing import NDArray
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, Step, Stepped
-from swarmd.core.values import Array, Inputs, Message, Neighbor, Platform, Scalar, Scan, Value
+from swarmd.core.values import (
+    Array,
+    Inputs,
+    Message,
+    Neighbor,
+    Odometry,
+    Platform,
+    Pose,
+    Scalar,
+    Scan,
+    Twist,
+    Value,
+)
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
@@ -169,6 +182,7 @@ class PointSwarm:
             0.0 if math.isnan(point.stepped_at) else now - point.stepped_at,
             scan=scan,
             is_new_scan=scan is not None,
+            odometry=Odometry(now, Pose(*poses[row].tolist()), Twist(*self._twist[row].tolist())),
             neighbors=self._sensed(row, near, poses) if self._has_bearings else (),
             messages=tuple(Message(m.sender, m.channel, m.value, now - at) for at, m in arrived),
             readings={} if self._sense is None else self._sense(now, row, poses),

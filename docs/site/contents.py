@@ -33,6 +33,7 @@ CONTENTS = {
         "docs/patterns/lloyd_coverage",
         "docs/patterns/hexagonal_lattice",
         "docs/patterns/leader_following",
+        "docs/patterns/patrol",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",

@@ -23,6 +23,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "lloyd_coverage": {"duration": 80.0},
     "one_bit_aggregation": {"duration": 120.0},
     "hexagonal_lattice": {"has_more": False},
+    "patrol": {"numbers": (1, 4), "has_bodies": False},
     "random_walk": {"duration": 40.0},
     "vicsek_alignment": {"has_sizes": False},
     "flocking": {"duration": 30.0},

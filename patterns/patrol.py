@@ -1,0 +1,200 @@
+"""Patrol: the robots visit places again and again, so that no place is left alone for long.
+
+Source: Machado, Ramalho, Zucker and Drogoul, "Multi-agent patrolling: an empirical analysis of
+alternative architectures", MABS 2002, LNAI 2581, 2003: the conscientious reactive agent goes to the
+adjacent place that it has not visited for longest. Idleness is the time since the last visit.
+
+Ours: robots tell each other their visits and the place that each is on its way to; a place that
+another is on its way to is not chosen while there is one that none is on its way to. Adjacent are
+the places within `reach`.
+
+Needs the robot's pose in a frame that the robots share: the odometry's, once `start_x`, `start_y`
+and `start_yaw` tell where the odometry's frame lies in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated
+
+from swarmd.api import (
+    Context,
+    Inputs,
+    Message,
+    NearPoints,
+    Outputs,
+    Params,
+    Pattern,
+    Pose,
+    Scalar,
+    TopSpeed,
+    TopTurn,
+    Value,
+    about,
+)
+
+_CHANNEL = "patrol"
+_BRAKE = 0.3  # m before a place over which the speed falls
+
+
+class PatrolParams(Params, frozen=True, kw_only=True):
+    """The places, the frame and the speeds."""
+
+    places: Annotated[
+        str,
+        about("places to visit, x y in m, with commas between them", source="ours: a square"),
+    ] = "0 0, 1 0, 1 1, 0 1"
+    reach: Annotated[
+        float,
+        about(
+            "farther places are not adjacent; 0: all are",
+            ge=0.0,
+            le=1000.0,
+            unit="m",
+            source="Machado et al. 2003, the edges of the graph; the value: ours",
+        ),
+    ] = 0.0
+    arrival: Annotated[
+        float,
+        about("a nearer place is visited", ge=0.01, le=10.0, unit="m", source="ours: a body"),
+    ] = 0.2
+    start_x: Annotated[
+        float, about("x of the odometry's origin", ge=-1e4, le=1e4, unit="m", source="ours")
+    ] = 0.0
+    start_y: Annotated[
+        float, about("y of the odometry's origin", ge=-1e4, le=1e4, unit="m", source="ours")
+    ] = 0.0
+    start_yaw: Annotated[
+        float, about("yaw of the odometry's frame", ge=-7.0, le=7.0, unit="rad", source="ours")
+    ] = 0.0
+    share_period: Annotated[
+        float,
+        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
+    ] = 0.5
+    lease: Annotated[
+        float,
+        about(
+            "a robot that is not heard for longer is on its way to no place",
+            ge=0.2,
+            le=600.0,
+            unit="s",
+            source="ours: ten messages",
+        ),
+    ] = 5.0
+    speed: TopSpeed
+    turn: TopTurn
+
+    def __post_init__(self) -> None:
+        """Check the places."""
+        places_of(self.places)
+
+
+class Patrol(Pattern[PatrolParams]):
+    """Drives to the adjacent place that was left alone for longest."""
+
+    params_type = PatrolParams
+    needs = frozenset({"odometry"})
+    channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base
+
+    def __init__(self, params: PatrolParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._target = -1
+        self._share_at = 0.0
+        self._begin(params)
+
+    def _begin(self, params: PatrolParams) -> None:
+        self._places = places_of(params.places)
+        self._visited = [-math.inf] * len(self._places)  # when, by any robot
+        self._claims: dict[str, tuple[float, int]] = {}  # time and place, by robot
+
+    def update(self, params: PatrolParams) -> None:
+        """Apply changed parameters; a memory of other places is of no use."""
+        if params.places != self.params.places:
+            self._target = -1
+            self._begin(params)
+        super().update(params)
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """The way to the target, and what others need to know."""
+        now, params = inputs.now, self.params
+        for message in inputs.messages:
+            self._hear(message, now - message.age)
+        if inputs.odometry is None:
+            return Outputs()
+        pose = self._pose(inputs.odometry.pose)
+        away = [math.hypot(x - pose.x, y - pose.y) for x, y in self._places]
+        if self._target < 0 or away[self._target] <= params.arrival:
+            if self._target >= 0:
+                self._visited[self._target] = now
+            self._target = self._choose(now, away)
+            self._share_at = now
+        x, y = self._places[self._target]
+        bearing = math.atan2(y - pose.y, x - pose.x) - pose.yaw
+        share = min(1.0, max(away[self._target] / _BRAKE, 0.3))
+        twist = NearPoints(()).steer(
+            share * math.cos(bearing),
+            share * math.sin(bearing),
+            params.speed,
+            params.turn,
+            spacing=0.0,
+            brake=_BRAKE,
+        )
+        report: Mapping[str, Scalar] = {"target": self._target}
+        if now < self._share_at:
+            return Outputs(twist, report=report)
+        self._share_at = now + params.share_period
+        ages: list[Value] = [min(now - at, 1e9) for at in self._visited]
+        return Outputs(twist, {_CHANNEL: [self._target, *ages]}, report)
+
+    def _pose(self, own: Pose) -> Pose:
+        params = self.params
+        cos, sin = math.cos(params.start_yaw), math.sin(params.start_yaw)
+        x = params.start_x + cos * own.x - sin * own.y
+        return Pose(x, params.start_y + sin * own.x + cos * own.y, params.start_yaw + own.yaw)
+
+    def _choose(self, now: float, away: list[float]) -> int:
+        """The adjacent place of the greatest idleness that no other is on its way to."""
+        params, rng = self.params, self.context.rng
+        here = self._target if self._target >= 0 else min(range(len(away)), key=away.__getitem__)
+        x, y = self._places[here]
+        near = [
+            k
+            for k, (other_x, other_y) in enumerate(self._places)
+            if k != here
+            and (not params.reach or math.hypot(other_x - x, other_y - y) <= params.reach)
+        ] or [here]
+        claimed = {k for at, k in self._claims.values() if at >= now - params.lease}
+        free = [k for k in near if k not in claimed] or near
+        oldest = min(self._visited[k] for k in free)
+        best = [k for k in free if self._visited[k] <= oldest + 1e-9]
+        return best[int(rng.integers(len(best)))]
+
+    def _hear(self, message: Message, at: float) -> None:
+        """Take over later visits, and the place that the sender is on its way to."""
+        value = message.value
+        if message.channel != _CHANNEL or not isinstance(value, list):
+            return
+        if len(value) != 1 + len(self._places):
+            return
+        target, *ages = value
+        if not isinstance(target, int) or not 0 <= target < len(self._places):
+            return
+        self._claims[message.sender] = at, target
+        for k, age in enumerate(ages):
+            if isinstance(age, (int, float)) and 0.0 <= age < 1e9:
+                self._visited[k] = max(self._visited[k], at - age)
+
+
+def places_of(text: str) -> list[tuple[float, float]]:
+    """The places of the parameter; ValueError if the text is of another form."""
+    found = []
+    for one in text.split(","):
+        try:
+            x, y = map(float, one.split())
+        except ValueError:
+            raise ValueError(f"places has {one.strip()!r}; expected x y in m") from None
+        found.append((x, y))
+    if not 2 <= len(found) <= 50 or not all(math.isfinite(v) for one in found for v in one):
+        raise ValueError(f"places has {len(found)} places; expected 2 to 50, all finite")
+    return found
