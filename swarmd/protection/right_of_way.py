@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import Avoided, DecisionContext
 from swarmd.protection.recovery import Allows, Clearance, Points, Recovery
 from swarmd.protection.tracks import Surroundings
 
@@ -139,6 +139,16 @@ class RightOfWay:
     def is_settled(self) -> bool:
         """True where neither avoidance nor recovery has anything to add."""
         return self.state in {"in", "back", "wait"}
+
+    def passed(self, context: DecisionContext) -> Avoided | None:
+        """The opening that changes the request of a robot; None without one."""
+        opening, odometry = self._opening, context.odometry
+        if not self.state or opening is None or odometry is None:
+            return None
+        pose = pose_after(odometry, context.odometry_age or 0.0)
+        x, y = opening.x - pose.x, opening.y - pose.y
+        bearing = math.remainder(math.atan2(y, x) - pose.yaw, 2.0 * math.pi)
+        return Avoided(bearing, math.hypot(x, y), self.state)
 
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
         """Take in a conditioned scan; `offset` is the place of the sensor in the base frame."""

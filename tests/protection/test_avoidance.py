@@ -199,6 +199,15 @@ def test_a_decision_says_what_is_avoided_and_keeps_the_margin() -> None:
     assert ride.min_gap > 0.05
 
 
+def test_a_decision_says_that_the_robot_drives_to_an_opening_and_passes_it() -> None:
+    walls = [box(0.1, 2.0, Pose(0.8, side * 1.18)) for side in (1.0, -1.0)]
+    walls.append(box(0.1, 6.0, Pose(3.0)))  # what is seen through the door
+    ride = FilterSim(AVOIDING, walls).run(AHEAD, 30.0, Permit(may_recover=True))
+    avoided = [decision.avoided for _, decision in ride.decisions if decision.avoided is not None]
+    assert {one.way for one in avoided} >= {"go", "in"}
+    assert avoided[0].text.startswith("drives to an opening at 0 deg, 0.")
+
+
 @pytest.mark.parametrize(("is_alone", "least", "most"), [(True, 0.0, 0.1), (False, 4.0, 5.0)])
 def test_a_robot_beside_an_object_recovers_later(is_alone: bool, least: float, most: float) -> None:
     begin = []
