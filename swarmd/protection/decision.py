@@ -84,12 +84,11 @@ class Avoided(Struct, frozen=True):
 
     @property
     def text(self) -> str:
-        """Such as `avoiding an object at -30 deg`."""
-        place = f"at {round(math.degrees(self.bearing))} deg"
+        """Such as `avoiding an object at -30 deg` or `gives way at an opening, 0.8 m`."""
         if not self.way:
-            return f"avoiding an object {place}"
+            return f"avoiding an object at {round(math.degrees(self.bearing))} deg"
         text = _AT_OPENING[self.way]
-        return text if self.way in ("in", "back") else f"{text} {place}, {self.distance:.1f} m"
+        return text if self.way in ("in", "back") else f"{text}, {self.distance:.1f} m"
 
 
 _AT_OPENING = {

@@ -15,7 +15,7 @@ from tests.support.statuses import make_member
 
 
 def test_the_row_of_a_robot_that_gives_way_names_the_opening() -> None:
-    text = "gives way at an opening at 11 deg, 0.8 m"
+    text = "gives way at an opening, 0.8 m"
     decision = DecisionSummary(is_active=True, avoiding=text)
     status = make_member(decision=decision, reason=Reason.PROTECTION).status
     assert status is not None

@@ -98,7 +98,7 @@ def test_the_reason_of_a_robot_that_gives_way_names_the_opening(tmp_path: Path) 
     source = RecordingSource([path], clock=lambda: 0.0)
     source.playback.seek(1.05)
     row = source.rows()["tb3-01"]
-    text = "gives way at an opening at 11 deg, 0.8 m"
+    text = "gives way at an opening, 0.8 m"
     assert (row["protection"], row["why"], row["stands"]) == (text, f"protection: {text}", "held")
 
 
