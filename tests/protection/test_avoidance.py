@@ -19,7 +19,7 @@ from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import Permit
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
-from swarmd.protection.velocity_obstacles import Line, excess, nearest
+from swarmd.protection.velocity_obstacles import Line, excess, most_violated, nearest
 from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
@@ -170,11 +170,19 @@ def test_compiled_and_interpreted_code_give_the_same_lines_and_velocities(
     for module in (interpreted, compiled):
         lines = module.wall_lines(walls, 0.1, *wanted, 0.12, 0.5, 0.8)
         fixed = len(lines)
-        lines += [module.line_of(*disc[:4], *wanted, disc[4], 0.5, 1.8) for disc in discs]
+        tracks = tuple(Track(7, *disc, 0.05) for disc in discs)
+        lines += module.track_lines(tracks, 0.1, *wanted, 0.12, 0.5, 0.04, 1.8)
         rows = [(one.x, one.y, one.dx, one.dy) for one in lines]
         velocity = module.nearest(lines, fixed, *wanted, 0.22)
-        found.append((rows, velocity, module.width_between(walls, -0.2, 0.35, 0.3)))
+        worst = module.most_violated(lines, fixed, *wanted)
+        found.append((rows, velocity, worst, module.width_between(walls, -0.2, 0.35, 0.3)))
     assert found[0] == found[1]
+
+
+def test_the_line_that_a_velocity_violates_most_is_found() -> None:
+    lines = [Line(x, 0.0, 0.0, 1.0) for x in (0.0, 0.4, 0.2)]  # each: at most x
+    assert [most_violated(lines, first, 0.5, 0.0) for first in range(3)] == [0, 2, 2]
+    assert most_violated(lines, 0, 0.0, 1.0) == -1
 
 
 def test_where_no_velocity_keeps_all_lines_walls_go_first() -> None:
