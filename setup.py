@@ -34,6 +34,7 @@ KERNELS = {
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
     "swarmd.protection.following": "swarmd/protection/following.py",
+    "swarmd.protection.openings": "swarmd/protection/openings.py",
     "swarmd.protection.tracks": "swarmd/protection/tracks.py",
     "swarmd.protection.velocity_obstacles": "swarmd/protection/velocity_obstacles.py",
     "swarmd.robot.tick": "swarmd/robot/tick.py",

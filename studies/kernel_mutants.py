@@ -27,6 +27,7 @@ TESTS = {
     "swarmd/protection/barrier.py": ("tests/protection",),
     "swarmd/protection/blind_zone.py": ("tests/protection",),
     "swarmd/protection/following.py": ("tests/protection",),
+    "swarmd/protection/openings.py": ("tests/protection",),
     "swarmd/protection/tracks.py": ("tests/protection",),
     "swarmd/protection/velocity_obstacles.py": ("tests/protection",),
     "swarmd/robot/tick.py": ("tests/robot",),

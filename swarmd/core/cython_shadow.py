@@ -12,7 +12,7 @@ import builtins
 import inspect
 import math
 from collections.abc import Callable
-from math import atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan
+from math import atan, atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan
 from typing import Any, TypeVar
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "INFINITY",
     "NAN",
     "asin",
+    "atan",
     "atan2",
     "ceil",
     "copysign",

@@ -27,6 +27,7 @@ KERNELS = (
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",
     "swarmd.protection.following",
+    "swarmd.protection.openings",
     "swarmd.protection.tracks",
     "swarmd.protection.velocity_obstacles",
     "swarmd.robot.tick",

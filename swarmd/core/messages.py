@@ -167,7 +167,7 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: it
     judged a way around an obstacle and not the requested command. `duty`: the share of ticks
     since `run` in which protection was active. `speed_share`: below 1 after a violated assumption.
-    `avoiding`: the peer or object that avoidance leads the robot past; empty without one.
+    `avoiding`: what avoidance does, such as `avoiding tb3-04` or `passes an opening`; else empty.
     """
 
     mode: Word = "potential_field"

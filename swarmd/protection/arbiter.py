@@ -308,12 +308,12 @@ class Protection:
             self._scan_seq,
             self._is_recovering,
             share,
-            self._avoided() if self._is_avoiding else None,
+            self._avoided(context) if self._is_avoiding else None,
         )
 
-    def _avoided(self) -> Avoided | None:
-        """What avoidance leads the robot past in this decision."""
+    def _avoided(self, context: DecisionContext) -> Avoided | None:
+        """What avoidance or right of way leads the robot past in this decision."""
         track = self._avoidance.avoiding
         if track is None:
-            return None
+            return None if self._is_recovering else self._right_of_way.passed(context)
         return Avoided(math.atan2(track.y, track.x), math.hypot(track.x, track.y))

@@ -16,7 +16,6 @@ fill a square, and a pattern's request that turns towards a goal points there.
 from __future__ import annotations
 
 import math
-from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from swarmd.core.kernels import load_kernel
@@ -26,17 +25,17 @@ from swarmd.protection.tracks import Surroundings, Track
 
 if TYPE_CHECKING:
     from swarmd.protection.velocity_obstacles import (
-        Line,
-        excess,
-        line_of,
+        most_violated,
         nearest,
+        track_lines,
         wall_lines,
         width_between,
     )
 else:
     _kernel = load_kernel("swarmd.protection.velocity_obstacles")
-    excess, nearest = _kernel.excess, _kernel.nearest
-    line_of, wall_lines, width_between = _kernel.line_of, _kernel.wall_lines, _kernel.width_between
+    most_violated, nearest = _kernel.most_violated, _kernel.nearest
+    track_lines, wall_lines = _kernel.track_lines, _kernel.wall_lines
+    width_between = _kernel.width_between
 
 _HORIZON = 1.8  # s within which a track is met
 _WALL_HORIZON = 0.8  # s, for walls: protection slows the robot beside them anyway
@@ -99,17 +98,14 @@ class Avoidance:
         reach = beside + _WALL_HORIZON * self._limits.linear
         lines = wall_lines(around.walls, self._lead, *own, beside, reach, _WALL_HORIZON)
         walls = len(lines)
-        lines += [self._line(one, own) for one in around.tracks]
+        wide = self._radius + _COMFORT
+        lines += track_lines(around.tracks, self._lead, *own, wide, _SHARE, _STANDS, _HORIZON)
         most = math.hypot(x, y)
-        if all(excess(line, x, y) <= 0.0 for line in lines):
+        if most_violated(lines, 0, x, y) < 0:
             self._held_up(now, 1.0)
             return requested
-        meets = [
-            (excess(line, x, y), track)
-            for line, track in zip(lines[walls:], around.tracks, strict=True)
-        ]
-        met = max(meets, default=(0.0, None), key=itemgetter(0))
-        self.avoiding = met[1] if met[0] > 0.0 else None
+        met = most_violated(lines, walls, x, y)
+        self.avoiding = around.tracks[met - walls] if met >= 0 else None
         side = self._side if self.avoiding is not None else self._side - _SIDE
         cos, sin = math.cos(side), -math.sin(side)
         chosen = nearest(lines, walls, cos * x - sin * y, sin * x + cos * y, most)
@@ -140,12 +136,3 @@ class Avoidance:
         if self._is_holonomic:
             return Twist(x, requested.angular, y)
         return Twist(x, y / self._lead)
-
-    def _line(self, track: Track, own: tuple[float, float]) -> Line:
-        """The velocities that do not lead into a track within the horizon."""
-        share = 1.0 if math.hypot(track.vx, track.vy) < _STANDS else _SHARE
-        relative = own[0] - track.vx, own[1] - track.vy
-        radius = self._radius + _COMFORT + track.radius
-        place = track.x - self._lead, track.y
-        line: Line = line_of(*place, *relative, *own, radius, share, _HORIZON)
-        return line

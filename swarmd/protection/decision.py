@@ -72,18 +72,33 @@ class ModeDecision(Struct, frozen=True, gc=False):
 
 
 class Avoided(Struct, frozen=True):
-    """The object that avoidance leads the robot past: bearing in rad and distance in m.
+    """The object that avoidance leads the robot past, or the opening that the robot is to pass.
 
-    From the axle to its middle.
+    Bearing in rad and distance in m from the axle to its middle. `way`: the state of right of way
+    before an opening; empty for an object.
     """
 
     bearing: float
     distance: float
+    way: str = ""
 
     @property
     def text(self) -> str:
-        """Such as `an object at -30 deg`."""
-        return f"an object at {round(math.degrees(self.bearing))} deg"
+        """Such as `avoiding an object at -30 deg` or `gives way at an opening, 0.8 m`."""
+        if not self.way:
+            return f"avoiding an object at {round(math.degrees(self.bearing))} deg"
+        text = _AT_OPENING[self.way]
+        return text if self.way in ("in", "back") else f"{text}, {self.distance:.1f} m"
+
+
+_AT_OPENING = {
+    "go": "drives to an opening",
+    "wait": "gives way at an opening",
+    "aside": "gives way at an opening",
+    "in": "passes an opening",
+    "back": "backs out of an opening",
+}
+"""By the states of right_of_way.py."""
 
 
 class Decision(Struct, frozen=True, gc=False):
@@ -95,7 +110,8 @@ class Decision(Struct, frozen=True, gc=False):
     from the footprint to the nearest return (None: no return), `scan_age` in s (None: no scan yet),
     `scan_seq` -1 without a scan. `is_recovering`: recovery replaced the requested command before
     the mode judged it. `speed_share`: of the command that the mode allows, after a violated
-    assumption. `avoided`: avoidance changed the command to get past it; None if it did not.
+    assumption. `avoided`: avoidance or right of way changed the command to get past it; None if
+    neither did.
     """
 
     mode: str

@@ -1,11 +1,9 @@
 """Right of way: robots pass a door or a corridor one direction at a time, without a message.
 
-A robot remembers the openings that its scans show, in the frame of the odometry: the gap from the
-end of a wall to the nearest return beyond it (after Mujahed, Fischer and Mertsching, "Safe gap
-based (SG) reactive navigation", ECMR 2013). A robot whose request leads into a wall drives to the
-opening in it. A robot waits aside while others come out; of two that meet within an
-opening the deeper one goes on, and the other one backs out. Chance decides between two that are
-as deep (Metcalfe and Boggs 1976).
+A robot remembers the openings that its scans show (openings.py). A robot whose request leads into
+a wall drives to the opening in it. A robot waits aside while others come out; of two that meet
+within an opening the deeper one goes on, and the other one backs out. Chance decides between two
+that are as deep (Metcalfe and Boggs 1976).
 
 The result is a request, which avoidance, recovery and protection treat as one of the pattern.
 """
@@ -14,31 +12,23 @@ from __future__ import annotations
 
 import math
 from random import Random
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from swarmd.core.values import ZERO, Array, Limits, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.core.kernels import load_kernel
+from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
+from swarmd.protection.decision import Avoided, DecisionContext
 from swarmd.protection.recovery import Allows, Clearance, Points, Recovery
 from swarmd.protection.tracks import Surroundings
 
-_REACH = 2.5  # m from the lidar within which openings are seen
+if TYPE_CHECKING:
+    from swarmd.protection.openings import SIGHTINGS, Opening, Openings
+    from swarmd.protection.tracks import pose_after
+else:
+    _kernel = load_kernel("swarmd.protection.openings")
+    SIGHTINGS, Openings = _kernel.SIGHTINGS, _kernel.Openings
+    pose_after = load_kernel("swarmd.protection.tracks").pose_after
+
 _TURNING = 0.6  # rad/s of a turn during which no scan is exact enough
-_JUMP = 0.25  # m between the ranges of neighbouring rays at the end of a wall
-_NARROWEST, _WIDEST = 1.5, 1.0  # bodies, m: in a wider opening two robots pass each other
-_LEAST_RAYS = 3  # between the posts of an opening
-_WALL = 0.2  # m of wall to each side of an opening at least
-_FACE = 0.8  # m of it which give its direction
-_ALONG = 0.1  # m from the line of a wall within which a return belongs to it
-_HOLE = 0.22  # m between neighbouring returns of a wall at most
-_AT_TRACK = 0.12  # m from the outline of a track within which a return is no wall
-_SAME_AXIS, _SAME_HALF, _SAME_SPAN, _SAME_ANGLE = 0.14, 0.08, 0.2, 0.4  # m, rad
-_SIGHTINGS = 2  # of an opening before it counts
-_FORGET_ONE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
-_MOST = 8  # openings
-_MOST_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or a fence
 
 _AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
 _FAR = 2.0  # m before an opening beyond which it does not
@@ -64,85 +54,6 @@ _STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries 
 _GAIN, _PASSAGE_TURN_RATE = 3.0, 0.8  # 1/s of the heading, rad/s
 _SLOW, _CREEP = 0.1, 0.04  # m/s, speeds of which the second lets protection creep
 _TURN_COST = 0.05  # m/s for each rad/s that protection changes
-
-
-class Opening:
-    """An opening in a wall: its middle in the frame of the odometry, and the direction through it.
-
-    `half` of its width; `span`, where it begins and ends along the direction; `walls`, how far the
-    wall reaches to the left and right of the middle; all in m.
-    """
-
-    def __init__(self, x: float, y: float, angle: float, half: float, at: float) -> None:
-        self.x, self.y, self.angle, self.half = x, y, angle, half
-        self.span, self.walls = (0.0, 0.0), [half, half]
-        self.hits, self.seen_at = 1, at
-
-    def measure(self, points: Array) -> None:
-        """Take direction, span and the lengths of the walls from returns (k, 2)."""
-        s, side = self._local(points)
-        off = np.abs(side)
-        face = (np.abs(s) < _ALONG) & (off > self.half) & (off < self.half + _FACE)
-        if face.sum() > 5:  # walls are longer than the gap, so they give the better angle
-            s0, side0 = s[face] - s[face].mean(), side[face] - side[face].mean()
-            slope = float((s0 * side0).sum() / max((side0 * side0).sum(), 1e-9))
-            self.angle -= math.atan(slope)
-            s, side = self._local(points)
-        within = np.sort(s[np.abs(np.abs(side) - self.half) < _ALONG])
-        self.span = -_reach(-within[within < 0.05][::-1]), _reach(within[within > -0.05])
-        face = (np.abs(s - self.span[0]) < _ALONG) | (np.abs(s - self.span[1]) < _ALONG)
-        self.walls = [
-            self.half
-            + _reach(np.sort(way * side[face & (way * side > self.half - 0.1)]) - self.half)
-            for way in (1.0, -1.0)
-        ]
-
-    def is_same(self, other: Opening) -> bool:
-        """True if both may be sightings of one opening."""
-        s, side = self.to_local(other.x, other.y, 1.0)
-        return (
-            abs(math.remainder(self.angle - other.angle, math.pi)) < _SAME_ANGLE
-            and abs(side) < _SAME_AXIS
-            and abs(self.half - other.half) < _SAME_HALF
-            and self.span[0] - _SAME_SPAN < s < self.span[1] + _SAME_SPAN
-        )
-
-    def update(self, seen: Opening) -> None:
-        """Take in another sighting."""
-        share = 1.0 / min(self.hits + 1, 10)
-        turned = math.remainder(seen.angle - self.angle, math.pi)
-        is_turned = abs(math.remainder(seen.angle - self.angle, 2.0 * math.pi)) > 0.5 * math.pi
-        s, side = self.to_local(seen.x, seen.y, 1.0)
-        low, high = seen.span if not is_turned else (-seen.span[1], -seen.span[0])
-        low, high = low + s, high + s
-        self.x += share * -math.sin(self.angle) * side
-        self.y += share * math.cos(self.angle) * side
-        self.angle += share * turned
-        self.half += share * (seen.half - self.half)
-        self.span = (
-            _grown(self.span[0], low, low < self.span[0]),
-            _grown(self.span[1], high, high > self.span[1]),
-        )
-        walls = seen.walls[::-1] if is_turned else seen.walls
-        self.walls = [
-            _grown(old, new, new > old) for old, new in zip(self.walls, walls, strict=True)
-        ]
-        self.hits, self.seen_at = self.hits + 1, seen.seen_at
-
-    def to_local(self, x: float, y: float, sign: float) -> tuple[float, float]:
-        """Place along the way through, and to its left; `sign` -1 for the opposite way."""
-        cos, sin = sign * math.cos(self.angle), sign * math.sin(self.angle)
-        dx, dy = x - self.x, y - self.y
-        return cos * dx + sin * dy, cos * dy - sin * dx
-
-    def ends(self, sign: float) -> tuple[float, float]:
-        """Where the opening begins and ends for one way through."""
-        return self.span if sign > 0.0 else (-self.span[1], -self.span[0])
-
-    def _local(self, points: Array) -> tuple[Array, Array]:
-        cos, sin = math.cos(self.angle), math.sin(self.angle)
-        dx, dy = points[:, 0] - self.x, points[:, 1] - self.y
-        return cos * dx + sin * dy, cos * dy - sin * dx
 
 
 class _Place(NamedTuple):
@@ -193,7 +104,7 @@ class RightOfWay:
         lead = limits.linear / limits.angular if limits.angular > 0.0 else 0.1
         self._lead = min(max(lead, 0.05), 0.3)
         self._rng = Random(f"way {seed}")
-        self._openings: list[Opening] = []
+        self._openings = Openings(clearance.body)
         self._tracks: tuple[tuple[float, float, float], ...] = ()  # x, y, radius by odometry
         self._last: Odometry | None = None
         self._passed_at = -math.inf
@@ -208,7 +119,7 @@ class RightOfWay:
         """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
         last, self._last = self._last, odometry
         if last is not None and (odometry.stamp < last.stamp or odometry.jumps_from(last)):
-            self._openings = []
+            self._openings.clear()
             self._release()
 
     def _release(self) -> None:
@@ -229,6 +140,16 @@ class RightOfWay:
         """True where neither avoidance nor recovery has anything to add."""
         return self.state in {"in", "back", "wait"}
 
+    def passed(self, context: DecisionContext) -> Avoided | None:
+        """The opening that changes the request of a robot; None without one."""
+        opening, odometry = self._opening, context.odometry
+        if not self.state or opening is None or odometry is None:
+            return None
+        pose = pose_after(odometry, context.odometry_age or 0.0)
+        x, y = opening.x - pose.x, opening.y - pose.y
+        bearing = math.remainder(math.atan2(y, x) - pose.yaw, 2.0 * math.pi)
+        return Avoided(bearing, math.hypot(x, y), self.state)
+
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
         """Take in a conditioned scan; `offset` is the place of the sensor in the base frame."""
         odometry = context.odometry
@@ -237,73 +158,8 @@ class RightOfWay:
         if abs(odometry.twist.angular) > _TURNING:
             return
         ago = (scan.newest_age or 0.0) + context.scan_delay
-        pose = _moved(odometry.pose, odometry.twist, context.odometry_age - ago)
-        rays = np.flatnonzero(np.isfinite(scan.ranges) & (scan.ranges > 0.0))
-        if len(rays) < 10:
-            return
-        rays = rays[np.argsort(scan.bearings[rays], kind="stable")]
-        ranges, bearings = scan.ranges[rays], scan.bearings[rays]
-        x = offset[0] + ranges * np.cos(bearings)
-        y = offset[1] + ranges * np.sin(bearings)
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-        points = np.stack((pose.x + cos * x - sin * y, pose.y + sin * x + cos * y), axis=1)
-        is_wall = ranges < _REACH
-        for tx, ty, radius in self._tracks:
-            is_wall &= np.hypot(points[:, 0] - tx, points[:, 1] - ty) > radius + _AT_TRACK
-        for found in self._found(points, ranges, is_wall, context.now):
-            known = next((one for one in self._openings if one.is_same(found)), None)
-            if known is None:
-                self._openings.append(found)
-            else:
-                known.update(found)
-        self._openings = [
-            one
-            for one in self._openings
-            if context.now - one.seen_at < (_FORGET if one.hits >= _SIGHTINGS else _FORGET_ONE)
-            or one is self._opening
-        ]
-        if len(self._openings) > _MOST:  # those that were seen once go first
-            self._openings.sort(
-                key=lambda one: (one is self._opening, one.hits >= _SIGHTINGS, one.seen_at)
-            )
-            del self._openings[:-_MOST]
-
-    def _found(
-        self, points: Array, ranges: Array, is_wall: NDArray[np.bool_], now: float
-    ) -> list[Opening]:
-        """The openings between returns in order of their bearings."""
-        n = len(ranges)
-        seen: list[Opening] = []
-        steps = np.roll(ranges, -1) - ranges
-        ends = np.flatnonzero(np.abs(steps) > _JUMP)
-        posts = np.where(steps[ends] > 0.0, ends, (ends + 1) % n)
-        posts, ends = posts[is_wall[posts]], ends[is_wall[posts]]
-        if len(ends) > _MOST_ENDS:
-            near = np.sort(np.argsort(ranges[posts], kind="stable")[:_MOST_ENDS])
-            posts, ends = posts[near], ends[near]
-        for index, post in zip(ends.tolist(), posts.tolist(), strict=True):
-            way = 1 if steps[index] > 0.0 else -1
-            rows = (post + way * np.arange(2, n // 2)) % n
-            rows = rows[is_wall[rows]]
-            if not len(rows):
-                continue
-            across = points[rows] - points[post]
-            away = np.hypot(across[:, 0], across[:, 1])
-            best = int(away.argmin())
-            if not 2.0 * _NARROWEST * self._body < away[best] < _WIDEST:
-                continue
-            between = (post + way * np.arange(1, (rows[best] - post) * way % n)) % n
-            farther = ranges[between] > max(ranges[post], ranges[rows[best]]) - 0.02
-            if len(between) < _LEAST_RAYS or np.mean(farther) < 0.9:
-                continue
-            x, y = (0.5 * (points[post] + points[rows[best]])).tolist()
-            angle = math.atan2(across[best, 0], -across[best, 1])
-            found = Opening(x, y, angle, 0.5 * float(away[best]), now)
-            found.measure(points[is_wall])
-            is_walled = min(found.walls) >= found.half + _WALL
-            if is_walled and not any(found.is_same(one) for one in seen):
-                seen.append(found)
-        return seen
+        pose = pose_after(odometry, context.odometry_age - ago)
+        self._openings.observe(scan, offset, pose, context.now, self._tracks, self._opening)
 
     def command(
         self,
@@ -319,7 +175,7 @@ class RightOfWay:
             return requested
         if self._last is not odometry:
             self.on_odometry(odometry)
-        pose = _moved(odometry.pose, odometry.twist, context.odometry_age)
+        pose = pose_after(odometry, context.odometry_age)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         placed = [
             (one, pose.x + cos * one.x - sin * one.y, pose.y + sin * one.x + cos * one.y)
@@ -381,7 +237,7 @@ class RightOfWay:
         nearest, chosen = math.inf, None
         for one in self._openings:
             angle = math.remainder(self._wish - one.angle, 2.0 * math.pi)
-            if one.hits < _SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < 0.2:
+            if one.hits < SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < 0.2:
                 continue
             sign = 1.0 if abs(angle) < 0.5 * math.pi else -1.0
             s, side = one.to_local(pose.x, pose.y, sign)
@@ -515,26 +371,3 @@ class RightOfWay:
         off = math.remainder(math.atan2(side - at.side, s - at.s) - at.heading, 2.0 * math.pi)
         turn = min(max(_GAIN * off, -limits.angular), limits.angular)
         return Twist(self._speed * max(math.cos(off), 0.0) ** 2, turn)
-
-
-def _reach(sorted_places: Array) -> float:
-    """How far places (k,) in rising order reach from 0 without a hole."""
-    places = np.concatenate(((0.0,), sorted_places[sorted_places > 0.0]))
-    holes = np.flatnonzero(np.diff(places) > _HOLE)
-    return float(places[holes[0]] if len(holes) else places[-1])
-
-
-def _grown(old: float, new: float, is_more: bool) -> float:
-    """A length that grows faster than it shrinks: what is hidden is not gone."""
-    return old + (0.4 if is_more else 0.03) * (new - old)
-
-
-def _moved(pose: Pose, twist: Twist, seconds: float) -> Pose:
-    """The pose after some time at a constant twist."""
-    yaw = pose.yaw + 0.5 * seconds * twist.angular
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return Pose(
-        pose.x + seconds * (cos * twist.linear - sin * twist.lateral),
-        pose.y + seconds * (sin * twist.linear + cos * twist.lateral),
-        pose.yaw + seconds * twist.angular,
-    )

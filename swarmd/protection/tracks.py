@@ -117,6 +117,20 @@ class Surroundings(NamedTuple):
     walls: Array
 
 
+@cython.ccall
+def pose_after(odometry, seconds: cython.double):
+    """The pose some time after a reading, at its twist."""
+    twist, pose = odometry.twist, odometry.pose
+    yaw: cython.double = pose.yaw + 0.5 * seconds * twist.angular
+    c: cython.double = cos(yaw)
+    s: cython.double = sin(yaw)
+    return Pose(
+        pose.x + seconds * (c * twist.linear - s * twist.lateral),
+        pose.y + seconds * (s * twist.linear + c * twist.lateral),
+        pose.yaw + seconds * twist.angular,
+    )
+
+
 def _doubles(count):
     """A buffer of `count` doubles; of numbers of Python in CPython."""
     return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
@@ -387,15 +401,7 @@ class Tracker:
         if at >= stamp or len(self._history) == 1:
             seconds: cython.double = at - stamp
             seconds = min(max(seconds, -_max_extrapolation), _max_extrapolation)
-            twist, pose = later.twist, later.pose
-            yaw: cython.double = pose.yaw + 0.5 * seconds * twist.angular
-            c: cython.double = cos(yaw)
-            s: cython.double = sin(yaw)
-            return Pose(
-                pose.x + seconds * (c * twist.linear - s * twist.lateral),
-                pose.y + seconds * (s * twist.linear + c * twist.lateral),
-                pose.yaw + seconds * twist.angular,
-            )
+            return pose_after(later, seconds)
         for earlier in reversed(self._history):
             stamp = earlier.stamp
             if stamp <= at:

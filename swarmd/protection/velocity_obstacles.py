@@ -120,6 +120,48 @@ def wall_lines(
     return lines
 
 
+def track_lines(
+    tracks: tuple,
+    lead: cython.double,
+    own_x: cython.double,
+    own_y: cython.double,
+    radius: cython.double,
+    share: cython.double,
+    stands: cython.double,
+    horizon: cython.double,
+) -> list:
+    """A line for each track, for a point `lead` m ahead.
+
+    The robot takes a `share` of the change for an object that moves, and all of it for an object
+    slower than `stands` m/s. `radius` does not contain that of the track.
+    """
+    lines: list = []
+    for track in tracks:
+        x: cython.double = track.x
+        y: cython.double = track.y
+        vx: cython.double = track.vx
+        vy: cython.double = track.vy
+        wide: cython.double = track.radius
+        part: cython.double = 1.0 if hypot(vx, vy) < stands else share
+        vx, vy, wide = own_x - vx, own_y - vy, radius + wide
+        lines.append(line_of(x - lead, y, vx, vy, own_x, own_y, wide, part, horizon))
+    return lines
+
+
+def most_violated(
+    lines: list, first: cython.Py_ssize_t, x: cython.double, y: cython.double
+) -> cython.Py_ssize_t:
+    """The place of the line from `first` on that a velocity violates most; -1: it violates none."""
+    i: cython.Py_ssize_t
+    found: cython.Py_ssize_t = -1
+    most: cython.double = 0.0
+    for i in range(first, len(lines)):
+        by: cython.double = excess(lines[i], x, y)
+        if by > most:
+            found, most = i, by
+    return found
+
+
 def width_between(
     walls, first: cython.double, last: cython.double, widest: cython.double
 ) -> cython.double:

@@ -110,17 +110,17 @@ def status_reason(lifecycle: Lifecycle, decision: Decision) -> Reason | None:
 
 
 def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
-    """The neighbour that is sensed where the avoided object is, else where the object is."""
+    """What avoidance does; it names the neighbour that is sensed where the object is."""
     avoided = decision.avoided
     if avoided is None:
         return ""
-    for one in sensors.neighbors(now):
+    for one in () if avoided.way else sensors.neighbors(now):
         if one.distance is None or one.bearing is None:
             continue
         off = math.remainder(one.bearing - avoided.bearing, 2.0 * math.pi)
         way = abs(one.distance - avoided.distance) + avoided.distance * abs(off)
         if way < _SAME_PLACE:
-            return str(one.id)
+            return f"avoiding {one.id}"
     return avoided.text
 
 

@@ -83,7 +83,7 @@ def why(member: SeenMember) -> str:
     if reason is None:
         way = " around an obstacle" if status.decision.is_recovering else ""
         if status.decision.avoiding:
-            way = f" past {status.decision.avoiding}"
+            way = f", {status.decision.avoiding}"
         return (
             f"{status.state} {status.pattern or 'no pattern'}, moving{way}{_limit(status.decision)}"
         )
@@ -104,6 +104,8 @@ def why(member: SeenMember) -> str:
         gap=_gap(status.decision),
         peer=_peer(status),
     )
+    if reason is Reason.PROTECTION and status.decision.avoiding:
+        sentence = f"{status.decision.avoiding}{_limit(status.decision)}"
     if status.state is State.RUNNING:
         return f"running {status.pattern}, not moving: {sentence}"
     return f"{status.state}: {sentence}{_lost(status)}"
@@ -157,10 +159,10 @@ def protection_word_of(decision: DecisionSummary) -> str:
 
 
 def protection_word(*, is_active: bool, is_recovering: bool, avoiding: str = "") -> str:
-    """`clear`, `active`, `recovering`, or such as `avoiding tb3-04`."""
+    """`clear`, `active`, `recovering`, or what avoidance does, such as `avoiding tb3-04`."""
     if is_recovering:
         return "recovering"
-    return f"avoiding {avoiding}" if avoiding else "active" if is_active else "clear"
+    return avoiding or ("active" if is_active else "clear")
 
 
 def lost_base(status: Status) -> str:

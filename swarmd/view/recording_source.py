@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.core.messages import Member, Presence
+from swarmd.core.messages import Member, Presence, Reason
 from swarmd.core.values import Array, Twist
 from swarmd.recording import messages
 from swarmd.texts.status import sections
@@ -139,10 +139,13 @@ def _decided(decision: Any, row: Mapping[str, Any]) -> dict[str, Any]:
     )
     reason = decision.reason.replace("_", " ")
     is_same = decision.state == row.get("state") and row.get("why", "").startswith(reason)
+    why = row["why"] if reason and is_same else reason
+    if decision.reason == Reason.PROTECTION:
+        why = ": ".join(filter(None, (reason, decision.avoiding)))
     columns = (decision.bearings, decision.gaps, decision.caps)
     return {
         "state": decision.state,
-        "why": row["why"] if reason and is_same else reason,
+        "why": why,
         "stands": standing_of(decision.state, decision.reason),
         "protection": protection * is_running,
         "requested": _plain(messages.twist_of(decision.requested)),

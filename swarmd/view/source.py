@@ -231,7 +231,8 @@ def _reason(status: Status) -> str:
     """Why a robot does not move, in words; empty while it moves."""
     reason = "" if status.reason is None else status.reason.value.replace("_", " ")
     lost = lost_base(status) if status.reason is not Reason.DRIVER_LOST else ""
-    parts = (reason, status.detail, f"base lost ({lost})" if lost else "")
+    avoiding = status.decision.avoiding if status.reason is Reason.PROTECTION else ""
+    parts = (reason, avoiding, status.detail, f"base lost ({lost})" if lost else "")
     return ": ".join(filter(None, parts))
 
 

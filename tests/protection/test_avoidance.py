@@ -19,7 +19,7 @@ from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import Permit
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
-from swarmd.protection.velocity_obstacles import Line, excess, nearest
+from swarmd.protection.velocity_obstacles import Line, excess, most_violated, nearest
 from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
@@ -170,11 +170,19 @@ def test_compiled_and_interpreted_code_give_the_same_lines_and_velocities(
     for module in (interpreted, compiled):
         lines = module.wall_lines(walls, 0.1, *wanted, 0.12, 0.5, 0.8)
         fixed = len(lines)
-        lines += [module.line_of(*disc[:4], *wanted, disc[4], 0.5, 1.8) for disc in discs]
+        tracks = tuple(Track(7, *disc, 0.05) for disc in discs)
+        lines += module.track_lines(tracks, 0.1, *wanted, 0.12, 0.5, 0.04, 1.8)
         rows = [(one.x, one.y, one.dx, one.dy) for one in lines]
         velocity = module.nearest(lines, fixed, *wanted, 0.22)
-        found.append((rows, velocity, module.width_between(walls, -0.2, 0.35, 0.3)))
+        worst = module.most_violated(lines, fixed, *wanted)
+        found.append((rows, velocity, worst, module.width_between(walls, -0.2, 0.35, 0.3)))
     assert found[0] == found[1]
+
+
+def test_the_line_that_a_velocity_violates_most_is_found() -> None:
+    lines = [Line(x, 0.0, 0.0, 1.0) for x in (0.0, 0.4, 0.2)]  # each: at most x
+    assert [most_violated(lines, first, 0.5, 0.0) for first in range(3)] == [0, 2, 2]
+    assert most_violated(lines, 0, 0.0, 1.0) == -1
 
 
 def test_where_no_velocity_keeps_all_lines_walls_go_first() -> None:
@@ -197,6 +205,15 @@ def test_a_decision_says_what_is_avoided_and_keeps_the_margin() -> None:
     assert avoided[0].distance == pytest.approx(0.9, abs=0.2)
     assert not any(decision.is_recovering for _, decision in ride.decisions)
     assert ride.min_gap > 0.05
+
+
+def test_a_decision_says_that_the_robot_drives_to_an_opening_and_passes_it() -> None:
+    walls = [box(0.1, 2.0, Pose(0.8, side * 1.18)) for side in (1.0, -1.0)]
+    walls.append(box(0.1, 6.0, Pose(3.0)))  # what is seen through the door
+    ride = FilterSim(AVOIDING, walls).run(AHEAD, 30.0, Permit(may_recover=True))
+    avoided = [decision.avoided for _, decision in ride.decisions if decision.avoided is not None]
+    assert {one.way for one in avoided} >= {"go", "in"}
+    assert avoided[0].text.startswith("drives to an opening, 0.")
 
 
 @pytest.mark.parametrize(("is_alone", "least", "most"), [(True, 0.0, 0.1), (False, 4.0, 5.0)])

@@ -34,6 +34,7 @@ class Ride:
     def __init__(self) -> None:
         self.way = RightOfWay(ROOM, BASE, Recovery(ROOM, BASE, "one"), "one")
         self.now = 0.0
+        self.context = DecisionContext(0.0)
 
     def at(
         self, pose: Pose, *tracks: Track, seconds: float = 1.0, requested: Twist = AHEAD
@@ -43,7 +44,7 @@ class Ride:
         for tick in range(round(seconds * 10)):
             self.now += 0.1
             odometry = Odometry(self.now, pose, ZERO)
-            context = DecisionContext(self.now, 0.0, odometry, 0.0)
+            self.context = context = DecisionContext(self.now, 0.0, odometry, 0.0)
             if tick % 2 == 0:
                 self.way.observe(scan(pose), (0.0, 0.0), context)
             around = Surroundings(tracks, np.empty((0, 2)))
@@ -66,6 +67,7 @@ def test_without_an_opening_on_the_way_a_request_passes_unchanged() -> None:
     away = Pose(-0.8, 0.0, np.pi)
     assert ride.at(away) is AHEAD
     assert ride.way.state == ""
+    assert ride.way.passed(ride.context) is None
 
 
 def test_a_free_opening_is_driven_through() -> None:
@@ -91,6 +93,9 @@ def test_a_robot_goes_aside_and_waits_while_another_comes_out() -> None:
     ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
     assert ride.way.state == "aside"
     assert ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9)) is ZERO
+    passed = ride.way.passed(ride.context)
+    assert passed is not None
+    assert passed.text == "gives way at an opening, 1.3 m"
     ride.at(near(-1.0, 0.9), seconds=9.0)
     assert ride.way.state == "go"
 
@@ -103,6 +108,9 @@ def test_of_two_that_meet_the_deeper_one_goes_on(there: float, state: str) -> No
     asked = ride.at(near(own), track(1, there - own), seconds=4.0)
     assert ride.way.state == state
     assert (asked.linear < 0.0) == (state == "back")
+    passed = ride.way.passed(ride.context)
+    assert passed is not None
+    assert passed.text == {"in": "passes an opening", "back": "backs out of an opening"}[state]
 
 
 def test_a_robot_follows_another_that_goes_in_at_a_distance() -> None:

@@ -326,6 +326,6 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     assert found["/driver"][1].text == "Grüße"
     told = found["/decision"][1]
     assert (told.safe.linear.x, told.scan_seq, list(told.caps)) == (0.1, 3, [0.3])
-    assert told.avoiding == "an object at -30 deg"
+    assert told.avoiding == "avoiding an object at -30 deg"
     assert (found["/event"][1].level, found["/event"][1].msg) == (20, "a line")
     assert (found["/clock/pair"][1].peer_clock, found["/clock/pair"][1].returned) == ("00ff", 3.0)

@@ -91,7 +91,9 @@ def test_status_reports_recovery(harness: RobotHarness) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bearing", "named"), [(0.5, "tb3-04"), (-0.5, "an object at 29 deg")], ids=["there", "not"]
+    ("bearing", "named"),
+    [(0.5, "avoiding tb3-04"), (-0.5, "avoiding an object at 29 deg")],
+    ids=["there", "not"],
 )
 def test_what_is_avoided_has_the_name_of_the_neighbor_there(bearing: float, named: str) -> None:
     sensors = Sensors(load_platform("burger"))
@@ -101,6 +103,9 @@ def test_what_is_avoided_has_the_name_of_the_neighbor_there(bearing: float, name
     assert avoided_text(decision, sensors, 1.0) == ""
     decision = structs.replace(decision, avoided=Avoided(0.5, 0.9))
     assert avoided_text(decision, sensors, 1.0) == named
+    decision = structs.replace(decision, avoided=Avoided(0.5, 0.9, "wait"))
+    text = avoided_text(decision, sensors, 1.0)
+    assert text == "gives way at an opening, 0.9 m"
 
 
 def test_status_reports_finite_readings(harness: RobotHarness) -> None:

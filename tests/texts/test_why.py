@@ -63,12 +63,13 @@ def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
             "moving around an obstacle, limited by an obstacle at -30 deg, 0.21 m",
         ),
         (
-            {"is_active": True, "avoiding": "tb3-04"},
+            {"is_active": True, "avoiding": "avoiding tb3-04"},
             False,
-            "moving past tb3-04, limited by an obstacle at -30 deg, 0.21 m",
+            "moving, avoiding tb3-04, limited by an obstacle at -30 deg, 0.21 m",
         ),
         ({"is_active": True}, True, "protection holds it, limited by an obstacle at -30 deg"),
         ({"min_gap": 0.61}, True, "0.61 m away"),
+        ({"avoiding": "gives way at an opening"}, True, "not moving: gives way at an opening"),
     ],
 )
 def test_the_obstacle_that_limits_a_robot_is_named(

@@ -5,11 +5,22 @@ from __future__ import annotations
 from typing import cast
 
 from swarmd.core.codec import encode
-from swarmd.core.messages import ShownTrack, Tracks
+from swarmd.core.messages import DecisionSummary, Reason, ShownTrack, Tracks
 from swarmd.network.operator.operator import Operator
 from swarmd.view.live import LiveSource
+from swarmd.view.source import row_of
 from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
 from tests.support.processes import wait_until
+from tests.support.statuses import make_member
+
+
+def test_the_row_of_a_robot_that_gives_way_names_the_opening() -> None:
+    text = "gives way at an opening, 0.8 m"
+    decision = DecisionSummary(is_active=True, avoiding=text)
+    status = make_member(decision=decision, reason=Reason.PROTECTION).status
+    assert status is not None
+    row = row_of(status)
+    assert (row["protection"], row["why"], row["stands"]) == (text, f"protection: {text}", "held")
 
 
 def test_the_tracks_of_a_selected_robot_are_in_its_row() -> None:

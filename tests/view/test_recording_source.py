@@ -14,7 +14,7 @@ from swarmd.core.events import OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE
-from swarmd.protection.decision import Decision
+from swarmd.protection.decision import Avoided, Decision
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.limits import FileLimits
@@ -49,7 +49,14 @@ def head(robot: str, clock: str) -> RecordingHead:
     )
 
 
-def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str = "boot") -> Path:
+def recorded(
+    folder: Path,
+    robot: str,
+    begin: float,
+    seconds: float,
+    clock: str = "boot",
+    avoided: Avoided | None = None,
+) -> Path:
     """A robot that drives along x with SPEED, and records until it is stopped at half time."""
     texts = head(robot, clock).texts()
     converter = Converter(
@@ -61,6 +68,8 @@ def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str 
         reading = Odometry(at, pose, Twist(SPEED))
         converter.add(frames.input_entry(OdometryInput(reading), at))
         state, reason = ("running", "") if is_running else ("stopped", "operator")
+        if is_running and avoided is not None:
+            reason = "protection"
         twist = Twist(SPEED * is_running)
         decision = Decision(
             mode="barrier",
@@ -72,6 +81,7 @@ def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str 
             min_gap=None,
             scan_age=0.1,
             scan_seq=k,
+            avoided=avoided,
         )
         converter.add(frames.DecisionEntry(at, "tick", state, reason, decision))
         ranges = np.full(len(BURGER.scan.bearings), 1.0 + k)
@@ -81,6 +91,15 @@ def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str 
     converter.writer.close()
     assert converter.writer.path is not None
     return converter.writer.path
+
+
+def test_the_reason_of_a_robot_that_gives_way_names_the_opening(tmp_path: Path) -> None:
+    path = recorded(tmp_path, "tb3-01", 50.0, 4.0, avoided=Avoided(0.2, 0.83, "wait"))
+    source = RecordingSource([path], clock=lambda: 0.0)
+    source.playback.seek(1.05)
+    row = source.rows()["tb3-01"]
+    text = "gives way at an opening, 0.8 m"
+    assert (row["protection"], row["why"], row["stands"]) == (text, f"protection: {text}", "held")
 
 
 def test_shows_each_robot_at_its_time(tmp_path: Path) -> None:

@@ -1,0 +1,98 @@
+"""Openings in walls: where they are found, and the same compiled and interpreted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmd.core.kernels import load_kernel
+from swarmd.core.values import Pose, Scan
+from swarmd.protection import openings as interpreted
+from tests.support.examples import examples
+
+compiled = load_kernel("swarmd.protection.openings")
+needs_compiled = pytest.mark.skipif(compiled is interpreted, reason="the kernels are not compiled")
+BEARINGS = np.radians(np.arange(-180.0, 180.0))
+HALF, BODY = 0.18, 0.09  # m, of a door in the middle of a wall at x = 0, and of a robot
+NEAR = Pose(-0.8, 0.1, 0.2)
+MOVES = st.floats(-0.3, 0.3)
+
+
+def scan(pose: Pose, noise: float = 0.0, lost: float = 0.0, seed: int = 0) -> Scan:
+    """What a lidar sees of a wall, 2 m to each side, with a door, and of what is 3 m away."""
+    rng = np.random.default_rng(seed)
+    angles = BEARINGS + pose.yaw
+    with np.errstate(divide="ignore"):
+        ranges = -pose.x / np.cos(angles)
+    y = pose.y + ranges * np.sin(angles)
+    is_wall = (ranges > 0.0) & (np.abs(y) > HALF) & (np.abs(y) < 2.0)
+    ranges = np.where(is_wall, np.minimum(ranges, 3.0), 3.0) + rng.normal(0.0, noise, len(angles))
+    ranges[rng.random(len(angles)) < lost] = np.inf
+    return Scan(0, 0.0, ranges, BEARINGS, 0.1, 3.5)
+
+
+def known(openings: interpreted.Openings) -> list[tuple[float, ...]]:
+    return [
+        (one.x, one.y, one.angle, one.half, *one.ends(1.0), *one.walls, one.hits, one.seen_at)
+        for one in openings
+    ]
+
+
+def test_a_door_is_measured() -> None:
+    openings = interpreted.Openings(BODY)
+    openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, (), None)
+    ((x, y, angle, half, first, last, left, right, hits, at),) = known(openings)
+    assert (x, y) == pytest.approx((0.0, 0.0), abs=0.02)  # a ray is 1.4 cm from the next one
+    assert abs(np.cos(angle)) == pytest.approx(1.0, abs=1e-3)
+    assert half == pytest.approx(HALF, abs=0.02)
+    assert (first, last) == pytest.approx((0.0, 0.0), abs=0.02)
+    assert (left, right) == pytest.approx((2.0, 2.0), abs=0.15)
+    assert (hits, at) == (1, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("body", "tracks"),
+    [(0.2, ()), (BODY, ((0.0, HALF + 0.02, 0.1), (0.0, -HALF - 0.02, 0.1)))],
+    ids=["too narrow", "between two moving objects"],
+)
+def test_other_gaps_are_no_openings(body: float, tracks: tuple[tuple[float, ...], ...]) -> None:
+    openings = interpreted.Openings(body)
+    openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, tracks, None)
+    assert known(openings) == []
+
+
+def test_an_opening_that_is_not_seen_again_is_forgotten_unless_it_is_kept() -> None:
+    openings = interpreted.Openings(BODY)
+    openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, (), None)
+    (one,) = openings
+    nothing = scan(Pose(-5.0))
+    openings.observe(nothing, (0.0, 0.0), NEAR, 100.0, (), one)
+    assert list(openings) == [one]
+    openings.observe(nothing, (0.0, 0.0), NEAR, 100.0, (), None)
+    assert list(openings) == []
+
+
+@needs_compiled
+@given(
+    st.lists(st.tuples(MOVES, MOVES, MOVES), min_size=1, max_size=5),
+    st.floats(0.0, 0.03),
+    st.floats(0.0, 0.3),
+    st.lists(st.tuples(MOVES, MOVES, st.floats(0.05, 0.2)), max_size=3),
+)
+@settings(max_examples=examples(30))
+def test_any_scans_give_the_same_compiled_and_interpreted(
+    moves: list[tuple[float, float, float]],
+    noise: float,
+    lost: float,
+    tracks: list[tuple[float, float, float]],
+) -> None:
+    both = compiled.Openings(BODY), interpreted.Openings(BODY)
+    for seed, (dx, dy, turn) in enumerate(moves):
+        pose = Pose(NEAR.x + dx, NEAR.y + dy, NEAR.yaw + turn)
+        for one in both:
+            one.observe(
+                scan(pose, noise, lost, seed), (-0.03, 0.0), pose, 0.2 * seed, tuple(tracks), None
+            )
+        assert known(both[0]) == known(both[1])
