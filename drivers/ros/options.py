@@ -19,7 +19,7 @@ from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.topic_hazards import HazardOptions, TopicHazard, topic_hazard
-from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_reading
+from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_readings
 from swarmd.drivers.ros.topic_stats import HAZARD, READING
 from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
@@ -125,10 +125,13 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     @cached_property
     def topic_readings(self) -> dict[str, TopicReading]:
         """The readings by name; ConfigError names the key that is wrong."""
-        return {
-            name: topic_reading(name, one, self.topic(one.topic), self.message_types)
-            for name, one in self.readings.items()
-        }
+        found: dict[str, TopicReading] = {}
+        for entry, options in self.readings.items():
+            for one in topic_readings(entry, options, self.topic, self.message_types):
+                if one.name in found or (one.mean_of and one.name in self.readings):
+                    raise ConfigError(f"readings.{entry} gives {one.name}, too; rename one of them")
+                found[one.name] = one
+        return found
 
     @cached_property
     def topic_hazards(self) -> dict[str, TopicHazard]:
@@ -262,7 +265,11 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         "battery": options.battery,
         "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
-        **{f"{READING}{name}": one.topic for name, one in options.readings.items()},
+        **{
+            option: topic
+            for name, one in options.readings.items()
+            for option, topic in one.topics(name).items()
+        },
         **{f"{HAZARD}{name}": one.topic for name, one in options.hazards.items()},
         **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
@@ -306,8 +313,8 @@ def _types(options: TopicOptions) -> dict[str, str]:
     }
     return {
         **{option: name_of(kind).replace("/msg/", "/") for option, kind in kinds.items()},
-        **{f"{READING}{name}": one.type.replace("/msg/", "/")
-           for name, one in options.readings.items()},
+        **{option: one.type.replace("/msg/", "/")
+           for name, one in options.readings.items() for option in one.topics(name)},
         **{f"{HAZARD}{name}": one.type.replace("/msg/", "/")
            for name, one in options.hazards.items()},
     }  # fmt: skip

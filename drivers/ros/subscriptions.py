@@ -14,7 +14,7 @@ from swarmd.drivers.ros import cdr, from_ros, messages
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.topic_hazards import Hazards, TopicHazard
 from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings, TopicReading
-from swarmd.drivers.ros.topic_stats import HAZARD, READING, TopicStats
+from swarmd.drivers.ros.topic_stats import HAZARD, TopicStats
 from swarmd.drivers.scan_content import ScanContent
 
 Deliver = Callable[[Sink], None]
@@ -245,7 +245,7 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
             found.append(TopicStats(name, name, topic(given), message_type))
     by_topic = {stats.topic: stats for stats in found}
     extras: dict[str, TopicReading | TopicHazard] = {
-        **{f"{READING}{name}": one for name, one in options.topic_readings.items()},
+        **{one.option: one for one in options.topic_readings.values()},
         **{f"{HAZARD}{name}": one for name, one in options.topic_hazards.items()},
     }
     for name, extra in extras.items():

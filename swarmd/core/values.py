@@ -354,6 +354,11 @@ def input_fault(word: str) -> str:
     return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
 
 
+def sensor_names(name: str, count: int) -> tuple[str, ...]:
+    """The readings of `count` sensors of one quantity: their mean, then each by its number."""
+    return name, *(f"{name}_{number}" for number in range(1, count + 1))
+
+
 class Inputs(Struct, frozen=True, eq=False, array_like=True):
     """Inputs of one step of a pattern.
 
