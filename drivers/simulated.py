@@ -165,7 +165,7 @@ class SimulatedDriver:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        hw_codec.deliver(sink, value)
+        hw_codec.deliver(sink, name, value)
 
     def _take_messages(self, sink: Sink, payload: bytes) -> None:
         if not self.carries_messages:

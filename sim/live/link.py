@@ -60,6 +60,7 @@ _ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
         "neighbors": hw_codec.encode_neighbors,
         "pose": hw_codec.encode_pose,
         "readings": hw_codec.encode_readings,
+        "detections": hw_codec.encode_detections,
     }
 )
 
@@ -319,7 +320,7 @@ class EmulatorTransport:
         self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
     def send(self, robot: str, name: str, value: Any) -> None:
-        """Publish a measurement; emulated robots publish no neighbors and no shared poses."""
+        """Publish a measurement; emulated robots publish scan, odometry and readings."""
         if name in ("scan", "odometry", "readings"):
             getattr(self.side, name)(robot, value)
 

@@ -80,7 +80,8 @@ class RealTimeWorld:
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
         # The robots whose daemons commanded them lately.
         self._there: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
-        self._readings_due = Staggered(np.full(n if world.fields else 0, READINGS_RATE), start)
+        readers = n if world.fields or world.has_detectors else 0
+        self._readings_due = Staggered(np.full(readers, READINGS_RATE), start)
         self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
@@ -140,7 +141,10 @@ class RealTimeWorld:
         if self._radio is not None:
             self._publish_radio(self._radio)
         for row in self._readings_due.due(world.time):
-            transport.send(world.ids[row], "readings", world.readings(int(row)))
+            if world.fields:
+                transport.send(world.ids[row], "readings", world.readings(int(row)))
+            if (found := world.detections(int(row))) is not None:
+                transport.send(world.ids[row], "detections", found)
         for row in self._poses_due.due(world.time):
             pose = Pose(*world.poses()[row].tolist())
             # Stamped in real time: simulated time may lag behind.

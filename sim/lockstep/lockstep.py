@@ -111,7 +111,7 @@ class Lockstep:
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
-        readers = n if scenario.fields else 0
+        readers = n if scenario.fields or self.world.has_detectors else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self.alarms = Alarms(n, self.world.dt)
@@ -312,7 +312,10 @@ class Lockstep:
             if shell is not None:
                 shell.scan(scan, now)
         for shell in self._present(self._readings_due.due(now)):
-            shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
+            if world.fields:
+                shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
+            if (found := world.detections(shell.row)) is not None:
+                shell.step(events.DetectionsInput(found), now)
 
     def _tick(self, now: float) -> None:
         world = self.world

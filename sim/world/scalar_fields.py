@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from swarmd.core.values import Array, Platform, sensor_names
+from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.field_kind import Degrees, Extent, FieldKind, Level, Point
 from swarmd.sim.world.floor import FloorField
 from swarmd.sim.world.geometry import transform
@@ -125,8 +126,11 @@ def readings_at(
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors."""
-    words = set()
+    """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors.
+
+    It also has `detections` if it has such sensors.
+    """
+    words = {DETECTIONS} & platform.sensors.keys()
     for field in fields:
         count = len(platform.sensors.get(field.name, ()))
         for name in channels_of(field):

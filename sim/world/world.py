@@ -15,15 +15,16 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import check_measures
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
+from swarmd.sim.world.detector import DETECTIONS, Objects, detections_of
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
-from swarmd.sim.world.light import LightField, Shadows
+from swarmd.sim.world.light import IsClear, LightField, Shadows
 from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
@@ -107,7 +108,7 @@ class World:
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
-        self._shadows: Shadows | None = None  # made for the first reading of a lamp
+        self._shadows: Shadows | None = None  # made for the first line of sight
 
     @property
     def time(self) -> float:
@@ -239,13 +240,42 @@ class World:
         """The values of the fields at the robot's sensors, or at its axle, by name."""
         is_clear = None
         if any(isinstance(field, LightField) and field.shadows for field in self.fields):
-            if self._shadows is None:
-                shapes = [platform.footprint for platform in self.platforms]
-                self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
-            is_clear = self._shadows.around(robot, self._all_poses())
+            is_clear = self._clear_around(robot)
         return readings_at(
             self.fields, self.platforms[robot].sensors, self.poses()[robot], is_clear
         )
+
+    @property
+    def has_detectors(self) -> bool:
+        """Whether a robot recognises objects."""
+        return any(DETECTIONS in platform.sensors for platform in self.platforms)
+
+    def detections(self, robot: int) -> tuple[Detection, ...] | None:
+        """The robots, boxes and lamps that a robot recognises; None without a sensor for them."""
+        sensors = self.platforms[robot].sensors.get(DETECTIONS)
+        if sensors is None:
+            return None
+        poses = self._all_poses()
+        return detections_of(
+            sensors, poses[robot], self._objects(robot, poses), self._clear_around(robot)
+        )
+
+    def _objects(self, robot: int, poses: Array) -> Objects:
+        """All that a robot may recognise where it is: bodies but itself, and lamps."""
+        names = [("robot", name) for name in self.ids]
+        names += [("box", name) for name in self.movable_boxes]
+        shapes = [*(platform.footprint for platform in self.platforms), *self.box_shapes]
+        lamps = [field for field in self.fields if isinstance(field, LightField)]
+        places = np.array([*poses[:, :2], *(lamp.center for lamp in lamps)])
+        places[robot] = np.nan
+        extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
+        return Objects([*names, *(("lamp", lamp.name) for lamp in lamps)], places, extents)
+
+    def _clear_around(self, robot: int) -> IsClear:
+        if self._shadows is None:
+            shapes = [platform.footprint for platform in self.platforms]
+            self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
+        return self._shadows.around(robot, self._all_poses())
 
     def change_fields(self, fields: Sequence[Field]) -> None:
         """Put `fields` in the place of all fields that have their names."""

@@ -183,7 +183,7 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 def _read(options: Mapping[str, Value]) -> set[str]:
     """The inputs that a driver with these options reads besides: patterns may need them."""
     readings = options.get("readings")
-    found = set()
+    found = {"detections"} if options.get("detections") else set()
     for name, entry in readings.items() if isinstance(readings, dict) else ():
         given = entry if isinstance(entry, dict) else {}
         topic, count = given.get("topic"), given.get("count")

@@ -11,12 +11,13 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
-from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
+from swarmd.core.values import Detection, Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
 from swarmd.driver_api.driver import ZeroSenderSpec, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MessageWire,
     decode_command,
+    encode_detections,
     encode_neighbors,
     encode_odometry,
     encode_pose,
@@ -33,6 +34,7 @@ from tests.support.stories import story
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
+DETECTED = (Detection("box", 0.5, 1.0, "b1"), Detection("lamp", -0.5))
 POSE = SharedPose(2.0, Pose(1.0, -2.0, 3.0), error=0.01, yaw_error=0.02, frame="world")
 ODOMETRY = Odometry(1.0, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2))
 
@@ -128,8 +130,10 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
         robot.send("neighbors", encode_neighbors(neighbors))
         robot.send("pose", encode_pose(POSE))
         robot.send("readings", encode_readings({"light": 0.25}))
+        robot.send("detections", encode_detections(DETECTED))
         is_last = sink.scans and sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY
-        return bool(is_last and sink.neighborhoods and sink.poses and sink.values)
+        others = sink.neighborhoods, sink.poses, sink.values, sink.recognised
+        return bool(is_last and all(others))
 
     await harness.until(have_arrived)
     np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
@@ -137,6 +141,7 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
     assert sink.neighborhoods[0] == neighbors
     assert sink.poses[0] == POSE
     assert sink.values[0] == {"light": 0.25}
+    assert sink.recognised[0] == DETECTED
 
 
 @story(Body)

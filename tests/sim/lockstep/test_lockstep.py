@@ -291,6 +291,29 @@ def test_readings_reach_the_pattern(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.report["light"][-1], [-0.5, 4.5], atol=1e-6)
 
 
+def test_detections_reach_a_pattern_that_needs_them(tmp_path: Path) -> None:
+    (tmp_path / "look.py").write_text(
+        "from swarmd.api import ZERO, MovementPattern, Params\n"
+        "class Look(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    needs = frozenset({'detections'})\n"
+        "    seen = ()\n"
+        "    def drive(self, inputs):\n"
+        "        self.seen = inputs.detections\n"
+        "        return ZERO\n"
+        "    def report(self):\n"
+        "        kinds = ' '.join(one.kind for one in self.seen)\n"
+        "        return {'count': len(self.seen), 'kinds': kinds}\n"
+    )
+    (tmp_path / "eyed.yaml").write_text(
+        "extends: burger\nsensors: {detections: [{at: [0, 0], field_of_view_deg: 360, range: 5}]}\n"
+    )
+    group = {"count": 2, "prefix": "r", "pattern": "look", "platform": str(tmp_path / "eyed.yaml")}
+    trace = simulate_run(scenario(groups={"all": group}, plugin_dir=str(tmp_path)), 0)
+    assert trace.report["count"][-1].tolist() == [1.0, 1.0]
+    assert trace.words["kinds"][-1].tolist() == ["robot", "robot"]
+
+
 def test_repeated_scans_without_noise_do_not_count_as_frozen() -> None:
     abreast = {"layout": "row", "spacing": 1.5, "heading_deg": 90}
     trace = simulate_run(scenario(duration=6.0, start=abreast), 0)
