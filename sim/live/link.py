@@ -56,6 +56,7 @@ _OPTIONS: dict[str, object] = {
 _ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
     {
         "scan": hw_codec.encode_scan,
+        "ranges": hw_codec.encode_scan,
         "odometry": hw_codec.encode_odometry,
         "neighbors": hw_codec.encode_neighbors,
         "pose": hw_codec.encode_pose,
@@ -320,8 +321,8 @@ class EmulatorTransport:
         self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
     def send(self, robot: str, name: str, value: Any) -> None:
-        """Publish a measurement; emulated robots publish scan, odometry and readings."""
-        if name in ("scan", "odometry", "readings"):
+        """Publish a measurement; emulated robots publish scan, ring, odometry and readings."""
+        if name in ("scan", "ranges", "odometry", "readings"):
             getattr(self.side, name)(robot, value)
 
     def take_commands(self) -> Mapping[str, Command]:

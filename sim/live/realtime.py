@@ -75,6 +75,7 @@ class RealTimeWorld:
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
         self._scans_due = Staggered(scan_rates, start, order)
+        self._rings_due = Staggered(world.ring_rates, start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
@@ -134,6 +135,9 @@ class RealTimeWorld:
         for row, scan in world.arrived_scans():
             self._sent_seq[row] = scan.seq
             transport.send(world.ids[row], "scan", scan)
+        for one in self._rings_due.due(world.time).tolist():
+            row = world.rings[one]
+            transport.send(world.ids[row], "ranges", world.ring_scan(row))
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):

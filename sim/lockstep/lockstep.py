@@ -103,6 +103,7 @@ class Lockstep:
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._scans_due = Schedules(scan_rates, phases)
+        self._rings_due = Schedules(self.world.ring_rates, phases[self.world.rings])
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(ids, bodies, strict=True))
@@ -311,6 +312,8 @@ class Lockstep:
             shell = self.shells[row]
             if shell is not None:
                 shell.scan(scan, now)
+        for shell in self._present([world.rings[one] for one in self._rings_due.due(now)]):
+            shell.step(events.RangesInput(world.ring_scan(shell.row)), now)
         for shell in self._present(self._readings_due.due(now)):
             if world.fields:
                 shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)

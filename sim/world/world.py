@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import repeat
 
 import mujoco
@@ -16,7 +17,6 @@ import numpy as np
 from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, Twist
-from swarmd.driver_api.hw_codec import check_measures
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
@@ -37,7 +37,8 @@ class World:
     """Planar MuJoCo bodies with range sensors and odometry, and movable boxes.
 
     `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
-    (m, 4, 2), their outlines in their own frames.
+    (m, 4, 2), their outlines in their own frames. `rings`: the rows of robots with a ring of range
+    sensors, `ring_rates` (r,) the Hz of each.
     """
 
     def __init__(
@@ -66,8 +67,6 @@ class World:
         if starts.shape != (n, 3):
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
-        for platform in self.platforms:
-            check_measures(platform)
         self.arena, self.dt = arena, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
@@ -87,7 +86,7 @@ class World:
         self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
         for ages in self._at_once:
             ages.flags.writeable = False
-        self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
+        self._seq, self._ring_seq, self._is_out = [0] * n, [0] * n, np.zeros(n, dtype=np.bool_)
         self._are_all_in = True
         self._contacts = ContactReader(self.model, n)
         self._touching: list[ContactPoints] = []
@@ -102,6 +101,16 @@ class World:
                 for row in rows.tolist():
                     self._rolling_of[row] = rolling
         self._is_rolled = False  # the rays of this step are measured
+        self.rings = [row for row in range(n) if self.platforms[row].ranges is not None]
+        specs = [platform.ranges or platform.scan for platform in self.platforms]
+        rates = [specs[row].rate for row in self.rings]
+        self.ring_rates: Array = np.array(rates, dtype=np.float64)
+        if self.rings:
+            ringed = [replace(one, scan=s) for one, s in zip(self.platforms, specs, strict=True)]
+            # It looks below the plane of lidars: it sees whole bodies.
+            self._ring_sensors = RangeSensors(ringed, arena, "body")
+            names = [f"ring of {robot}" for robot in self.ids]
+            self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
         self.fields = tuple(fields)
         shapes = [platform.footprint for platform in self.platforms]
@@ -219,6 +228,15 @@ class World:
         if self.movable_boxes:
             poses = np.concatenate((poses, self._movable_boxes.poses()))
         return poses
+
+    def ring_scan(self, robot: int) -> Scan:
+        """A scan of the robot's ring of range sensors, with all of them measured now."""
+        spec = self.platforms[robot].ranges
+        assert spec is not None, f"{self.ids[robot]} has no ring"
+        (seen,) = self._ring_sensors.cast(self._all_poses(), np.array([robot], dtype=np.intp))
+        ranges, seq = self._ring_noise.measured(robot, seen), self._ring_seq[robot]
+        self._ring_seq[robot] += 1
+        return Scan(seq, self.time, ranges, spec.bearings, spec.range_min, spec.range_max)
 
     def _scan(self, robot: int, ranges: Array, stamp: float, ages: Array | None = None) -> Scan:
         spec = self.platforms[robot].scan

@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
-from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.errors import CodecError
 from swarmd.core.values import (
     MAX_DETECTIONS,
     MAX_TOLD_DISTANCE,
@@ -47,7 +47,7 @@ Channel = Annotated[str, Meta(min_length=3, max_length=127)]
 MAX_RAYS = 20_000
 MAX_MESSAGES = 100
 """Messages in one packet, of at most MAX_MESSAGE bytes each."""
-INPUTS = ("scan", "odometry", "neighbors", "pose", "readings", "detections")
+INPUTS = ("scan", "ranges", "odometry", "neighbors", "pose", "readings", "detections")
 """Each is a method of the sink."""
 
 
@@ -148,15 +148,6 @@ _detections = Decoder(DetectionsWire)
 _command = Decoder(CommandWire)
 _message = Decoder(MessageWire)
 _messages = Decoder(MessagesWire, MAX_SENSOR_PAYLOAD)
-
-
-def check_measures(platform: Platform) -> None:
-    """ConfigError if a simulated base does not measure all that a robot of the platform needs."""
-    if platform.ranges is not None:
-        raise ConfigError(
-            f"platform {platform.name}: a simulated base does not measure ranges, and the robot"
-            " would be held without them; expected ranges: null, in a file that extends this one"
-        )
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -280,10 +271,14 @@ def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
     return _messages(payload).messages
 
 
-def decode_input(kind: str, payload: bytes, spec: ScanSpec) -> Any:
+def decode_input(kind: str, payload: bytes, platform: Platform) -> Any:
     """The value of one of INPUTS."""
     if kind == "scan":
-        return decode_scan(payload, spec)
+        return decode_scan(payload, platform.scan)
+    if kind == "ranges":
+        if platform.ranges is None:
+            raise CodecError("a scan of a ring that the platform does not have")
+        return decode_scan(payload, platform.ranges)
     if kind == "odometry":
         return decode_odometry(payload)
     if kind == "pose":

@@ -11,7 +11,17 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
-from swarmd.core.values import Detection, Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
+from swarmd.core.values import (
+    Array,
+    Detection,
+    Neighbor,
+    Odometry,
+    Pose,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
 from swarmd.driver_api.driver import ZeroSenderSpec, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
@@ -28,8 +38,8 @@ from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
-from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness
-from tests.support.range_ring import with_ring
+from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness, Rig
+from tests.support.range_ring import ring_spec, with_ring
 from tests.support.stories import story
 
 PLATFORM = load_platform("burger")
@@ -199,10 +209,57 @@ def test_check_tells_what_scans_show_and_fails_for_a_frozen_sensor() -> None:
     assert "scan.noisy" in frozen.text
 
 
-def test_a_platform_with_a_ring_is_refused() -> None:
-    """The robot would be held for ever: a simulated base does not measure it."""
-    with pytest.raises(ConfigError, match="ranges: null"):
-        SimulatedDriver(swarm="s", robot="r", platform=with_ring(PLATFORM), options={})
+class RingedBody(Body):
+    """A body with a ring of range sensors."""
+
+    platform = with_ring(PLATFORM)
+    _rings = 0
+
+    def make(self, options: Mapping[str, Value]) -> SimulatedDriver:
+        given = {"endpoint": self.endpoint, **options}
+        return SimulatedDriver(swarm="s", robot="r", platform=self.platform, options=given)
+
+    def publish(self) -> None:
+        super().publish()
+        self.publish_ranges(np.full(len(ring_spec().bearings), 0.5))
+
+    def publish_ranges(self, ranges: Array) -> None:
+        spec = ring_spec()
+        self._rings += 1
+        scan = Scan(
+            self._rings, 0.1 * self._rings, ranges, spec.bearings, spec.range_min, spec.range_max
+        )
+        self.send("ranges", encode_scan(scan))
+
+
+class TestSimulatedDriverWithARing(DriverContract):
+    """A ring is a second scan, with the geometry of the platform's section."""
+
+    def rig(self) -> Rig:
+        return RingedBody()
+
+
+def test_a_check_misses_the_ring() -> None:
+    body = RingedBody()
+
+    async def check() -> Finding:
+        found = await body.make({}).check(0.2)
+        return next(one for one in found if one.subject == "ranges")
+
+    assert not asyncio.run(check()).is_well
+    body.close()
+
+
+@story(Body)
+async def test_a_ring_that_the_platform_lacks_is_dropped(
+    harness: DriverHarness, robot: Body
+) -> None:
+    def has_come() -> bool:
+        robot.send("ranges", encode_scan(scan(1)))
+        return "hw/ranges" in harness.sink.lost
+
+    await harness.until(has_come)
+    assert harness.sink.rings == []
 
 
 @story(Body, radio=True)
