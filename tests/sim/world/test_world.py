@@ -311,6 +311,15 @@ def test_a_platform_without_a_body_is_refused_with_the_key_that_is_missing() -> 
         World({"a": bodiless}, FIELD, np.zeros((1, 3)))
 
 
+@pytest.mark.parametrize("name", platform_names())
+def test_every_platform_drives_in_the_world(name: str) -> None:
+    world = alone(name)
+    world.set_commands(np.array([[0.1, 0.0, 0.0]]))
+    world.step(200)
+    assert world.poses()[0, 0] == pytest.approx(0.2, abs=0.05)
+    assert len(world.scans(np.array([0]))[0].ranges) == len(load_platform(name).scan.bearings)
+
+
 def test_a_ring_measures_beside_the_lidar_from_its_own_offset() -> None:
     spec = ring_spec((0.1, 0.0))
     arena = Arena(2.0, 2.0)
