@@ -20,10 +20,20 @@ from msgspec.structs import replace
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
-from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import (
+    ZERO,
+    Detection,
+    Neighbor,
+    Odometry,
+    Platform,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink
-from swarmd.driver_api.hw_codec import Input, deliver
+from swarmd.driver_api.hw_codec import deliver
 from swarmd.recording import messages
 from swarmd.recording.reader import RecordedMessage, read_file
 from swarmd.settings.layered import Layered
@@ -46,10 +56,11 @@ class _BaseState:
 
 
 @dataclass(frozen=True, slots=True)
-class _Hazards:
-    """The hazards that the base sensed."""
+class _Told:
+    """The hazards that the base sensed, or the objects that the robot recognised."""
 
-    value: tuple[Hazard, ...]
+    kind: str
+    value: tuple[Hazard, ...] | tuple[Detection, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +70,16 @@ class _Ring:
     scan: Scan
 
 
-_Entry: TypeAlias = Input | _BaseState | _Hazards | _Ring
+_Entry: TypeAlias = (
+    Scan
+    | Odometry
+    | tuple[Neighbor, ...]
+    | SharedPose
+    | Mapping[str, float]
+    | _BaseState
+    | _Told
+    | _Ring
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +184,8 @@ class ReplayDriver:
             self._deliver(sink, value, shift, rounds * self._after)
 
     def _deliver(self, sink: Sink, value: _Entry, shift: float, ahead: int) -> None:
-        if isinstance(value, _Hazards):
-            sink.hazards(value.value)
+        if isinstance(value, _Told):
+            deliver(sink, value.kind, value.value)
             return
         if isinstance(value, _BaseState):
             if value.is_up:
@@ -180,7 +200,7 @@ class ReplayDriver:
             value = _shifted(value, shift, ahead)
         elif isinstance(value, Odometry):
             value = Odometry(value.stamp + shift, value.pose, value.twist)
-        deliver(sink, value)
+        deliver(sink, _METHODS.get(type(value), "readings"), value)
 
     def _connect(self, sink: Sink) -> None:
         if not self._gate.is_open:
@@ -259,19 +279,26 @@ def _inputs(
             yield one, read
 
 
-def _hazards(json: bytes) -> tuple[Hazard, ...]:
+def _told(kind: str, of: Any, json: str) -> _Told:
     try:
-        return msgspec.json.decode(json, type=tuple[Hazard, ...])
+        return _Told(kind, msgspec.json.decode(json, type=of))
     except msgspec.MsgspecError as error:
-        raise CodecError(f"no hazards: {error}") from error
+        raise CodecError(f"no {kind}: {error}") from error
 
 
+_METHODS: Mapping[type, str] = {
+    Scan: "scan",
+    Odometry: "odometry",
+    SharedPose: "pose",
+    tuple: "neighbors",
+}
 _READERS: Mapping[str, Callable[[Any], _Entry]] = {
     "/odometry": messages.odometry_of,
     "/neighbors": messages.neighbors_of,
     "/pose": messages.pose_of,
     "/readings": messages.readings_of,
-    "/hazards": lambda message: _Hazards(_hazards(message.json.encode())),
+    "/hazards": lambda message: _told("hazards", tuple[Hazard, ...], message.json),
+    "/detections": lambda message: _told("detections", tuple[Detection, ...] | None, message.json),
     "/driver": lambda message: _BaseState(message.is_up, message.text),
 }
 

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
-from swarmd.core.values import ZERO, Odometry, Platform, Scan, ScanSpec, Twist, Value
+from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
@@ -53,7 +53,6 @@ class SimulatedDriver:
     ) -> None:
         """Not connected yet. Options: `SimulatedOptions`."""
         self._robot, self._swarm, self._platform = robot, swarm, platform
-        hw_codec.check_measures(platform)
         chosen = Layered(("driver simulated", options)).build(SimulatedOptions)
         self._endpoint, self.carries_messages = chosen.endpoint, chosen.radio
         self._where = _read(self._endpoint)
@@ -103,11 +102,11 @@ class SimulatedDriver:
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry arrive and a robot takes commands; moves nothing."""
-        seen = _CheckSink(self._platform.scan)
+        seen = _CheckSink(self._platform)
         task = asyncio.create_task(self.run(seen))
         try:
             async with asyncio.timeout(seconds):
-                while not (len(seen.scans) >= ENOUGH_SCANS and seen.odometries):
+                while not (len(seen.scans) >= ENOUGH_SCANS and seen.odometries and seen.has_ring):
                     await asyncio.sleep(_WATCH_PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
@@ -129,6 +128,7 @@ class SimulatedDriver:
         has_odometry = bool(seen.odometries)
         arrives = f"{content.text}; the platform has {len(self._platform.scan.bearings)} rays"
         taken = "is taken" if is_taken else f"no simulated robot takes commands; {hint}"
+        ring = Finding("ranges", seen.has_ring, "arrive" if seen.has_ring else missing)
         return (
             Finding(
                 "scan",
@@ -136,6 +136,7 @@ class SimulatedDriver:
                 content.fault or (arrives if content.last is not None else missing),
             ),
             Finding("odometry", has_odometry, "arrives" if has_odometry else missing),
+            *(() if self._platform.ranges is None else (ring,)),
             Finding("cmd_vel", is_taken, taken),
             scan_delay_finding(scans, seen.odometries, content.last, self._platform.scan),
         )
@@ -162,7 +163,7 @@ class SimulatedDriver:
 
     def _take(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
-            value = hw_codec.decode_input(name, payload, self._platform.scan)
+            value = hw_codec.decode_input(name, payload, self._platform)
         except CodecError:
             sink.dropped(f"hw/{name}")
             return
@@ -170,7 +171,7 @@ class SimulatedDriver:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        hw_codec.deliver(sink, value)
+        hw_codec.deliver(sink, name, value)
 
     def _take_messages(self, sink: Sink, payload: bytes) -> None:
         if not self.carries_messages:
@@ -221,8 +222,9 @@ class SimulatedZeroSender:
 class _CheckSink(NullSink):
     """A sink that keeps what scans show, and arrivals and stamps of scans and odometry."""
 
-    def __init__(self, spec: ScanSpec) -> None:
-        self.content = ScanContent(spec)
+    def __init__(self, platform: Platform) -> None:
+        self.content = ScanContent(platform.scan)
+        self.has_ring = platform.ranges is None
         self.scans: list[tuple[float, float]] = []
         self.odometries: list[tuple[float, float]] = []
 
@@ -230,6 +232,10 @@ class _CheckSink(NullSink):
         """Keep it and its stamp."""
         self.content.take(scan)
         self.scans.append((monotonic(), scan.stamp))
+
+    def ranges(self, scan: Scan) -> None:
+        """Keep that the ring has measured."""
+        self.has_ring = True
 
     def odometry(self, odometry: Odometry) -> None:
         """Keep its stamp."""

@@ -77,7 +77,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
     """The reach of each law, the distances, and those of every FieldPattern."""
 
     paper_range: Annotated[
-        float, about("law paper: reach of the field", ge=0.1, le=100.0, unit="m", source="paper")
+        float, about("law paper: reach of the field", ge=0.05, le=100.0, unit="m", source="paper")
     ] = 2.0
     bias: Bias = -1.0
     angular_if_alone: TurnIfAlone = 1.0
@@ -85,7 +85,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
         float,
         about(
             "distance up to which robots attract",
-            ge=0.1,
+            ge=0.05,
             le=100.0,
             unit="m",
             source="ours: the range of the lidar, so that no group is left behind",
@@ -96,7 +96,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
         float,
         about(
             "distance from the axle to a neighbour at which its pull ends",
-            ge=0.1,
+            ge=0.05,
             le=20.0,
             unit="m",
             source="ours: 1.06 times the protection threshold plus 1.3 times the lidar's offset, "
@@ -119,7 +119,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
         float,
         about(
             "distance over which the speed towards an obstacle falls to zero",
-            ge=0.05,
+            ge=0.02,
             le=5.0,
             unit="m",
             source="ours: 0.6 times the protection threshold; two robots that meet need it",

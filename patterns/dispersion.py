@@ -54,7 +54,7 @@ class DispersionParams(FieldParams, frozen=True, kw_only=True):
         float,
         about(
             "how much nearer than the distance a surface must be to push at full speed",
-            ge=0.05,
+            ge=0.02,
             le=20.0,
             unit="m",
             source="ours: 0.6 times the protection threshold",

@@ -103,7 +103,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "distance from the lidar to another's surface at which a spring is at rest",
-            ge=0.1,
+            ge=0.05,
             le=20.0,
             unit="m",
             source="ours: 1.5 times the protection threshold",
@@ -154,7 +154,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "distance below which a wall pushes; at `spacing` the force is full",
-            ge=0.1,
+            ge=0.05,
             le=100.0,
             unit="m",
             source="ours: twice the spacing, at most 0.9 times the lidar's range",
@@ -169,7 +169,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "law paper: turns away from nearer objects, ahead or aside",
-            ge=0.05,
+            ge=0.02,
             le=100.0,
             unit="m",
             source="ROS2swarm: z1 and z2, the protection threshold",
@@ -180,7 +180,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "law paper: turns to farther objects, left or right",
-            ge=0.05,
+            ge=0.02,
             le=100.0,
             unit="m",
             source="ROS2swarm: z3, 3/7 of the lidar's range",
@@ -191,7 +191,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "law paper: turns around for farther objects behind",
-            ge=0.05,
+            ge=0.02,
             le=100.0,
             unit="m",
             source="ROS2swarm: z4, 5/7 of the lidar's range",

@@ -48,7 +48,7 @@ class LloydCoverageParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "places farther away are in no cell, nor are those beyond the lidar's range",
-            ge=0.1,
+            ge=0.05,
             le=100.0,
             unit="m",
             source="ours: the lidar's range",

@@ -86,7 +86,7 @@ class OneBitAggregationParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "farther robots are not seen",
-            ge=0.1,
+            ge=0.05,
             le=100.0,
             unit="m",
             source="ours: the lidar's range; Gauci et al. 2014: unlimited",

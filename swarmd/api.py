@@ -9,6 +9,7 @@ from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.values import (
     ZERO,
     Array,
+    Detection,
     Inputs,
     Message,
     Neighbor,
@@ -71,6 +72,7 @@ __all__ = [
     "CombinedPattern",
     "ConfigError",
     "Context",
+    "Detection",
     "FieldKind",
     "FieldParams",
     "FieldPattern",

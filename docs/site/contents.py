@@ -65,6 +65,7 @@ CONTENTS = {
         "docs/robots/waffle_pi",
         "docs/robots/jackal",
         "docs/robots/thymio",
+        "docs/robots/epuck2",
         "docs/robots/turtlebot4",
         "docs/robots/new_robot",
         "docs/robots/last_word",

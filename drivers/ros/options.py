@@ -18,9 +18,14 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_detections import (
+    DetectionOptions,
+    TopicDetections,
+    topic_detections,
+)
 from swarmd.drivers.ros.topic_hazards import HazardOptions, TopicHazard, topic_hazard
-from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_reading
-from swarmd.drivers.ros.topic_stats import HAZARD, READING
+from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_readings
+from swarmd.drivers.ros.topic_stats import DETECTION, HAZARD, READING
 from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
@@ -62,6 +67,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `ekf_*`; readers in DDS without a node are `dds_reader*`, with the name of their process.
     `readings`: numbers of any topics, by name.
     `hazards`: what in which topics tells of a hazard, by name.
+    `detections`: topics with the objects that the robot recognises, by name.
     `message_path`: folders with the packages of a vendor's message types, as `.msg` files.
     """
 
@@ -91,6 +97,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     ranges: dict[str, float | tuple[float, float]] = {}
     readings: dict[str, ReadingOptions] = {}
     hazards: dict[str, HazardOptions] = {}
+    detections: dict[str, DetectionOptions] = {}
     message_path: str | tuple[str, ...] = ()
 
     @property
@@ -125,10 +132,13 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     @cached_property
     def topic_readings(self) -> dict[str, TopicReading]:
         """The readings by name; ConfigError names the key that is wrong."""
-        return {
-            name: topic_reading(name, one, self.topic(one.topic), self.message_types)
-            for name, one in self.readings.items()
-        }
+        found: dict[str, TopicReading] = {}
+        for entry, options in self.readings.items():
+            for one in topic_readings(entry, options, self.topic, self.message_types):
+                if one.name in found or (one.mean_of and one.name in self.readings):
+                    raise ConfigError(f"readings.{entry} gives {one.name}, too; rename one of them")
+                found[one.name] = one
+        return found
 
     @cached_property
     def topic_hazards(self) -> dict[str, TopicHazard]:
@@ -136,6 +146,14 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return {
             name: topic_hazard(name, one, self.topic(one.topic), self.message_types)
             for name, one in self.hazards.items()
+        }
+
+    @cached_property
+    def topic_detections(self) -> dict[str, TopicDetections]:
+        """The detections by name; ConfigError names the key that is wrong."""
+        return {
+            name: topic_detections(name, one, self.topic(one.topic), self.message_types)
+            for name, one in self.detections.items()
         }
 
     def ring(self) -> tuple[tuple[str, float, float], ...]:
@@ -212,6 +230,7 @@ def read_options(
             filled.message_types,
             filled.topic_readings,
             filled.topic_hazards,
+            filled.topic_detections,
         )  # files are read once, here
     except ConfigError as error:
         raise ConfigError(f"driver {driver}: {error}") from None
@@ -230,7 +249,7 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
     """The options that a zero sender needs: it shall start although a `.msg` file has gone."""
-    of_sensors = "readings", "hazards", "message_path"
+    of_sensors = "readings", "hazards", "detections", "message_path"
     return {name: one for name, one in options.items() if name not in of_sensors}
 
 
@@ -262,8 +281,13 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         "battery": options.battery,
         "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
-        **{f"{READING}{name}": one.topic for name, one in options.readings.items()},
+        **{
+            option: topic
+            for name, one in options.readings.items()
+            for option, topic in one.topics(name).items()
+        },
         **{f"{HAZARD}{name}": one.topic for name, one in options.hazards.items()},
+        **{f"{DETECTION}{name}": one.topic for name, one in options.detections.items()},
         **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
     }
@@ -285,7 +309,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         owner = owners.setdefault(topic, option)
         if owner == option:
             continue
-        if owner not in types or not option.startswith((READING, HAZARD)):
+        if owner not in types or not option.startswith((READING, HAZARD, DETECTION)):
             yield f"{owner} and {option} are both {topic}; expected a topic each"
         elif types[owner] != types[option]:
             kinds = f"{types[owner]} and {types[option]}"
@@ -306,10 +330,12 @@ def _types(options: TopicOptions) -> dict[str, str]:
     }
     return {
         **{option: name_of(kind).replace("/msg/", "/") for option, kind in kinds.items()},
-        **{f"{READING}{name}": one.type.replace("/msg/", "/")
-           for name, one in options.readings.items()},
+        **{option: one.type.replace("/msg/", "/")
+           for name, one in options.readings.items() for option in one.topics(name)},
         **{f"{HAZARD}{name}": one.type.replace("/msg/", "/")
            for name, one in options.hazards.items()},
+        **{f"{DETECTION}{name}": one.type.replace("/msg/", "/")
+           for name, one in options.detections.items()},
     }  # fmt: skip
 
 

@@ -12,9 +12,10 @@ from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros import cdr, from_ros, messages
 from swarmd.drivers.ros.options import TopicOptions
+from swarmd.drivers.ros.topic_detections import Detections, TopicDetections
 from swarmd.drivers.ros.topic_hazards import Hazards, TopicHazard
 from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings, TopicReading
-from swarmd.drivers.ros.topic_stats import HAZARD, READING, TopicStats
+from swarmd.drivers.ros.topic_stats import DETECTION, HAZARD, TopicStats
 from swarmd.drivers.scan_content import ScanContent
 
 Deliver = Callable[[Sink], None]
@@ -61,6 +62,10 @@ class Subscriptions:
         self._hazards_of: dict[str, list[TopicHazard]] = {}
         for hazard in options.topic_hazards.values():
             self._hazards_of.setdefault(hazard.topic, []).append(hazard)
+        self._detections = Detections(options.topic_detections)
+        self._detections_of: dict[str, list[str]] = {}
+        for entry in options.topic_detections.values():
+            self._detections_of.setdefault(entry.topic, []).append(entry.name)
         ring = options.ring()
         self._ring = from_ros.RangeRingDecoder(
             [bearing for _, bearing, _ in ring], [away for _, _, away in ring], ring_spec
@@ -96,7 +101,7 @@ class Subscriptions:
     def _take_extras(
         self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool
     ) -> str:
-        """Take in the readings and hazards of a message; they as text, empty without any.
+        """Take in readings, hazards and detections of a message; as text, empty without any.
 
         A message that repeats a stamp is as old as its first copy. Standard messages have no stamp,
         and many publishers fill in none: then the arrival counts.
@@ -111,6 +116,11 @@ class Subscriptions:
             self._hazards.take(hazard.name, message, now, is_kept=is_kept)
             for hazard in self._hazards_of.get(stats.topic, ())
             if hazard.is_never_stale or not (is_copy or is_kept)
+        ]
+        taken += [
+            self._detections.take(name, message, now)
+            for name in self._detections_of.get(stats.topic, ())
+            if not (is_copy or is_kept)
         ]
         return ", ".join(taken)
 
@@ -134,16 +144,18 @@ class Subscriptions:
         return self._deliver_readings(now) if self._readings.are_any else lambda sink: None
 
     def deliver_all(self, sink: Sink, now: float) -> None:
-        """Deliver all readings and hazards to the sink, as of a base that is connected now."""
+        """Deliver readings, hazards and detections, as of a base that is connected now."""
         self.readings(now)(sink)
         self._hazards.tell(sink, now, again=True)
+        self._detections.tell(sink, now, again=True)
 
     def deliver_changes(self, sink: Sink, now: float) -> None:
-        """Deliver the readings and hazards that changed without a message, as by silence."""
+        """Deliver what changed without a message, as by silence."""
         changed = self._readings.changed(now)
         if changed is not None:
             sink.readings(changed)
         self._hazards.tell(sink, now)
+        self._detections.tell(sink, now)
 
     def silent_hazards(self, now: float) -> tuple[TopicStats, ...]:
         """The topics of hazards that are silent for too long: the robot is held."""
@@ -202,7 +214,8 @@ class Subscriptions:
 
     def _deliver_extras(self, now: float) -> Deliver:
         parts = [self._deliver_readings(now)] if self._readings.are_any else []
-        return partial(_deliver_all, (*parts, partial(self._hazards.tell, now=now)))
+        tellers = [partial(one.tell, now=now) for one in (self._hazards, self._detections)]
+        return partial(_deliver_all, (*parts, *tellers))
 
     def _deliver_readings(self, now: float) -> Deliver:
         values = self._readings.at(now)
@@ -244,9 +257,10 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
         if given is not None:
             found.append(TopicStats(name, name, topic(given), message_type))
     by_topic = {stats.topic: stats for stats in found}
-    extras: dict[str, TopicReading | TopicHazard] = {
-        **{f"{READING}{name}": one for name, one in options.topic_readings.items()},
+    extras: dict[str, TopicReading | TopicHazard | TopicDetections] = {
+        **{one.option: one for one in options.topic_readings.values()},
         **{f"{HAZARD}{name}": one for name, one in options.topic_hazards.items()},
+        **{f"{DETECTION}{name}": one for name, one in options.topic_detections.items()},
     }
     for name, extra in extras.items():
         own = TopicStats(name, name, extra.topic, extra.message_type)

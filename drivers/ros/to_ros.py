@@ -59,7 +59,7 @@ class RangeRingEncoder:
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if a sensor of `ranges` points where the platform has no ray."""
         ring = options.ring()
-        self._spec = platform.scan
+        self._spec = platform.ranges or platform.scan
         self.topics = tuple((options.topic(name), ros.Range) for name, _, _ in ring)
         self._rays = tuple(
             (_ray_at(platform, name, bearing), distance) for name, bearing, distance in ring
@@ -84,10 +84,14 @@ class RangeRingEncoder:
         )
 
 
-def scan_encoder(options: RosOptions, platform: Platform) -> LaserScanEncoder | RangeRingEncoder:
-    """The encoder that suits a robot's options."""
-    replaces_scan = options.ranges and platform.ranges is None
-    return (RangeRingEncoder if replaces_scan else LaserScanEncoder)(options, platform)
+def scan_encoders(
+    options: RosOptions, platform: Platform
+) -> dict[str, LaserScanEncoder | RangeRingEncoder]:
+    """The encoders that suit a robot's options, of `scan` and, with a ring beside it, `ranges`."""
+    if platform.ranges is not None:
+        ring = RangeRingEncoder(options, platform)
+        return {"scan": LaserScanEncoder(options, platform), "ranges": ring}
+    return {"scan": (RangeRingEncoder if options.ranges else LaserScanEncoder)(options, platform)}
 
 
 def _time_increment(scan: Scan) -> float:
@@ -138,12 +142,12 @@ def _evenly(platform: Platform) -> tuple[float, float]:
 
 
 def _ray_at(platform: Platform, name: str, bearing: float) -> int:
-    spec: ScanSpec = platform.scan
+    spec: ScanSpec = platform.ranges or platform.scan
     apart = [abs(wrap(float(ray) - bearing)) for ray in spec.bearings]
     ray = int(np.argmin(apart))
     if apart[ray] > _MAX_MISMATCH:
         raise ConfigError(
             f"platform {platform.name}: ranges.{name} points to {math.degrees(bearing):g} degrees,"
-            " where its scan has no ray; expected one of scan.bearings_deg"
+            " where it has no ray; expected one of its bearings_deg"
         )
     return ray

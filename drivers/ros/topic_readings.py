@@ -13,14 +13,20 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.base import normalize_fieldname
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import sensor_names
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_stats import READING
 
 IMU: tuple[str, ...] = ("yaw",)
 BATTERY: tuple[str, ...] = ("battery", "battery_voltage")
 """The readings of the options `imu` and `battery`."""
 
 _OWN = (*IMU, *BATTERY)
+_ANY = "*"
+MAX_SENSORS = 64
+"""Sensors in one entry of `readings`."""
+
 _TEXTS = ("string", "wstring", "wchar")
 _LENGTH = "length"
 Step = Callable[[Any], Any]
@@ -36,22 +42,35 @@ class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     `vector.x` or `data.0`; `length` behind a list is its number of items. `unit` is for people.
     `stale_after`: s without a message after which the reading has no value; `never`: for a topic
     that is published on change, whose last message counts while its publisher is there.
+    Several sensors of a quantity, such as `ground`, are the readings `ground_1`, `ground_2` ... and
+    their mean `ground`: those of several topics in a list, and those of one message, `count` items
+    of a list whose index is `*` in `field`, such as `data.*`.
     """
 
-    topic: Text
+    topic: Text | Annotated[tuple[Text, ...], Meta(min_length=2, max_length=MAX_SENSORS)]
     type: Annotated[str, Meta(min_length=3, max_length=200)]
     field: Text = "data"
     unit: Annotated[str, Meta(max_length=32)] = ""
     stale_after: StaleAfter = 1.0
+    count: Annotated[int, Meta(ge=1, le=MAX_SENSORS)] | None = None
+
+    def topics(self, name: str) -> dict[str, str]:
+        """The topics of the entry `name`, each by the option that messages name."""
+        if isinstance(self.topic, str):
+            return {f"{READING}{name}": self.topic}
+        return {f"{READING}{name}_{i}": topic for i, topic in enumerate(self.topic, start=1)}
 
 
 @dataclass(frozen=True, slots=True)
 class TopicReading:
     """A reading `name` that messages of `message_type` carry; the steps of `path` lead to it.
 
-    `stale_after` s: infinite for a reading that holds until the next message.
+    `stale_after` s: infinite for a reading that holds until the next message. `option` names entry
+    and topic. `mean_of`: the entry of which this is one sensor of several; empty for a single one.
     """
 
+    option: str
+    mean_of: str
     name: str
     topic: str
     message_type: type
@@ -73,11 +92,14 @@ class TopicReading:
         return number if math.isfinite(number) else math.nan
 
 
-def topic_reading(
-    name: str, options: ReadingOptions, topic: str, types: MessageTypes
-) -> TopicReading:
-    """The reading of an entry; ConfigError names the key that is wrong. `topic`: its full name."""
-    where = f"readings.{name}"
+def topic_readings(
+    name: str, options: ReadingOptions, full: Callable[[str], str], types: MessageTypes
+) -> tuple[TopicReading, ...]:
+    """The readings of an entry; ConfigError names the key that is wrong.
+
+    `full` gives the full name of a topic.
+    """
+    where = f"{READING}{name}"
     if not name.isidentifier() or len(name) > 63:
         raise ConfigError(f"{where}: expected a name of at most 63 letters, digits and _")
     if name in _OWN:
@@ -86,11 +108,27 @@ def topic_reading(
         kind = types.kind(options.type)
     except ConfigError as error:
         raise ConfigError(f"{where}.type: {error}") from None
+    if (options.count is not None) != (_ANY in options.field.split(".")):
+        text = "is missing beside" if options.count is None else "needs"
+        raise ConfigError(
+            f"{where}.count {text} a field with the index {_ANY}, such as data.{_ANY}"
+        )
     try:
-        path = number_path(types, kind, options.field)
+        paths = [
+            number_path(types, kind, options.field.replace(_ANY, str(index)))
+            for index in range(options.count or 1)
+        ]
     except ConfigError as error:
         raise ConfigError(f"{where}.field is {options.field!r}: {error}") from None
-    return TopicReading(name, topic, kind, path, options.unit, seconds(options.stale_after))
+    topics = options.topics(name)
+    places = [(option, full(topic), path) for option, topic in topics.items() for path in paths]
+    is_one = options.count is None and len(topics) == 1
+    names = (name,) if is_one else sensor_names(name, len(places))[1:]
+    rest = kind, options.unit, seconds(options.stale_after)
+    return tuple(
+        TopicReading(option, "" if is_one else name, own, topic, rest[0], path, *rest[1:])
+        for own, (option, topic, path) in zip(names, places, strict=True)
+    )
 
 
 def seconds(stale_after: float | Literal["never"]) -> float:
@@ -167,6 +205,10 @@ class Readings:
 
     def __init__(self, readings: Mapping[str, TopicReading]) -> None:
         self._readings = readings
+        self._groups: dict[str, list[str]] = {}  # the sensors of each mean
+        for name, reading in readings.items():
+            if reading.mean_of:
+                self._groups.setdefault(reading.mean_of, []).append(name)
         self._own: dict[str, float] = {}
         self._values: dict[str, tuple[float, float]] = {}  # value and arrival
         self._stale = frozenset[str]()
@@ -213,7 +255,11 @@ class Readings:
         stale = frozenset(self._stale_at(now))
         self._stale, self._has_news = stale, False
         fresh = {n: v for n, (v, _) in self._values.items() if n not in stale}
-        return {**self._own, **fresh, **dict.fromkeys(sorted(stale), math.nan)}
+        means = {
+            name: math.fsum(fresh.get(one, math.nan) for one in sensors) / len(sensors)
+            for name, sensors in self._groups.items()
+        }
+        return {**self._own, **means, **fresh, **dict.fromkeys(sorted(stale), math.nan)}
 
     def changed(self, now: float) -> dict[str, float] | None:
         """All readings, if one has come or become stale since `at`; else None."""

@@ -19,6 +19,9 @@ READING = "readings."
 HAZARD = "hazards."
 """Begins the option of a hazard."""
 
+DETECTION = "detections."
+"""Begins the option of detections."""
+
 _STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
 
 
@@ -29,7 +32,7 @@ class TopicStats:
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
     s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
     they do when a robot restarts; `setbacks` holds the last two times of that. `stale_after` s: of
-    a reading or hazard. `further`: the entries of `readings` and `hazards` that share the topic.
+    a reading, hazard or detection. `further`: the entries of these options that share the topic.
     """
 
     name: str
@@ -85,19 +88,9 @@ class TopicStats:
         return list(zip(self.times, self.stamps, strict=True))
 
     @property
-    def is_reading(self) -> bool:
-        """True for a topic of the option `readings`."""
-        return self.option.startswith(READING)
-
-    @property
-    def is_hazard(self) -> bool:
-        """True for a topic of the option `hazards`."""
-        return self.option.startswith(HAZARD)
-
-    @property
     def goes_stale(self) -> bool:
-        """True for readings and hazards, which have a `stale_after`."""
-        return self.is_reading or self.is_hazard
+        """True for readings, hazards and detections, which have a `stale_after`."""
+        return self.option.startswith((READING, HAZARD, DETECTION))
 
     @property
     def is_never_stale(self) -> bool:

@@ -20,7 +20,7 @@ from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
-from swarmd.drivers.ros.to_ros import odometry_message, scan_encoder
+from swarmd.drivers.ros.to_ros import odometry_message, scan_encoders
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
@@ -83,6 +83,10 @@ class EmulatedRobots:
         """Publish a robot's scan."""
         self._robots[robot].scan(scan)
 
+    def ranges(self, robot: str, scan: Scan) -> None:
+        """Publish a scan of a robot's ring of range sensors."""
+        self._robots[robot].scan(scan, "ranges")
+
     def odometry(self, robot: str, odometry: Odometry) -> None:
         """Publish a robot's pose and twist."""
         self._robots[robot].odometry(odometry)
@@ -125,11 +129,15 @@ class _Robot:
         scheme: KeyScheme,
         command: TopicEnd,
     ) -> None:
-        self._scheme, self._encoder = scheme, scan_encoder(options, platform)
-        published = [
-            TopicEnd(topic, message_type, is_publisher=True, is_reliable=False, depth=5)
-            for topic, message_type in self._encoder.topics
-        ]
+        self._scheme, self._encoders = scheme, scan_encoders(options, platform)
+        published: list[TopicEnd] = []
+        self._first: dict[str, int] = {}  # of the topics of an encoder
+        for name, encoder in self._encoders.items():
+            self._first[name] = len(published)
+            published += [
+                TopicEnd(topic, message_type, is_publisher=True, is_reliable=False, depth=5)
+                for topic, message_type in encoder.topics
+            ]
         topic = options.topic(options.odometry)
         odometry = TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
         published.append(odometry)
@@ -147,8 +155,8 @@ class _Robot:
             realtime_publisher(hub, scheme.key(end.topic, end.message_type)) for end in published
         ]
 
-    def scan(self, scan: Scan) -> None:
-        for index, message in enumerate(self._encoder.encode(scan)):
+    def scan(self, scan: Scan, name: str = "scan") -> None:
+        for index, message in enumerate(self._encoders[name].encode(scan), self._first[name]):
             self._put(index, message)
 
     def odometry(self, odometry: Odometry) -> None:

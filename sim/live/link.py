@@ -56,10 +56,12 @@ _OPTIONS: dict[str, object] = {
 _ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
     {
         "scan": hw_codec.encode_scan,
+        "ranges": hw_codec.encode_scan,
         "odometry": hw_codec.encode_odometry,
         "neighbors": hw_codec.encode_neighbors,
         "pose": hw_codec.encode_pose,
         "readings": hw_codec.encode_readings,
+        "detections": hw_codec.encode_detections,
     }
 )
 
@@ -327,8 +329,8 @@ class EmulatorTransport:
         self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
     def send(self, robot: str, name: str, value: Any) -> None:
-        """Publish a measurement; emulated robots publish no neighbors and no shared poses."""
-        if name in ("scan", "odometry", "readings"):
+        """Publish a measurement; emulated robots publish scan, ring, odometry and readings."""
+        if name in ("scan", "ranges", "odometry", "readings"):
             getattr(self.side, name)(robot, value)
 
     def take_commands(self) -> Mapping[str, Command]:

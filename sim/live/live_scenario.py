@@ -52,12 +52,15 @@ class LiveScenario:
         }
 
     def _platform_file(self, platform: Platform) -> dict[str, Any]:
-        scan = configured(platform, self.scenario.realism).scan
+        own = configured(platform, self.scenario.realism)
+        scan, ring = own.scan, own.ranges
         file = dict(self.scenario.effective["platforms"][platform.name])
         file["provides"] = sorted(platform.provides)
         file["scan"] = {**file["scan"], "noisy": scan.is_noisy}
         if scan.sweep is None:
             file["scan"]["sweep"] = None
+        if ring is not None:
+            file["ranges"] = {**file["ranges"], "noisy": ring.is_noisy}
         return file
 
 

@@ -75,14 +75,14 @@ class RealTimeWorld:
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
         self._scans_due = Staggered(scan_rates, start, order)
+        self._rings_due = Staggered(world.ring_rates, start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
         # The robots whose daemons commanded them lately.
         self._there: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
-        self._readings_due = Staggered(
-            np.full(n if world.has_readings else 0, READINGS_RATE), start
-        )
+        readers = n if world.has_readings or world.has_detectors else 0
+        self._readings_due = Staggered(np.full(readers, READINGS_RATE), start)
         self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
@@ -137,6 +137,9 @@ class RealTimeWorld:
         for row, scan in world.arrived_scans():
             self._sent_seq[row] = scan.seq
             transport.send(world.ids[row], "scan", scan)
+        for one in self._rings_due.due(world.time).tolist():
+            row = world.rings[one]
+            transport.send(world.ids[row], "ranges", world.ring_scan(row))
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
@@ -144,7 +147,10 @@ class RealTimeWorld:
         if self._radio is not None:
             self._publish_radio(self._radio)
         for row in self._readings_due.due(world.time):
-            transport.send(world.ids[row], "readings", world.readings(int(row)))
+            if world.fields:
+                transport.send(world.ids[row], "readings", world.readings(int(row)))
+            if (found := world.detections(int(row))) is not None:
+                transport.send(world.ids[row], "detections", found)
         for row in self._poses_due.due(world.time):
             pose = Pose(*world.poses()[row].tolist())
             # Stamped in real time: simulated time may lag behind.

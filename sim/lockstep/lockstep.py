@@ -103,6 +103,7 @@ class Lockstep:
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._scans_due = Schedules(scan_rates, phases)
+        self._rings_due = Schedules(self.world.ring_rates, phases[self.world.rings])
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(ids, bodies, strict=True))
@@ -111,7 +112,7 @@ class Lockstep:
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
-        readers = n if self.world.has_readings else 0
+        readers = n if self.world.has_readings or self.world.has_detectors else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self.alarms = Alarms(n, self.world.dt)
@@ -319,8 +320,13 @@ class Lockstep:
             shell = self.shells[row]
             if shell is not None:
                 shell.scan(scan, now)
+        for shell in self._present([world.rings[one] for one in self._rings_due.due(now)]):
+            shell.step(events.RangesInput(world.ring_scan(shell.row)), now)
         for shell in self._present(self._readings_due.due(now)):
-            shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
+            if world.fields:
+                shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
+            if (found := world.detections(shell.row)) is not None:
+                shell.step(events.DetectionsInput(found), now)
 
     def _tick(self, now: float) -> None:
         world = self.world

@@ -151,7 +151,10 @@ def configured(platform: Platform, realism: Realism) -> Platform:
         sweep=platform.scan.sweep if lidar.rolling else None,
         measures_sweep=False,
     )
-    return replace(platform, scan=scan)
+    ring = platform.ranges
+    if ring is not None:
+        ring = replace(ring, is_noisy=ring.is_noisy and lidar.differs_each_time)
+    return replace(platform, scan=scan, ranges=ring)
 
 
 def _preset(name: object, source: str) -> Realism:

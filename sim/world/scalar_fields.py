@@ -9,7 +9,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from swarmd.core.values import Array, Platform
+from swarmd.core.values import Array, Platform, sensor_names
+from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.field_kind import Degrees, Extent, FieldKind, Level, Point
 from swarmd.sim.world.floor import FloorField
 from swarmd.sim.world.geometry import transform
@@ -119,16 +120,19 @@ def readings_at(
         read = [field for field in fields if field.name == name]
         places = transform(own[:, :2], pose)
         for channel, values in sample(read, places, pose[2] + own[:, 2], is_clear).items():
-            found[channel] = float(values.mean())
-            found |= {f"{channel}_{i}": value for i, value in enumerate(values.tolist(), start=1)}
+            each = float(values.mean()), *values.tolist()
+            found |= zip(sensor_names(channel, len(values)), each, strict=True)
     return found
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors."""
-    words = set()
+    """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors.
+
+    It also has `detections` if it has such sensors.
+    """
+    words = {DETECTIONS} & platform.sensors.keys()
     for field in fields:
         count = len(platform.sensors.get(field.name, ()))
         for name in channels_of(field):
-            words |= {f"reading:{name}", *(f"reading:{name}_{i + 1}" for i in range(count))}
+            words |= {f"reading:{one}" for one in sensor_names(name, count)}
     return replace(platform, provides=platform.provides | words)

@@ -16,17 +16,17 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
-from swarmd.driver_api.hw_codec import check_measures
+from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
+from swarmd.sim.world.detector import DETECTIONS, Objects, detections_of
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.items import Items
 from swarmd.sim.world.lidar import RangeSensors, Visibility
-from swarmd.sim.world.light import LightField, Shadows
+from swarmd.sim.world.light import IsClear, LightField, Shadows
 from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
@@ -41,6 +41,7 @@ class World:
     `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
     (m, 4, 2), their outlines in their own frames; `loose`, `loose_shapes` and `loose_poses()` are
     those of boxes and then items. `grips` (n,): which robots' grippers are told to be closed.
+    `rings`: the rows of robots with a ring of range sensors, `ring_rates` (r,) the Hz of each.
     """
 
     def __init__(
@@ -71,8 +72,6 @@ class World:
         if starts.shape != (n, 3):
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
-        for platform in self.platforms:
-            check_measures(platform)
         self.arena, self.dt = arena, dt
         pucks = tuple(item for item in arena.items if item.mass is not None)
         self.model = bodies.build_model(robots, replace(arena, items=pucks), dt)
@@ -98,7 +97,7 @@ class World:
         self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
         for ages in self._at_once:
             ages.flags.writeable = False
-        self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
+        self._seq, self._ring_seq, self._is_out = [0] * n, [0] * n, np.zeros(n, dtype=np.bool_)
         self._are_all_in = True
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
@@ -113,13 +112,23 @@ class World:
                 for row in rows.tolist():
                     self._rolling_of[row] = rolling
         self._is_rolled = False  # the rays of this step are measured
+        self.rings = [row for row in range(n) if self.platforms[row].ranges is not None]
+        specs = [platform.ranges or platform.scan for platform in self.platforms]
+        rates = [specs[row].rate for row in self.rings]
+        self.ring_rates: Array = np.array(rates, dtype=np.float64)
+        if self.rings:
+            ringed = [replace(one, scan=s) for one, s in zip(self.platforms, specs, strict=True)]
+            # It looks below the plane of lidars: it sees whole bodies.
+            self._ring_sensors = RangeSensors(ringed, arena, "body")
+            names = [f"ring of {robot}" for robot in self.ids]
+            self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
         self.fields = tuple(fields)
         shapes = [platform.footprint for platform in self.platforms]
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
-        self._shadows: Shadows | None = None  # made for the first reading of a lamp
+        self._shadows: Shadows | None = None  # made for the first line of sight
 
     def _begin_items(self, starts: Array) -> None:
         outlines = [
@@ -244,6 +253,15 @@ class World:
             poses = np.concatenate((poses, self._movable_boxes.poses()))
         return poses
 
+    def ring_scan(self, robot: int) -> Scan:
+        """A scan of the robot's ring of range sensors, with all of them measured now."""
+        spec = self.platforms[robot].ranges
+        assert spec is not None, f"{self.ids[robot]} has no ring"
+        (seen,) = self._ring_sensors.cast(self._all_poses(), np.array([robot], dtype=np.intp))
+        ranges, seq = self._ring_noise.measured(robot, seen), self._ring_seq[robot]
+        self._ring_seq[robot] += 1
+        return Scan(seq, self.time, ranges, spec.bearings, spec.range_min, spec.range_max)
+
     def _scan(self, robot: int, ranges: Array, stamp: float, ages: Array | None = None) -> Scan:
         spec = self.platforms[robot].scan
         seq = self._seq[robot]
@@ -264,10 +282,7 @@ class World:
         """The values of the fields at the robot's sensors or axle, and of near items, by name."""
         is_clear = None
         if any(isinstance(field, LightField) and field.shadows for field in self.fields):
-            if self._shadows is None:
-                shapes = [platform.footprint for platform in self.platforms]
-                self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
-            is_clear = self._shadows.around(robot, self._all_poses())
+            is_clear = self._clear_around(robot)
         pose = self.poses()[robot]
         found = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
         return found | self._items.readings(robot, pose) if self._items.names else found
@@ -276,6 +291,38 @@ class World:
     def has_readings(self) -> bool:
         """Whether robots read anything besides their scans and odometry."""
         return bool(self.fields or self._items.names)
+
+    @property
+    def has_detectors(self) -> bool:
+        """Whether a robot recognises objects."""
+        return any(DETECTIONS in platform.sensors for platform in self.platforms)
+
+    def detections(self, robot: int) -> tuple[Detection, ...] | None:
+        """The robots, boxes and lamps that a robot recognises; None without a sensor for them."""
+        sensors = self.platforms[robot].sensors.get(DETECTIONS)
+        if sensors is None:
+            return None
+        poses = self._all_poses()
+        return detections_of(
+            sensors, poses[robot], self._objects(robot, poses), self._clear_around(robot)
+        )
+
+    def _objects(self, robot: int, poses: Array) -> Objects:
+        """All that a robot may recognise where it is: bodies but itself, and lamps."""
+        names = [("robot", name) for name in self.ids]
+        names += [("box", name) for name in self.movable_boxes]
+        shapes = [*(platform.footprint for platform in self.platforms), *self.box_shapes]
+        lamps = [field for field in self.fields if isinstance(field, LightField)]
+        places = np.array([*poses[:, :2], *(lamp.center for lamp in lamps)])
+        places[robot] = np.nan
+        extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
+        return Objects([*names, *(("lamp", lamp.name) for lamp in lamps)], places, extents)
+
+    def _clear_around(self, robot: int) -> IsClear:
+        if self._shadows is None:
+            shapes = [platform.footprint for platform in self.platforms]
+            self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
+        return self._shadows.around(robot, self._all_poses())
 
     def change_fields(self, fields: Sequence[Field]) -> None:
         """Put `fields` in the place of all fields that have their names."""

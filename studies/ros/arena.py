@@ -73,6 +73,9 @@ class Nodes:
         (message,) = self._encoders[robot].encode(replace(scan, stamp=scan.stamp + self._begun))
         self._send(f"{robot}.lidar", cdr.encode(message))
 
+    def ranges(self, robot: str, scan: Scan) -> None:
+        """The robots have no ring."""
+
     def odometry(self, robot: str, odometry: Odometry) -> None:
         """Hand odometry to the node of the base, and the true pose to the study."""
         stamped = structs.replace(odometry, stamp=odometry.stamp + self._begun)

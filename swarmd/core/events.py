@@ -19,7 +19,17 @@ from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent
 from swarmd.core.messages import Body, Latch, Reason
-from swarmd.core.values import Array, Neighbor, Odometry, PeerPlace, Scan, SharedPose, Value
+from swarmd.core.values import (
+    MAX_DETECTIONS,
+    Array,
+    Detection,
+    Neighbor,
+    Odometry,
+    PeerPlace,
+    Scan,
+    SharedPose,
+    Value,
+)
 from swarmd.core.verbs import Request
 
 MAX_ROBOTS = 10_000
@@ -66,6 +76,12 @@ class ReadingsInput(Struct, frozen=True, array_like=True, tag="readings"):
     """All scalar sensors by name; NaN for a sensor without a fresh value."""
 
     readings: Annotated[dict[str, float], Meta(max_length=1000)]
+
+
+class DetectionsInput(Struct, frozen=True, array_like=True, tag="detections"):
+    """All objects that the robot recognises now; None: no fresh value."""
+
+    detections: Annotated[tuple[Detection, ...], Meta(max_length=MAX_DETECTIONS)] | None
 
 
 class HazardsInput(Struct, frozen=True, array_like=True, tag="hazards"):
@@ -204,6 +220,7 @@ Input = (
     | NeighborsInput
     | PoseInput
     | ReadingsInput
+    | DetectionsInput
     | HazardsInput
     | DriverInput
     | MessageInput

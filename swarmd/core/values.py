@@ -201,6 +201,30 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     in_reach: bool = True
 
 
+class Detection(Struct, frozen=True, array_like=True, gc=False):
+    """An object that the robot recognises, such as a tag or a blob of a camera.
+
+    `kind` is its class, such as `box`, and `id` its own name; the id is empty if it has none.
+    `bearing` in rad and `distance` in m are from the axle; None: the distance is not measured.
+    """
+
+    kind: str
+    bearing: float
+    distance: float | None = None
+    id: str = ""
+
+    @property
+    def is_valid(self) -> bool:
+        """True if its numbers are finite and its words within their bounds."""
+        distance = 0.0 if self.distance is None else self.distance
+        has_words = 0 < len(self.kind) <= MAX_WORD and len(self.id) <= MAX_WORD
+        return has_words and abs(self.bearing) < math.inf and 0.0 <= distance < math.inf
+
+
+MAX_DETECTIONS, MAX_WORD = 256, 63
+"""Detections in one input, and characters of a kind or id."""
+
+
 class Message(Struct, frozen=True, array_like=True):
     """A message of a neighbour's pattern; `sender` comes from the key, never from the payload."""
 
@@ -318,7 +342,8 @@ class Platform:
     they are not known. `body`: values for the simulated robot (mass, wheel base ...). `ranges`: a
     ring of further range sensors, for what `scan` does not see; None without one. `sensors`: where
     sensors of a quantity such as `ground` are, by its name, (k, 3) x, y in m and bearing in rad in
-    the base frame; NaN: from all directions.
+    the base frame; NaN: from all directions. Those of `detections` are (k, 5), with the field of
+    view in rad and the range in m.
     """
 
     name: str
@@ -339,6 +364,7 @@ _INPUTS = (
     "scan",
     "ranges",
     "odometry",
+    "detections",
     "neighbors",
     "neighbors.distance",
     "neighbors.bearing",
@@ -355,6 +381,11 @@ def input_fault(word: str) -> str:
     return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
 
 
+def sensor_names(name: str, count: int) -> tuple[str, ...]:
+    """The readings of `count` sensors of one quantity: their mean, then each by its number."""
+    return name, *(f"{name}_{number}" for number in range(1, count + 1))
+
+
 class Inputs(Struct, frozen=True, eq=False, array_like=True):
     """Inputs of one step of a pattern.
 
@@ -362,7 +393,8 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
     first). `scan` is the latest conditioned scan (None before the first); `is_new_scan` is true
     once for each scan. `messages` are those received since the last step. `ranges` is the latest
     conditioned scan of the platform's ring of range sensors, measured from the ring's own offset
-    (None without a ring, or before its first scan).
+    (None without a ring, or before its first scan). `detections` are the objects that the robot
+    recognises now (None without a sensor for them, or without a fresh value).
     """
 
     now: float
@@ -374,6 +406,7 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
     messages: tuple[Message, ...] = ()
     readings: Mapping[str, float] = {}
     ranges: Scan | None = None
+    detections: tuple[Detection, ...] | None = None
 
 
 class Outputs(Struct, frozen=True, array_like=True):

@@ -12,7 +12,7 @@ from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Neighbor, Odometry, Scan, SharedPose, Twist
+from swarmd.core.values import ZERO, Detection, Neighbor, Odometry, Scan, SharedPose, Twist
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.driver_api.watchdog import watchdog_name
@@ -175,6 +175,10 @@ class DriverSink:
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
         self._step(events.ReadingsInput(dict(values)))
+
+    def detections(self, detections: tuple[Detection, ...] | None) -> None:
+        """All objects that the robot recognises now; None without a fresh value."""
+        self._step(events.DetectionsInput(detections))
 
     def hazards(self, hazards: tuple[Hazard, ...]) -> None:
         """All hazards that the base senses now."""

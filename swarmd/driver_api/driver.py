@@ -10,7 +10,16 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
-from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, Twist, Value
+from swarmd.core.values import (
+    Detection,
+    Neighbor,
+    Odometry,
+    Platform,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
 
 
 class Sink(Protocol):
@@ -33,6 +42,9 @@ class Sink(Protocol):
 
     def readings(self, values: Mapping[str, float]) -> None:
         """All scalar sensors by name; NaN: the sensor is known, and has no fresh value."""
+
+    def detections(self, detections: tuple[Detection, ...] | None) -> None:
+        """All objects that the robot recognises now; None: the sensor has no fresh value."""
 
     def hazards(self, hazards: tuple[Hazard, ...]) -> None:
         """All hazards that the base senses now, on each change; empty: none.
@@ -194,6 +206,5 @@ class NullSink:
     def _ignore(self, *args: Any, **kwargs: Any) -> None:
         pass
 
-    scan = ranges = odometry = neighbors = pose = readings = hazards = message = state = dropped = (
-        _ignore
-    )
+    scan = ranges = odometry = neighbors = pose = readings = detections = hazards = _ignore
+    message = state = dropped = _ignore

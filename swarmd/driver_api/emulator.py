@@ -28,6 +28,9 @@ class Emulator(Protocol):
     def scan(self, robot: str, scan: Scan) -> None:
         """Publish a scan, as that robot's sensor gave it; never blocks."""
 
+    def ranges(self, robot: str, scan: Scan) -> None:
+        """Publish a scan of that robot's ring of range sensors; never blocks."""
+
     def odometry(self, robot: str, odometry: Odometry) -> None:
         """Publish a measured pose and twist; never blocks."""
 

@@ -1,4 +1,4 @@
-"""The wire between a simulated robot and its daemon: scan, odometry, neighbours, readings, command.
+"""The wire between a simulated robot and its daemon: its inputs, messages and command.
 
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
 The daemon sends the frames `cmd_vel`, `grip` and `sent`, the robot those of INPUTS and `received`.
@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
-from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.errors import CodecError
 from swarmd.core.values import (
+    MAX_DETECTIONS,
     MAX_TOLD_DISTANCE,
     Array,
+    Detection,
     Neighbor,
     Odometry,
     Platform,
@@ -45,8 +47,8 @@ Channel = Annotated[str, Meta(min_length=3, max_length=127)]
 MAX_RAYS = 20_000
 MAX_MESSAGES = 100
 """Messages in one packet, of at most MAX_MESSAGE bytes each."""
-INPUTS = ("scan", "odometry", "neighbors", "pose", "readings")
-Input = Scan | Odometry | tuple[Neighbor, ...] | SharedPose | Mapping[str, float]
+INPUTS = ("scan", "ranges", "odometry", "neighbors", "pose", "readings", "detections")
+"""Each is a method of the sink."""
 
 
 class ScanWire(Struct, frozen=True, array_like=True):
@@ -107,6 +109,12 @@ class ReadingsWire(Struct, frozen=True, array_like=True):
     values: dict[Word, Metres]
 
 
+class DetectionsWire(Struct, frozen=True, array_like=True):
+    """All recognised objects."""
+
+    detections: Annotated[tuple[Detection, ...], Meta(max_length=MAX_DETECTIONS)]
+
+
 class MessageWire(Struct, frozen=True, array_like=True):
     """A pattern's message on a channel; `robot` is its sender. `payload` is an encoded value."""
 
@@ -142,19 +150,11 @@ _odometry = Decoder(OdometryWire)
 _neighbors = Decoder(NeighborsWire)
 _pose = Decoder(PoseWire)
 _readings = Decoder(ReadingsWire)
+_detections = Decoder(DetectionsWire)
 _command = Decoder(CommandWire)
 _grip = Decoder(GripWire)
 _message = Decoder(MessageWire)
 _messages = Decoder(MessagesWire, MAX_SENSOR_PAYLOAD)
-
-
-def check_measures(platform: Platform) -> None:
-    """ConfigError if a simulated base does not measure all that a robot of the platform needs."""
-    if platform.ranges is not None:
-        raise ConfigError(
-            f"platform {platform.name}: a simulated base does not measure ranges, and the robot"
-            " would be held without them; expected ranges: null, in a file that extends this one"
-        )
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -233,6 +233,19 @@ def decode_readings(payload: bytes) -> Mapping[str, float]:
     return _readings(payload).values
 
 
+def encode_detections(detections: tuple[Detection, ...]) -> bytes:
+    """The bytes of all recognised objects."""
+    return encode(DetectionsWire(detections))
+
+
+def decode_detections(payload: bytes) -> tuple[Detection, ...]:
+    """All recognised objects; CodecError if one is not valid."""
+    found = _detections(payload).detections
+    if not all(one.is_valid for one in found):
+        raise CodecError("a detection beyond its bounds")
+    return found
+
+
 def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> bytes:
     """The bytes of a safe command."""
     return encode(
@@ -275,29 +288,26 @@ def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
     return _messages(payload).messages
 
 
-def decode_input(kind: str, payload: bytes, spec: ScanSpec) -> Input:
+def decode_input(kind: str, payload: bytes, platform: Platform) -> Any:
     """The value of one of INPUTS."""
     if kind == "scan":
-        return decode_scan(payload, spec)
+        return decode_scan(payload, platform.scan)
+    if kind == "ranges":
+        if platform.ranges is None:
+            raise CodecError("a scan of a ring that the platform does not have")
+        return decode_scan(payload, platform.ranges)
     if kind == "odometry":
         return decode_odometry(payload)
     if kind == "pose":
         return decode_pose(payload)
+    if kind == "detections":
+        return decode_detections(payload)
     return decode_neighbors(payload) if kind == "neighbors" else decode_readings(payload)
 
 
-def deliver(sink: Sink, value: Input) -> None:
-    """Hand a decoded value to the sink."""
-    if isinstance(value, Scan):
-        sink.scan(value)
-    elif isinstance(value, Odometry):
-        sink.odometry(value)
-    elif isinstance(value, SharedPose):
-        sink.pose(value)
-    elif isinstance(value, tuple):
-        sink.neighbors(value)
-    else:
-        sink.readings(value)
+def deliver(sink: Sink, kind: str, value: Any) -> None:
+    """Hand the value of one of INPUTS to the sink."""
+    getattr(sink, kind)(value)
 
 
 def _short(values: Array) -> tuple[float, float] | bytes:

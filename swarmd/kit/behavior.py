@@ -60,8 +60,8 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
-    - `needs`: what the robot must have, of scan, ranges, odometry, neighbors, neighbors.distance,
-      neighbors.bearing, neighbors.heading, gripper and reading:<name>.
+    - `needs`: what the robot must have, of scan, ranges, odometry, detections, neighbors,
+      neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
     - `is_symmetric`: mirrored inputs give mirrored commands; PatternContract checks it.
@@ -122,8 +122,8 @@ class MovementPattern(Pattern[P]):
 
 
 def _is_missing(word: str, inputs: Inputs) -> bool:
-    """True if the reading, or the scan of the ring, that `word` names is not among the inputs."""
-    if word == "ranges":
-        return inputs.ranges is None
+    """True if the reading, ring or detections that `word` names are not among the inputs."""
+    if word in ("ranges", "detections"):
+        return getattr(inputs, word) is None
     kind, _, name = word.partition(":")
     return kind == "reading" and name not in inputs.readings

@@ -37,7 +37,7 @@ class FieldParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "law paper: reach of the field",
-            ge=0.1,
+            ge=0.05,
             le=100.0,
             unit="m",
             source="ROS2swarm: the range of the lidar",

@@ -75,7 +75,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "robots farther away are ignored; by lidar at most its range",
-            ge=0.1,
+            ge=0.05,
             le=1000.0,
             unit="m",
             source="ours: all that are sensed",
@@ -108,7 +108,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "distance over which the speed falls to zero towards its place and towards obstacles",
-            ge=0.05,
+            ge=0.02,
             le=20.0,
             unit="m",
             source="as dispersion: 0.6 times the protection threshold",

@@ -228,6 +228,9 @@ class Robot(Ticker):
     def _on_readings(self, one: events.ReadingsInput, now: float) -> None:
         self._sensors.on_readings(one.readings)
 
+    def _on_detections(self, one: events.DetectionsInput, now: float) -> None:
+        self._sensors.detections = one.detections
+
     def _on_hazards(self, one: events.HazardsInput, now: float) -> Actions:
         effects, holds = self._begin(now), self._sensors.hazards
         before = holds.present
@@ -433,6 +436,7 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.NeighborsInput: Robot._on_neighbors,
     events.PoseInput: Robot._on_pose,
     events.ReadingsInput: Robot._on_readings,
+    events.DetectionsInput: Robot._on_detections,
     events.HazardsInput: Robot._on_hazards,
     events.DriverInput: Robot._on_driver,
     events.MessageInput: Robot._on_message,

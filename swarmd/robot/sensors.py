@@ -19,6 +19,7 @@ from swarmd.core.hazard import Hazard
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.values import (
+    Detection,
     Message,
     Neighbor,
     Odometry,
@@ -67,6 +68,7 @@ class Sensors(InputTimes):
     scan: Scan | None
     odometry: Odometry | None
     readings: Mapping[str, float]
+    detections: tuple[Detection, ...] | None
 
     def __init__(
         self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
@@ -92,7 +94,7 @@ class Sensors(InputTimes):
         self._inbox_bytes = 0
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
-        self.readings = {}
+        self.readings, self.detections = {}, None
         self.stale_readings: tuple[str, ...] = ()
         self.driver_text = "not connected yet"
         self.gets_zero = False
@@ -197,9 +199,10 @@ class Sensors(InputTimes):
     ) -> None:
         """Take in whether the driver is connected, and why not; see `Sink.state`.
 
-        Without a driver no reading has a value.
+        Without a driver no reading has a value, and nothing is recognised.
         """
         if not is_up:
+            self.detections = None
             self.on_readings(dict.fromkeys((*self.readings, *self.stale_readings), math.nan))
         self.is_driver_up = is_up
         self.driver_text = text

@@ -330,6 +330,7 @@ class InputTimes:
     odometry = cython.declare(object, visibility="public")
     scan = cython.declare(object, visibility="public")
     readings = cython.declare(object, visibility="public")
+    detections = cython.declare(object, visibility="public")
     scan_delay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
     driver_hold = cython.declare(object, visibility="public")
@@ -406,6 +407,7 @@ class InputTimes:
             self._take_messages(now) if self._inbox else (),
             self.readings,
             None if self._ring is None else self._ring.scan,
+            self.detections,
         )
         self._is_new_scan = False
         return inputs

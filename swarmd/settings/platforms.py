@@ -126,14 +126,18 @@ class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class SensorSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A sensor of the ground or of light, for the simulated world.
+    """A sensor of the ground, of light or of objects, for the simulated world.
 
     - `at`: its position from the axle, m.
-    - `bearing_deg`: the direction in which it looks; None: all directions, or down.
+    - `bearing_deg`: the direction in which it looks; None: all directions, or down, or ahead
+      if the sensor recognises objects.
+    - `field_of_view_deg`, `range`: of a sensor of objects, how wide and how far (m) it sees.
     """
 
     at: Point
     bearing_deg: Bearing | None = None
+    field_of_view_deg: Annotated[float, Meta(gt=0.0, le=360.0)] | None = None
+    range: Positive | None = None
 
 
 Sensors = Annotated[list[SensorSection], Meta(min_length=1, max_length=64)]
@@ -154,7 +158,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `heights`: None: whether others see this robot, and whether it sees them, is not known.
     - `body`: properties of the simulated robot; no effect on a real one.
     - `sensors`: in the simulated world, where the sensors of a field are, by its name, such as
-      `ground`; without them the robot reads a field at its axle. No effect on a real one.
+      `ground`; without them the robot reads a field at its axle. Those named `detections` recognise
+      robots, boxes and lamps. No effect on a real one.
     """
 
     description: str = ""
@@ -258,6 +263,7 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         fault = input_fault(word)
         if fault:
             yield fault_at(("provides", index), f"names {fault}")
+    yield from _check_sensors(file)
     fault = _shape_fault(file.footprint)
     if fault:
         text = f"{fault}; expected a convex polygon in m, counter-clockwise seen from above"
@@ -276,6 +282,16 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
             yield fault_at(("protection", "mode"), text)
             return
     yield from _check_sight(_platform("", file))
+
+
+def _check_sensors(file: PlatformFile) -> Iterator[Fault]:
+    for name, some in file.sensors.items():
+        for index, one in enumerate(some):
+            is_given = one.field_of_view_deg is not None, one.range is not None
+            if is_given != (name == "detections",) * 2:
+                wanted = "both" if name == "detections" else "neither: only detections have them"
+                text = f"of field_of_view_deg and range has {sum(is_given)}; expected {wanted}"
+                yield fault_at(("sensors", name, index), text)
 
 
 def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
@@ -442,4 +458,7 @@ def _sensors(sections: list[SensorSection]) -> Array:
     rows = [
         (*one.at, math.radians(bearing)) for one, bearing in zip(sections, bearings, strict=True)
     ]
+    if sections[0].field_of_view_deg is not None:
+        seen = [(math.radians(one.field_of_view_deg or 0.0), one.range or 0.0) for one in sections]
+        return np.column_stack((rows, seen))
     return np.array(rows, dtype=np.float64)

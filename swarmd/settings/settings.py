@@ -19,7 +19,7 @@ from msgspec import structs
 from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
-from swarmd.core.values import Platform, TouchZone, Value
+from swarmd.core.values import Platform, TouchZone, Value, sensor_names
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.members.neighbor_settings import NeighborSettings
@@ -114,10 +114,7 @@ def load_daemon_settings(
         state_dir / file.swarm / robot / "recordings"
     )
     options = _driver_options(platform, file)
-    readings = options.get("readings")
-    if isinstance(readings, dict):  # what a driver reads, patterns may need
-        named = {f"reading:{name}" for name in readings}
-        platform = replace(platform, provides=platform.provides | named)
+    platform = replace(platform, provides=platform.provides | _read(options))
     return DaemonSettings(
         id=robot,
         network=msgspec.convert(file, NetworkSettings, from_attributes=True),
@@ -181,6 +178,20 @@ def _absolute(platform: str, near: Path) -> str:
 def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[str, Value]:
     options = Layered(("", file.driver_options), ("", platform.drivers.get(file.driver, {})))
     return options.data
+
+
+def _read(options: Mapping[str, Value]) -> set[str]:
+    """The inputs that a driver with these options reads besides: patterns may need them."""
+    readings = options.get("readings")
+    found = {"detections"} if options.get("detections") else set()
+    for name, entry in readings.items() if isinstance(readings, dict) else ():
+        given = entry if isinstance(entry, dict) else {}
+        topic, count = given.get("topic"), given.get("count")
+        several = len(topic) if isinstance(topic, list) else 0
+        if isinstance(count, int):
+            several = count * max(several, 1)
+        found |= {f"reading:{one}" for one in sensor_names(name, several)}
+    return found
 
 
 def _state_dir(environ: Mapping[str, str]) -> Path:

@@ -32,12 +32,8 @@ PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
 PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
 """Platforms that are accepted, perhaps each with the reason."""
 Parameters = dict[str, dict[str, BoundedScalar | None]]
-Option = (
-    BoundedScalar
-    | list[BoundedScalar]
-    | dict[str, BoundedScalar | list[BoundedScalar] | dict[str, BoundedScalar]]
-    | None
-)
+_Flat = BoundedScalar | list[BoundedScalar]
+Option = _Flat | dict[str, _Flat | dict[str, _Flat | dict[str, BoundedScalar]]] | None
 Options = dict[str, Option]
 
 # Command-line options that are not named like their key.

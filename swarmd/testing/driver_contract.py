@@ -34,6 +34,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import (
     ZERO,
     Array,
+    Detection,
     Neighbor,
     Odometry,
     Platform,
@@ -131,6 +132,7 @@ class CollectingSink:
     neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
     poses: list[SharedPose] = field(default_factory=list)
     values: list[Mapping[str, float]] = field(default_factory=list)
+    recognised: list[tuple[Detection, ...] | None] = field(default_factory=list)
     dangers: list[tuple[Hazard, ...]] = field(default_factory=list)
     messages: list[tuple[str, str, bytes]] = field(default_factory=list)
     states: list[tuple[bool, str]] = field(default_factory=list)
@@ -174,6 +176,10 @@ class CollectingSink:
     def readings(self, values: Mapping[str, float]) -> None:
         """Record scalar sensors."""
         self.values.append(values)
+
+    def detections(self, detections: tuple[Detection, ...] | None) -> None:
+        """Record the recognised objects."""
+        self.recognised.append(detections)
 
     def hazards(self, hazards: tuple[Hazard, ...]) -> None:
         """Record the present hazards."""

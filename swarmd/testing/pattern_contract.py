@@ -31,6 +31,7 @@ from msgspec import structs
 
 from swarmd.core.codec import encode_value
 from swarmd.core.values import (
+    Detection,
     Inputs,
     Message,
     Neighbor,
@@ -122,12 +123,16 @@ class Subject:
                 messages=_messages(pattern, index),
                 readings=readings,
                 ranges=scan if "ranges" in pattern.needs else None,
+                detections=_DETECTIONS if "detections" in pattern.needs else None,
             )
 
     def _find(self, name: str) -> type[Pattern[Any]]:
         if name == _NAME:
             return self.kind
         return _loader(self.plugin_dir)(name)
+
+
+_DETECTIONS = Detection("robot", 0.5, 1.0, "robot-2"), Detection("box", -0.2)
 
 
 class _Readings(dict[str, float]):

@@ -85,7 +85,7 @@ def odd_scans(platform: Platform) -> Mapping[str, Scan]:
     reach = platform.scan.range_max
     few = np.linspace(-math.pi, math.pi, 7, endpoint=False)
     many = np.linspace(0.0, 2.0 * math.pi, 2 * n, endpoint=False)
-    holed = np.where(rng.random(n) < 0.2, math.nan, rng.uniform(0.2, reach, n))
+    holed = np.where(rng.random(n) < 0.2, math.nan, rng.uniform(min(0.2, 0.5 * reach), reach, n))
     kinds: dict[str, tuple[Array, Array]] = {
         "no rays": (np.empty(0), np.empty(0)),
         "one ray": (np.array([1.0]), np.array([0.3])),
@@ -100,8 +100,8 @@ def odd_scans(platform: Platform) -> Mapping[str, Scan]:
         "noise": (rng.uniform(-1.0, 2.0 * reach, n), bearings),
         "holes": (holed, bearings),
         "seven rays": (np.array([0.3, 1.0, math.nan, math.inf, 0.5, -math.inf, 2.0]), few),
-        "more rays": (rng.uniform(0.2, reach, 2 * n), many),
-        "unsorted": (rng.uniform(0.2, reach, n), rng.permutation(bearings)),
+        "more rays": (rng.uniform(min(0.2, 0.5 * reach), reach, 2 * n), many),
+        "unsorted": (rng.uniform(min(0.2, 0.5 * reach), reach, n), rng.permutation(bearings)),
     }
     return {name: scan_from(platform, *rays) for name, rays in kinds.items()}
 

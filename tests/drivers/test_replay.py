@@ -12,6 +12,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import (
+    DetectionsInput,
     DriverInput,
     HazardsInput,
     Input,
@@ -22,7 +23,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import Reason
-from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, Twist, Value
+from swarmd.core.values import Array, Detection, Neighbor, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.recording.frames import Begin, TextEntry, as_json, input_entry
@@ -58,6 +59,7 @@ def record(
     lost_at: float | None = None,
     neighbors: tuple[Neighbor, ...] = (),
     hazards: tuple[Hazard, ...] = (),
+    detections: tuple[tuple[Detection, ...] | None, ...] = (),
 ) -> Path:
     """A recording with a scan and an odometry at each of these times, in s, without waiting."""
     converter = Converter(Begin(0.0, str(folder), "a", HEAD, 1e9, FileLimits()))
@@ -76,6 +78,8 @@ def record(
             add(NeighborsInput(neighbors), time)
         if hazards:
             add(HazardsInput(hazards), time)
+        for found in detections:
+            add(DetectionsInput(found), time)
     converter.writer.close()
     assert converter.writer.path is not None
     return converter.writer.path
@@ -321,6 +325,12 @@ def test_hazards_are_played(tmp_path: Path) -> None:
     hazards = (Hazard(HazardKind.BUMP, "front left"), Hazard(HazardKind.LIFTED))
     path = record(tmp_path / "a", [0.0, 0.2], hazards=hazards)
     assert played(path, 2).dangers == [hazards, hazards]
+
+
+def test_detections_are_played(tmp_path: Path) -> None:
+    found = (Detection("box", 0.5, None, "b"),)
+    path = record(tmp_path / "a", [0.0, 0.2], detections=(found, None))
+    assert played(path, 2).recognised == [found, None] * 2
 
 
 def test_malformed_hazards_are_refused_before_the_start(tmp_path: Path) -> None:

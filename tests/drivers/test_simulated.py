@@ -11,12 +11,23 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
-from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
+from swarmd.core.values import (
+    Array,
+    Detection,
+    Neighbor,
+    Odometry,
+    Pose,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
 from swarmd.driver_api.driver import ZeroSenderSpec, gripper_of, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MessageWire,
     decode_command,
+    encode_detections,
     encode_neighbors,
     encode_odometry,
     encode_pose,
@@ -27,12 +38,13 @@ from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
-from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness
-from tests.support.range_ring import with_ring
+from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness, Rig
+from tests.support.range_ring import ring_spec, with_ring
 from tests.support.stories import story
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
+DETECTED = (Detection("box", 0.5, 1.0, "b1"), Detection("lamp", -0.5))
 POSE = SharedPose(2.0, Pose(1.0, -2.0, 3.0), error=0.01, yaw_error=0.02, frame="world")
 ODOMETRY = Odometry(1.0, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2))
 
@@ -128,8 +140,10 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
         robot.send("neighbors", encode_neighbors(neighbors))
         robot.send("pose", encode_pose(POSE))
         robot.send("readings", encode_readings({"light": 0.25}))
+        robot.send("detections", encode_detections(DETECTED))
         is_last = sink.scans and sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY
-        return bool(is_last and sink.neighborhoods and sink.poses and sink.values)
+        others = sink.neighborhoods, sink.poses, sink.values, sink.recognised
+        return bool(is_last and all(others))
 
     await harness.until(have_arrived)
     np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
@@ -137,6 +151,7 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
     assert sink.neighborhoods[0] == neighbors
     assert sink.poses[0] == POSE
     assert sink.values[0] == {"light": 0.25}
+    assert sink.recognised[0] == DETECTED
 
 
 @story(Body)
@@ -194,10 +209,57 @@ def test_check_tells_what_scans_show_and_fails_for_a_frozen_sensor() -> None:
     assert "scan.noisy" in frozen.text
 
 
-def test_a_platform_with_a_ring_is_refused() -> None:
-    """The robot would be held for ever: a simulated base does not measure it."""
-    with pytest.raises(ConfigError, match="ranges: null"):
-        SimulatedDriver(swarm="s", robot="r", platform=with_ring(PLATFORM), options={})
+class RingedBody(Body):
+    """A body with a ring of range sensors."""
+
+    platform = with_ring(PLATFORM)
+    _rings = 0
+
+    def make(self, options: Mapping[str, Value]) -> SimulatedDriver:
+        given = {"endpoint": self.endpoint, **options}
+        return SimulatedDriver(swarm="s", robot="r", platform=self.platform, options=given)
+
+    def publish(self) -> None:
+        super().publish()
+        self.publish_ranges(np.full(len(ring_spec().bearings), 0.5))
+
+    def publish_ranges(self, ranges: Array) -> None:
+        spec = ring_spec()
+        self._rings += 1
+        scan = Scan(
+            self._rings, 0.1 * self._rings, ranges, spec.bearings, spec.range_min, spec.range_max
+        )
+        self.send("ranges", encode_scan(scan))
+
+
+class TestSimulatedDriverWithARing(DriverContract):
+    """A ring is a second scan, with the geometry of the platform's section."""
+
+    def rig(self) -> Rig:
+        return RingedBody()
+
+
+def test_a_check_misses_the_ring() -> None:
+    body = RingedBody()
+
+    async def check() -> Finding:
+        found = await body.make({}).check(0.2)
+        return next(one for one in found if one.subject == "ranges")
+
+    assert not asyncio.run(check()).is_well
+    body.close()
+
+
+@story(Body)
+async def test_a_ring_that_the_platform_lacks_is_dropped(
+    harness: DriverHarness, robot: Body
+) -> None:
+    def has_come() -> bool:
+        robot.send("ranges", encode_scan(scan(1)))
+        return "hw/ranges" in harness.sink.lost
+
+    await harness.until(has_come)
+    assert harness.sink.rings == []
 
 
 @story(Body)

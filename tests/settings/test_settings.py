@@ -137,6 +137,25 @@ def test_patterns_may_need_what_a_driver_reads(folder: Path) -> None:
     assert "reading:temperature" in load(text).platform.provides
 
 
+def test_patterns_may_need_each_sensor_of_an_entry_and_their_mean(folder: Path) -> None:
+    array = "{topic: x, type: std_msgs/Float32MultiArray, field: data.*, count: 2}"
+    topics = "{topic: [a, b, c], type: std_msgs/Float32}"
+    text = f"driver: ros2dds\ndriver_options: {{readings: {{ground: {array}, light: {topics}}}}}"
+    words = load(text).platform.provides
+    ground = {"reading:ground", "reading:ground_1", "reading:ground_2"}
+    assert words >= ground | {"reading:light", "reading:light_3"}
+    assert not words & {"reading:ground_3", "reading:light_4"}
+
+
+def test_a_hazard_of_each_number_reaches_the_driver(folder: Path) -> None:
+    """As on the page of the TurtleBot 4."""
+    entry = '{topic: hazard_detection, means: {"1": bump, "2": cliff}}'
+    settings = load(f"driver: ros2dds\ndriver_options: {{hazards: {{base: {entry}}}}}")
+    hazards = settings.driver_options["hazards"]
+    assert isinstance(hazards, dict)
+    assert hazards["base"] == {"topic": "hazard_detection", "means": {"1": "bump", "2": "cliff"}}
+
+
 def test_pattern_parameters_come_in_layers_weakest_first(folder: Path) -> None:
     (folder / "mine.yaml").write_text("extends: burger\npatterns: {drive: {linear: 0.1}}")
     settings = load(

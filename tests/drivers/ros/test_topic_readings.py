@@ -333,3 +333,87 @@ def test_what_is_late_is_a_reading_and_moves_nothing(name: str) -> None:
     assert not sink.odometries
     assert subscriptions.last_arrival == -math.inf
     assert subscriptions.topics[name].count == 0
+
+
+ARRAY: dict[str, Value] = {
+    "topic": "cliffs",
+    "type": "std_msgs/Float32MultiArray",
+    "field": "data.*",
+    "count": 3,
+}
+
+
+def test_the_items_of_a_list_are_sensors_with_their_mean() -> None:
+    subscriptions = subscribed(ground=ARRAY)
+    message = dds.Float32MultiArray(data=[0.0, 0.25, 0.5, 9.0])
+    found = values(subscriptions, "readings.ground", message, 1.0)
+    assert found == {"ground": 0.25, "ground_1": 0.0, "ground_2": 0.25, "ground_3": 0.5}
+    sink = CollectingSink()
+    subscriptions.deliver_changes(sink, 2.5)
+    assert len(sink.values[-1]) == 4
+    assert all(math.isnan(value) for value in sink.values[-1].values())
+
+
+def test_a_list_that_is_too_short_gives_no_mean() -> None:
+    message = dds.Float32MultiArray(data=[0.5])
+    found = values(subscribed(ground=ARRAY), "readings.ground", message, 1.0)
+    assert found.pop("ground_1") == 0.5
+    assert sorted(found) == ["ground", "ground_2", "ground_3"]
+    assert all(math.isnan(value) for value in found.values())
+
+
+def test_messages_in_a_list_of_a_vendor_type_are_sensors(tmp_path: Path) -> None:
+    cliff = {"topic": "cliff_intensity", "type": "irobot_create_msgs/IrIntensityVector"}
+    entry = {**cliff, "field": "readings.*.value", "count": 2}
+    folder = tmp_path / "irobot_create_msgs/msg"
+    folder.mkdir(parents=True)
+    (folder / "IrIntensity.msg").write_text("std_msgs/Header header\nint16 value\n")
+    vector = "std_msgs/Header header\nirobot_create_msgs/IrIntensity[] readings\n"
+    (folder / "IrIntensityVector.msg").write_text(vector)
+    given = {"readings": {"ground": entry}, "message_path": str(tmp_path)}
+    chosen = read_options(RosOptions, given, "ros2dds", "r")  # type: ignore[arg-type]
+    types, subscriptions = chosen.message_types, Subscriptions(chosen, robots.PLATFORM)
+    header = types.kind("std_msgs/Header")(types.kind("builtin_interfaces/Time")(7, 0), "base")
+    one, many = types.kind("irobot_create_msgs/IrIntensity"), types.kind(cliff["type"])
+    payload = cdr.encode(many(header, [one(header, 100), one(header, 300)]))
+    sink = CollectingSink()
+    subscriptions.read("readings.ground", payload, 1.0)(sink)
+    assert sink.values[-1] == {"ground": 200.0, "ground_1": 100.0, "ground_2": 300.0}
+
+
+def test_sensors_of_several_topics_have_a_mean_while_all_are_heard() -> None:
+    entry: dict[str, Value] = {"topic": ["left", "right"], "type": "std_msgs/Float32"}
+    subscriptions = subscribed(light=entry)
+    found = values(subscriptions, "readings.light_2", dds.Float32(data=3.0), 1.0)
+    assert found.pop("light_2") == 3.0
+    assert all(math.isnan(value) for value in found.values())
+    found = values(subscriptions, "readings.light_1", dds.Float32(data=1.0), 1.5)
+    assert found == {"light": 2.0, "light_1": 1.0, "light_2": 3.0}
+    found = values(subscriptions, "readings.light_1", dds.Float32(data=1.0), 2.2)
+    assert math.isnan(found["light"])
+    assert math.isnan(found["light_2"])
+
+
+@pytest.mark.parametrize(
+    ("change", "subject"),
+    [
+        ({"count": None}, "readings.ground.count"),
+        ({"field": "data.0"}, "readings.ground.count"),
+        ({"count": 65}, "readings.ground.count"),
+        ({"topic": ["one"]}, "readings.ground.topic"),
+        ({"field": "layout.*"}, "readings.ground.field"),
+        ({"type": "sensor_msgs/Imu", "field": "orientation_covariance.*", "count": 10}, "below 9"),
+    ],
+)
+def test_a_wrong_array_is_one_line_that_names_it(change: dict[str, Value], subject: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        options(ground={**ARRAY, **change})
+    assert subject in str(caught.value)
+
+
+def test_an_array_and_another_reading_cannot_have_one_name() -> None:
+    with pytest.raises(ConfigError) as caught:
+        options(ground=ARRAY, ground_2=TEMPERATURE)
+    assert "ground_2" in str(caught.value)
+    with pytest.raises(ConfigError):
+        options(ground_2=TEMPERATURE, ground=ARRAY)

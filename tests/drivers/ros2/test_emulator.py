@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.errors import ConfigError, NetworkError
-from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
+from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 from swarmd.driver_api.emulator import Emulator
 from swarmd.drivers.ros import cdr, messages
@@ -31,6 +32,7 @@ from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 from tests.drivers.ros2.robots import HASHES
 from tests.support import ros2_types as dds
 from tests.support.processes import wait_until
+from tests.support.range_ring import RING_DEG, ring_spec, with_ring
 
 ANY_PORT = "tcp/127.0.0.1:0"
 BURGER = load_platform("burger")
@@ -272,3 +274,37 @@ def test_readings_of_the_platform_reach_the_driver_by_topics(scheme: str) -> Non
         asyncio.run(story())
     finally:
         stage.side.close()
+
+
+def test_an_emulated_ring_arrives_beside_the_scan() -> None:
+    spec = ring_spec()
+    topics: dict[str, Value] = {f"ir_{n}": [deg, 0.04] for n, deg in enumerate(RING_DEG)}
+    drivers: dict[str, dict[str, Value]] = {
+        "ros2dds": {**BURGER.drivers["ros2dds"], "ranges": topics}
+    }
+    stage = Stage("ros2dds", replace(with_ring(BURGER), drivers=drivers))
+    seen = Scan(1, 2.0, np.array([0.5, np.inf, 0.25, -np.inf, 0.75, 1.0]), spec.bearings, 0.05, 1.0)
+
+    async def story() -> CollectingSink:
+        sink = CollectingSink()
+        task = asyncio.create_task(stage.driver("r-1").run(sink))
+        count = 0
+        try:
+            async with asyncio.timeout(TIMEOUT):
+                while not (len(sink.rings) > 2 and sink.scans):
+                    count += 1
+                    stage.side.scan("r-1", varied_scan(BURGER, count))
+                    stage.side.odometry("r-1", odometry(count))
+                    stage.side.ranges("r-1", structs.replace(seen, seq=count, stamp=0.1 * count))
+                    await asyncio.sleep(0.02)
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+        return sink
+
+    sink = asyncio.run(story())
+    stage.side.close()
+    ring = sink.rings[-1]
+    np.testing.assert_allclose(ring.ranges, seen.ranges, rtol=1e-6)
+    np.testing.assert_allclose(np.exp(1j * ring.bearings), np.exp(1j * spec.bearings), atol=1e-6)
+    assert len(sink.scans[-1].ranges) == 360

@@ -67,6 +67,27 @@ def test_a_check_tells_value_unit_and_age() -> None:
     assert found.text.endswith("s ago")
 
 
+def test_a_check_has_a_line_for_an_array_and_for_each_topic_of_several() -> None:
+    robot = BridgedRobot()
+    options: dict[str, Value] = {
+        "ground": {"topic": "line", "type": "std_msgs/Float32MultiArray", "field": "data.*",
+                   "count": 2},
+        "light": {"topic": ["light/l", "light/r"], "type": "std_msgs/Float32"},
+    }  # fmt: skip
+
+    def publish() -> None:
+        robot.publish()
+        robot.put("line", dds.Float32MultiArray(data=[0.5, 0.75]))
+        robot.put("light/l", dds.Float32(data=3.0))
+
+    found = check(robot, publish, readings=options)
+    assert found["readings.ground"].is_well
+    assert "ground_1 0.5, ground_2 0.75" in found["readings.ground"].text
+    assert "light_1 3" in found["readings.light_1"].text
+    assert not found["readings.light_2"].is_well
+    assert "/light/r" in found["readings.light_2"].text
+
+
 @pytest.mark.parametrize("is_heard", [True, False])
 def test_a_check_has_a_line_for_each_entry_of_a_topic(is_heard: bool) -> None:
     imu: dict[str, Value] = {"topic": "imu", "type": "sensor_msgs/Imu"}

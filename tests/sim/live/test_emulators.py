@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,8 +18,10 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec, robot_ids
 from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.starting import statuses_of
 from swarmd.sim.live.state import WorldState
+from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import children, unique_swarm, wait_until, watchdogs
 
@@ -171,3 +173,45 @@ def test_the_watchdog_stops_a_base_without_command_timeout(emulator: str, tmp_pa
         assert not show.is_moving(0)
         for pid in watchdogs(spec.swarm, "tb3-01"):
             os.kill(pid, signal.SIGTERM)
+
+
+@pytest.mark.integration
+@pytest.mark.timeout(600)
+def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_path: Path) -> None:
+    """As Jazzy has it: commands are TwistStamped; the floor is read at four places of the robot."""
+    file = tmp_path / "tiles.yaml"
+    file.write_text(
+        "description: two TurtleBots on tiles\n"
+        "duration: 60\n"
+        "arena: {size: [5, 5]}\n"
+        "fields:\n"
+        "  - kind: floor\n"
+        "    name: ground\n"
+        "    patches: [{rectangle: [0, 0, 5, 5], tiles: 0.3, share: 0.6, colour: 0, seed: 1}]\n"
+        "platforms:\n"
+        "  tb4: {extends: turtlebot4, drivers: {ros2dds: {cmd_vel_type: twist_stamped}}}\n"
+        "groups: {all: {platform: tb4, count: 2, prefix: tb4, pattern: random_walk}}\n"
+        "start: {layout: row, spacing: 1.5}\n"
+    )
+    scenario = load_scenario(file)
+    spec = FleetSpec(
+        swarm=unique_swarm(),
+        robots={robot: platform.name for robot, platform in scenario.robots.items()},
+        folder=tmp_path / "logs",
+        arena="",
+        layout="",
+        emulator="ros2dds",
+        scenario=LiveScenario(scenario),
+    )
+    with on(spec) as show:
+        for pattern in ("random_walk", "attraction", "collective_perception"):
+            show.run(pattern)
+            wait_until(lambda: show.is_moving(0) or show.is_moving(1), f"{pattern} drives")
+
+        def read() -> list[Mapping[str, float]]:
+            return [one.readings for one in statuses_of(show.operator.members()).values()]
+
+        wait_until(lambda: all("ground_4" in one for one in read()), "floors are read")
+        assert all(one["ground_4"] in (0.0, 1.0) for one in read())
+        end = show.state()
+        assert end.contacts == end.arena_contacts == 0

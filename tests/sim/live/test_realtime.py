@@ -88,6 +88,9 @@ class Side:
     def scan(self, robot: str, scan: Scan) -> None:
         self.scans.append((robot, scan))
 
+    def ranges(self, robot: str, scan: Scan) -> None:
+        """There is no ring."""
+
     def odometry(self, robot: str, odometry: Odometry) -> None:
         self.poses.append((robot, odometry))
 

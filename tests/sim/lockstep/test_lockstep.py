@@ -291,6 +291,67 @@ def test_readings_reach_the_pattern(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.report["light"][-1], [-0.5, 4.5], atol=1e-6)
 
 
+def test_detections_reach_a_pattern_that_needs_them(tmp_path: Path) -> None:
+    (tmp_path / "look.py").write_text(
+        "from swarmd.api import ZERO, MovementPattern, Params\n"
+        "class Look(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    needs = frozenset({'detections'})\n"
+        "    seen = ()\n"
+        "    def drive(self, inputs):\n"
+        "        self.seen = inputs.detections\n"
+        "        return ZERO\n"
+        "    def report(self):\n"
+        "        kinds = ' '.join(one.kind for one in self.seen)\n"
+        "        return {'count': len(self.seen), 'kinds': kinds}\n"
+    )
+    (tmp_path / "eyed.yaml").write_text(
+        "extends: burger\nsensors: {detections: [{at: [0, 0], field_of_view_deg: 360, range: 5}]}\n"
+    )
+    group = {"count": 2, "prefix": "r", "pattern": "look", "platform": str(tmp_path / "eyed.yaml")}
+    trace = simulate_run(scenario(groups={"all": group}, plugin_dir=str(tmp_path)), 0)
+    assert trace.report["count"][-1].tolist() == [1.0, 1.0]
+    assert trace.words["kinds"][-1].tolist() == ["robot", "robot"]
+
+
+def test_a_ring_reaches_protection_and_patterns(tmp_path: Path) -> None:
+    """A Jackal is blind within 0.8 m; its ring sees the wall there, and without it stands."""
+    (tmp_path / "feel.py").write_text(
+        "from swarmd.api import MovementPattern, Params, Twist\n"
+        "class Feel(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    needs = frozenset({'scan', 'ranges'})\n"
+        "    nearest = 9.0\n"
+        "    def drive(self, inputs):\n"
+        "        self.nearest = float(inputs.ranges.ranges.min())\n"
+        "        return Twist(0.2)\n"
+        "    def report(self):\n"
+        "        return {'nearest': self.nearest}\n"
+    )
+    (tmp_path / "felt.yaml").write_text(
+        "extends: jackal\n"
+        "provides: [scan, ranges, odometry]\n"
+        "ranges: {bearings_deg: [-20, 0, 20, 180], offset: [0.25, 0], rate: 10, range_min: 0.05,\n"
+        "  range_max: 2.0, zero: unknown, sweep: null, latency: 0.05}\n"
+    )
+    group = {"count": 1, "prefix": "r", "pattern": "feel", "platform": str(tmp_path / "felt.yaml")}
+    trace = simulate_run(
+        scenario(
+            duration=10.0,
+            arena={"size": [4, 4]},
+            groups={"all": group},
+            start={"layout": "list", "poses": [[0.0, 0.0, 0.0]]},
+            plugin_dir=str(tmp_path),
+        ),
+        0,
+    )
+    assert trace.reason is not None
+    assert set(trace.reason[at(trace, 1.0) : at(trace, 3.0)].ravel()) == {""}
+    assert trace.report["nearest"][at(trace, 1.0), 0] == pytest.approx(1.75 - 0.2, abs=0.2)
+    assert 0.1 < np.nanmin(trace.report["nearest"]) < 0.8
+    assert len(trace.contact_pair) == 0
+
+
 def test_repeated_scans_without_noise_do_not_count_as_frozen() -> None:
     abreast = {"layout": "row", "spacing": 1.5, "heading_deg": 90}
     trace = simulate_run(scenario(duration=6.0, start=abreast), 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,9 +15,10 @@ from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Realism
 from swarmd.sim.world.world import World
-from tests.support.range_ring import with_ring
+from tests.support.range_ring import RING_DEG, ring_spec, with_ring
 
 FIELD = Arena(40.0, 40.0)
+ROOM = Arena(1.5, 1.5)
 PLATFORMS = ("burger", "waffle_pi", "jackal")
 
 
@@ -309,9 +311,43 @@ def test_a_platform_without_a_body_is_refused_with_the_key_that_is_missing() -> 
         World({"a": bodiless}, FIELD, np.zeros((1, 3)))
 
 
-def test_a_platform_with_a_ring_of_range_sensors_is_refused() -> None:
-    with pytest.raises(ConfigError, match="ranges: null"):
-        World({"a": with_ring("burger")}, FIELD, np.zeros((1, 3)))
+@pytest.mark.parametrize("name", platform_names())
+def test_every_platform_drives_in_the_world(name: str) -> None:
+    world = alone(name)
+    world.set_commands(np.array([[0.1, 0.0, 0.0]]))
+    world.step(200)
+    assert world.poses()[0, 0] == pytest.approx(0.2, abs=0.05)
+    assert len(world.scans(np.array([0]))[0].ranges) == len(load_platform(name).scan.bearings)
+
+
+def test_a_ring_measures_beside_the_lidar_from_its_own_offset() -> None:
+    spec = ring_spec((0.1, 0.0))
+    arena = Arena(2.0, 2.0)
+    ringed = replace(with_ring("burger", spec), name="ringed")
+    world = World({"a": ringed, "b": load_platform("burger")}, arena,
+                  np.array([[0.0, 0.0, 0.0], [-0.6, 0.0, 0.0]]))  # fmt: skip
+    assert world.rings == [0]
+    assert world.ring_rates.tolist() == [20.0]
+    seen = dict(zip(RING_DEG, world.ring_scan(0).ranges.tolist(), strict=True))
+    assert seen[0.0] == pytest.approx(0.9)
+    assert seen[60.0] == math.inf  # the wall is 1.15 m away
+    nose = float(load_platform("burger").footprint[:, 0].max())
+    assert seen[180.0] == pytest.approx(0.7 - nose)
+    assert [world.ring_scan(0).seq, len(world.scans(np.array([0]))[0].ranges)] == [1, 360]
+
+
+def test_the_noise_of_a_ring_is_its_own_and_changes_no_scan() -> None:
+    def scans(platform: Platform) -> tuple[World, Array]:
+        world = World({"a": platform}, ROOM, np.zeros((1, 3)), realism=REALISTIC, seed=3)
+        if world.rings:
+            world.ring_scan(0)
+        return world, world.scans(np.array([0]))[0].ranges
+
+    ringed, ranges = scans(with_ring("burger"))
+    np.testing.assert_array_equal(ranges, scans(load_platform("burger"))[1])
+    first, second = ringed.ring_scan(0).ranges, ringed.ring_scan(0).ranges
+    assert not np.array_equal(first, second)
+    assert first[RING_DEG.index(0.0)] == pytest.approx(0.75, abs=0.1)
 
 
 def test_as_many_poses_as_robots_are_wanted() -> None:

@@ -1,0 +1,237 @@
+"""Detected objects of a robot's own topics: boxes of a camera image, positions, AprilTags."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from swarmd.core.angles import wrap
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, Detection
+from swarmd.driver_api.driver import Sink
+from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_readings import Step, Text, path_of, value_at
+
+OBJECT = "object"
+"""The kind of an object whose message names no class."""
+
+Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
+Kind = Annotated[str, Meta(min_length=1, max_length=MAX_WORD)]
+
+
+class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One entry of the option `detections`.
+
+    `type`: Detection2DArray or Detection3DArray of vision_msgs, or AprilTagDetectionArray of
+    apriltag_msgs. `at` m and `bearing_deg`: place and direction of the camera in the base frame.
+    `frame`: the axes of positions: `optical` x right and z ahead, or `body` x ahead and y left.
+    `image_width` pixels and `field_of_view_deg`, horizontal, are those of images without
+    distortion; `size` m: the side of the tags, or the height of the objects, which gives their
+    distance. `kinds`: kinds by class or id of an object, in place of its class. `stale_after`: s
+    without a message after which nothing is known.
+    """
+
+    topic: Text
+    type: Annotated[str, Meta(min_length=3, max_length=200)]
+    at: tuple[Metres, Metres] = (0.0, 0.0)
+    bearing_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    frame: Literal["optical", "body"] = "optical"
+    image_width: Annotated[float, Meta(ge=1.0, le=100_000.0)] | None = None
+    field_of_view_deg: Annotated[float, Meta(ge=1.0, le=175.0)] | None = None
+    size: Annotated[float, Meta(gt=0.0, le=100.0)] | None = None
+    kinds: dict[str, Kind] = {}
+    stale_after: Annotated[float, Meta(ge=0.1, le=3600.0)] = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Fields of the items of `detections`: of each the first that its definition has.
+
+    Definitions differ between versions of vision_msgs. `place` is a position or a pixel.
+    """
+
+    kind: Sequence[str]
+    id: Sequence[str]
+    place: Sequence[str]
+    is_image: bool = True
+    height: Sequence[str] = ()
+    corners: Sequence[str] = ()
+
+
+_CLASSES = "results.0.hypothesis.class_id", "results.0.id"
+_IDS = "id", "tracking_id"
+_LAYOUTS = {
+    "vision_msgs/Detection2DArray": _Layout(
+        _CLASSES, _IDS, ("bbox.center.position", "bbox.center"), height=("bbox.size_y",)
+    ),
+    "vision_msgs/Detection3DArray": _Layout(
+        _CLASSES, _IDS, ("bbox.center.position",), is_image=False
+    ),
+    "apriltag_msgs/AprilTagDetectionArray": _Layout(
+        ("family",), ("id",), ("centre",), corners=("corners",)
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class TopicDetections:
+    """The objects in messages of `message_type`; steps lead to the fields of each, None without."""
+
+    name: str
+    topic: str
+    message_type: type
+    options: DetectionOptions
+    is_image: bool
+    place: tuple[Step, ...]
+    kind: tuple[Step, ...] | None
+    id: tuple[Step, ...] | None
+    height: tuple[Step, ...] | None
+    corners: tuple[Step, ...] | None
+
+    @property
+    def stale_after(self) -> float:
+        """Seconds after which a message is too old."""
+        return self.options.stale_after
+
+    def read(self, message: Any) -> tuple[Detection, ...]:
+        """The objects in a message, without those whose place is not finite."""
+        found = (self._detection(item) for item in message.detections[:MAX_DETECTIONS])
+        return tuple(one for one in found if one is not None and one.is_valid)
+
+    def _detection(self, item: Any) -> Detection | None:
+        bearing, distance = self._seen(item)
+        if not math.isfinite(bearing):
+            return None
+        bearing += math.radians(self.options.bearing_deg)
+        if distance is not None:
+            x, y = self.options.at
+            x, y = x + distance * math.cos(bearing), y + distance * math.sin(bearing)
+            bearing, distance = math.atan2(y, x), math.hypot(x, y)
+        own = self._word(item, self.id)
+        given = self._word(item, self.kind)
+        kinds = self.options.kinds
+        kind = kinds.get(own) or kinds.get(given) or given or OBJECT
+        return Detection(kind[:MAX_WORD], wrap(bearing), distance, own[:MAX_WORD])
+
+    def _seen(self, item: Any) -> tuple[float, float | None]:
+        """Bearing and distance from the camera."""
+        place = value_at(item, self.place)
+        if not self.is_image:
+            is_optical = self.options.frame == "optical"
+            ahead, left = (place.z, -place.x) if is_optical else (place.x, place.y)
+            return math.atan2(left, ahead), math.hypot(left, ahead)
+        width = self.options.image_width or 1.0
+        focal = _focal(width, self.options.field_of_view_deg or 90.0)
+        across = math.atan2(0.5 * width - place.x, focal)
+        pixels, size = self._pixels(item), self.options.size
+        if size is None or not 0.0 < pixels < math.inf:
+            return across, None
+        return across, focal * size / pixels / math.cos(across)
+
+    def _pixels(self, item: Any) -> float:
+        """How large the object is in the image; 0 if that is not known."""
+        if self.height is not None:
+            return float(value_at(item, self.height))
+        if self.corners is None:
+            return 0.0
+        corners = value_at(item, self.corners)
+        # A tag that is turned away is narrower, not lower: its longest side counts.
+        sides = zip(corners, [*corners[1:], corners[0]], strict=True)
+        return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in sides)
+
+    @staticmethod
+    def _word(item: Any, path: tuple[Step, ...] | None) -> str:
+        try:
+            value = "" if path is None else str(value_at(item, path))
+        except IndexError:  # no hypothesis
+            return ""
+        return value if value.isprintable() else ""
+
+
+def _focal(width: float, view_deg: float) -> float:
+    return 0.5 * width / math.tan(0.5 * math.radians(view_deg))
+
+
+def topic_detections(
+    name: str, options: DetectionOptions, topic: str, types: MessageTypes
+) -> TopicDetections:
+    """The detections of an entry; ConfigError names the key that is wrong."""
+    where = f"detections.{name}"
+    plain = options.type.replace("/msg/", "/")
+    if plain not in _LAYOUTS:
+        raise ConfigError(f"{where}.type is {options.type!r}; expected {', '.join(_LAYOUTS)}")
+    layout = _LAYOUTS[plain]
+    try:
+        kind = types.kind(options.type)
+        _, (_, (item, *_)) = path_of(types, kind, "detections")
+        item_type = types.kind(item[1])
+        place = _first(types, item_type, layout.place)
+        if place is None:
+            raise ConfigError(f"its definition has no {layout.place[0]}")
+    except ConfigError as error:
+        raise ConfigError(f"{where}.type: {error}") from None
+    if layout.is_image:
+        for key in ("image_width", "field_of_view_deg"):
+            if getattr(options, key) is None:
+                raise ConfigError(f"{where}.{key} is missing; expected that of the images")
+    fields = (layout.kind, layout.id, layout.height, layout.corners)
+    paths = (_first(types, item_type, some) for some in fields)
+    return TopicDetections(name, topic, kind, options, layout.is_image, place, *paths)
+
+
+def _first(types: MessageTypes, item_type: type, fields: Sequence[str]) -> tuple[Step, ...] | None:
+    """The steps to the first of the fields that the definition has; None without any."""
+    for field in fields:
+        try:
+            return path_of(types, item_type, field)[0]
+        except ConfigError:
+            continue
+    return None
+
+
+class Detections:
+    """The objects that are recognised now, of all topics together; times in s of the caller."""
+
+    def __init__(self, entries: Mapping[str, TopicDetections]) -> None:
+        self._entries = entries
+        self._values: dict[str, tuple[tuple[Detection, ...], float]] = {}  # and arrival
+        self._is_told = not entries
+        self._was_known = False
+
+    def take(self, name: str, message: Any, now: float) -> str:
+        """Take in a message; its objects as text."""
+        found = self._entries[name].read(message)
+        self._values[name], self._is_told = (found, now), False
+        return ", ".join(_texts(found)) or "no object"
+
+    def at(self, now: float) -> tuple[Detection, ...] | None:
+        """All objects; None if a topic is silent for too long, or was never heard."""
+        found: list[Detection] = []
+        for name, entry in self._entries.items():
+            seen, at = self._values.get(name, ((), -math.inf))
+            if now - at > entry.stale_after:
+                return None
+            found += seen
+        return tuple(found[:MAX_DETECTIONS])
+
+    def tell(self, sink: Sink, now: float, *, again: bool = False) -> None:
+        """Tell a sink of the objects after a message, and when they become stale; `again`: now."""
+        if not self._entries:
+            return
+        found = self.at(now)
+        if again or not self._is_told or (found is None and self._was_known):
+            self._is_told, self._was_known = True, found is not None
+            sink.detections(found)
+
+
+def _texts(found: Sequence[Detection]) -> Iterator[str]:
+    for one in found[:3]:
+        away = "" if one.distance is None else f", {one.distance:.3g} m"
+        name = f"{one.kind} {one.id}".rstrip()
+        yield f"{name} at {math.degrees(one.bearing):.0f} deg{away}"
+    if len(found) > 3:
+        yield f"{len(found) - 3} more"

@@ -1,0 +1,63 @@
+"""What robots recognise in the simulated world: robots, boxes and lamps within a field of view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmd.core.values import MAX_DETECTIONS, Array, Detection
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.light import IsClear
+
+DETECTIONS = "detections"
+"""The name in a platform's `sensors` of those that recognise objects."""
+
+
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """What may be recognised: kinds with ids, `places` (k, 2) and `extents` (k,) around them, m.
+
+    NaN for what is not there.
+    """
+
+    names: Sequence[tuple[str, str]]
+    places: Array
+    extents: Array
+
+
+def detections_of(
+    sensors: Array, pose: Array, objects: Objects, is_clear: IsClear
+) -> tuple[Detection, ...]:
+    """What the sensors of a robot at `pose` (3,) recognise, each object once, without errors.
+
+    `sensors` (s, 5): x, y, bearing, field of view and range in the base frame. An object is
+    recognised if its middle is within field of view and range and nothing stands between the sensor
+    and its extent. Bearings and distances are those of the middle, from the axle.
+    """
+    is_seen = np.zeros(len(objects.names), dtype=np.bool_)
+    for eye, (_, _, bearing, view, reach) in zip(
+        transform(sensors[:, :2], pose), sensors, strict=True
+    ):
+        to = objects.places - eye
+        away = np.hypot(to[:, 0], to[:, 1])
+        looks = pose[2] + np.nan_to_num(bearing)
+        off = np.arctan2(to[:, 1], to[:, 0]) - looks
+        off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
+        (near,) = np.nonzero((away <= reach) & (off <= 0.5 * view) & ~is_seen)  # false for NaN
+        if len(near):
+            share = np.maximum(away[near] - objects.extents[near], 0.0) / np.maximum(
+                away[near], 1e-9
+            )
+            ends = eye + to[near] * share[:, None]
+            is_seen[near] = is_clear(np.broadcast_to(eye, ends.shape), ends)
+    found = np.flatnonzero(is_seen)
+    to = objects.places[found] - pose[:2]
+    bearings = np.arctan2(to[:, 1], to[:, 0]) - pose[2]
+    bearings = np.arctan2(np.sin(bearings), np.cos(bearings))
+    places = zip(bearings.tolist(), np.hypot(to[:, 0], to[:, 1]).tolist(), strict=True)
+    return tuple(
+        Detection(objects.names[row][0], bearing, distance, objects.names[row][1])
+        for row, (bearing, distance) in zip(found.tolist(), places, strict=True)
+    )[:MAX_DETECTIONS]
