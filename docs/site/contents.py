@@ -34,6 +34,7 @@ CONTENTS = {
         "docs/patterns/hexagonal_lattice",
         "docs/patterns/leader_following",
         "docs/patterns/patrol",
+        "docs/patterns/shelter_choice",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",
