@@ -131,10 +131,11 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
 
     params_type = ShelterChoiceParams
     needs = frozenset({"scan", "reading:ground", "neighbors.distance"})
+    channels = {_CHANNEL: bool}  # noqa: RUF012 - a Mapping, as in the base
 
     def __init__(self, params: ShelterChoiceParams, context: Context) -> None:
         super().__init__(params, context)
-        self.channels = {_CHANNEL: bool}
+        self.channels = type(self).channels  # its part has none
         self._rests = False
         self._walk_until = self._share_at = 0.0
         self._heard: dict[str, float] = {}  # when it told that it rests, by neighbour
