@@ -114,10 +114,11 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
 
     params_type = CollectivePerceptionParams
     needs = frozenset({"scan", "reading:ground"})
+    channels = {OPINION: list}  # noqa: RUF012 - a Mapping, as in the base
 
     def __init__(self, params: CollectivePerceptionParams, context: Context) -> None:
         super().__init__(params, context)
-        self.channels = {OPINION: list}
+        self.channels = type(self).channels  # its part has none
         first = params.initial
         self.opinion = int(context.rng.integers(2)) if first is None else first
         self.quality = 1.0

@@ -34,6 +34,8 @@ CONTENTS = {
         "docs/patterns/hexagonal_lattice",
         "docs/patterns/leader_following",
         "docs/patterns/patrol",
+        "docs/patterns/shelter_choice",
+        "docs/patterns/cue_aggregation",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",

@@ -25,6 +25,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "hexagonal_lattice": {"has_more": False},
     "patrol": {"numbers": (1, 4), "has_bodies": False},
     "random_walk": {"duration": 40.0},
+    "shelter_choice": {"robots": 8, "seconds": 240.0, "has_controls": False},
     "vicsek_alignment": {"has_sizes": False},
     "flocking": {"duration": 30.0},
     "voter_model": {"has_times": False},  # a mean time needs a hundred debates
@@ -41,7 +42,7 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 # test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
 ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
 # Ten seconds of processor time each; tests/patterns has their rules.
-LONG = {"collective_perception", "response_threshold"}
+LONG = {"collective_perception", "cue_aggregation", "response_threshold"}
 
 
 @pytest.mark.parametrize(

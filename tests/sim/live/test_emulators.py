@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
+from swarmd.core.values import Array, Value
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
@@ -208,7 +208,7 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
             show.run(pattern)
             wait_until(lambda: show.is_moving(0) or show.is_moving(1), f"{pattern} drives")
 
-        def read() -> list[Mapping[str, float]]:
+        def read() -> list[Mapping[str, Value]]:
             return [one.readings for one in statuses_of(show.operator.members()).values()]
 
         wait_until(lambda: all("ground_4" in one for one in read()), "floors are read")

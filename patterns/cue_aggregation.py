@@ -1,0 +1,149 @@
+"""Cue aggregation (BEECLUST): the robots gather where it is warm, without memory or messages.
+
+Source: Schmickl, Thenius, Moeslinger, Radspieler, Kernbach, Szymanski and Crailsheim, "Get in
+touch: cooperative decision making based on robot-to-robot collisions", Autonomous Agents and
+Multi-Agent Systems 18, 2009; Kernbach, Thenius, Kernbach and Schmickl, "Re-embodiment of honeybee
+aggregation behavior in an artificial micro-robotic system", Adaptive Behavior 17, 2009: a robot
+that meets another measures the cue c, waits for w_max c^2 / (c^2 + theta^2) and turns away. At an
+obstacle it turns at once.
+
+Ours: the cue is the reading `temperature` above `cold`; an object of the scan that is as narrow as
+a robot counts as one. After a wait it drives for `refractory` without another.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from swarmd.api import (
+    ZERO,
+    Context,
+    Inputs,
+    Params,
+    Ray,
+    Recovery,
+    TimedPattern,
+    TopSpeed,
+    TopTurn,
+    Twist,
+    about,
+    nearest,
+    of_threshold,
+    robots_near,
+)
+
+_AHEAD_HALF_WIDTH = math.radians(60.0)
+_LEAST_TURN = 0.01  # rad/s: with less a turn takes no longer
+
+
+class CueAggregationParams(Params, frozen=True, kw_only=True):
+    """The cue, the waiting time and the motion."""
+
+    cold: Annotated[
+        float,
+        about(
+            "no wait at or below",
+            ge=-100.0,
+            le=1e6,
+            unit="degC",
+            source="ours: the source's cue is a light, dark at 0",
+        ),
+    ] = 20.0
+    half: Annotated[
+        float,
+        about(
+            "half of the longest wait at so much above `cold`",
+            ge=0.001,
+            le=1e6,
+            unit="degC",
+            source="Schmickl et al. 2009, theta; the value: ours",
+        ),
+    ] = 8.0
+    wait: Annotated[
+        float,
+        about(
+            "longest wait",
+            ge=0.0,
+            le=3600.0,
+            unit="s",
+            source="Schmickl et al. 2009, w_max; the value: ours, for a dozen slow robots",
+        ),
+    ] = 120.0
+    refractory: Annotated[
+        float,
+        about(
+            "time after a turn in which no robot is met",
+            ge=0.0,
+            le=60.0,
+            unit="s",
+            source="ours: to get away from the robot that it met",
+        ),
+    ] = 2.0
+    speed: TopSpeed
+    turn: TopTurn
+    near: Annotated[
+        float,
+        about(
+            "nearer robots are met, nearer obstacles are turned from",
+            ge=0.05,
+            le=20.0,
+            unit="m",
+            source="ours: 0.9 times the protection threshold, to meet before it acts",
+            derived=of_threshold(0.9),
+        ),
+    ]
+    recovery: Recovery = False
+
+
+class CueAggregation(TimedPattern[CueAggregationParams]):
+    """Drives; waits where it meets a robot, the longer the warmer it is; turns away."""
+
+    params_type = CueAggregationParams
+    needs = frozenset({"scan", "reading:temperature"})
+
+    def __init__(self, params: CueAggregationParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._side = 1.0
+        self._alone_until = -math.inf
+        self._seq: int | None = None  # of the scan that the meeting is from
+        self._met: Ray | None = None
+        self._ahead: Ray | None = None
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """Zero in state wait, a turn on the spot in state turn, else straight."""
+        params, now = self.params, inputs.now
+        state = self.state(now)
+        if state == "wait":
+            return ZERO
+        if state == "turn":
+            self._alone_until = now + params.refractory
+            return Twist(angular=self._side * params.turn)
+        self._look(inputs)
+        met = None if now < self._alone_until else self._met
+        blocking = met or self._ahead
+        if blocking is None:
+            return Twist(linear=params.speed)
+        rng = self.context.rng
+        side = float(rng.choice((-1.0, 1.0)))
+        self._side = -math.copysign(1.0, blocking.bearing) if blocking.bearing else side
+        turn = float(rng.uniform(0.5, 1.0)) * math.pi / max(params.turn, _LEAST_TURN)
+        if met is None:
+            self.begin(now, turn=turn)
+            return Twist(angular=self._side * params.turn)
+        warmth = max(inputs.readings["temperature"] - params.cold, 0.0) ** 2
+        self.begin(now, wait=params.wait * warmth / (warmth + params.half**2), turn=turn)
+        return ZERO
+
+    def _look(self, inputs: Inputs) -> None:
+        """The robot and the obstacle ahead that are near, of the latest scan."""
+        scan, near = inputs.scan, self.params.near
+        if scan is None or scan.seq == self._seq:
+            return
+        self._seq, self._met = scan.seq, None
+        ray = nearest(scan, half_width=_AHEAD_HALF_WIDTH)
+        self._ahead = ray if ray is not None and ray.range < near else None
+        if self._ahead is not None:
+            platform, half = self.context.platform, _AHEAD_HALF_WIDTH
+            robots = robots_near(scan, platform, within=near, half_width=half)
+            self._met = robots[0] if robots else None

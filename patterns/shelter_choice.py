@@ -1,0 +1,186 @@
+"""Shelter choice: the robots gather under one of several equal shelters, as cockroaches do.
+
+Source: Ame, Halloy, Rivault, Detrain and Deneubourg, "Collegial decision making based on social
+amplification leads to optimal group formation", PNAS 103, 2006; with robots: Garnier, Jost,
+Jeanson, Gautrais, Asadpour, Caprari and Theraulaz, "The embodiment of cockroach aggregation
+behavior in a group of micro-robots", Artificial Life 14, 2008. A resting animal leaves its shelter
+at the rate theta / (1 + rho (x / S)^n), where x of a capacity S rest there, and joins one at a rate
+that falls as 1 - x / S. So rest makes more rest, and one of two equal shelters wins if it holds
+all.
+
+Ours: robots that rest tell so, and x are those near that were heard, and the robot itself. A
+walking robot finds shelters by the walk of random_walk, and stops under one at the rate `stop`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from swarmd.api import (
+    ZERO,
+    CombinedPattern,
+    Context,
+    Inputs,
+    Outputs,
+    Params,
+    Pattern,
+    Recovery,
+    Scalar,
+    TopSpeed,
+    Value,
+    about,
+    of_threshold,
+)
+
+_CHANNEL = "rest"
+_WALK = "walk"
+
+
+class ShelterChoiceParams(Params, frozen=True, kw_only=True):
+    """The rates, the shelter and the walk."""
+
+    leave: Annotated[
+        float,
+        about(
+            "rate at which a robot that rests alone leaves",
+            ge=0.0,
+            le=10.0,
+            unit="1/s",
+            source="Ame et al. 2006, theta; the value: ours, an hour is some minutes here",
+        ),
+    ] = 0.1
+    social: Annotated[
+        float,
+        about(
+            "how much a full shelter holds robots; 0: the others do not matter",
+            ge=0.0,
+            le=1e5,
+            source="Ame et al. 2006, rho; the value: ours",
+        ),
+    ] = 200.0
+    exponent: Annotated[
+        float,
+        about("power of the share that rests", ge=0.0, le=5.0, source="Ame et al. 2006, n = 2"),
+    ] = 2.0
+    capacity: Annotated[
+        int,
+        about(
+            "robots that a shelter holds",
+            ge=1,
+            le=1000,
+            unit="robots",
+            source="Ame et al. 2006, S; the value: ours",
+        ),
+    ] = 20
+    stop: Annotated[
+        float,
+        about(
+            "rate at which a walking robot stops under a shelter",
+            ge=0.0,
+            le=10.0,
+            unit="1/s",
+            source="ours: within a body's length",
+        ),
+    ] = 1.0
+    away: Annotated[
+        float,
+        about(
+            "time after a rest in which it does not stop, to leave the shelter",
+            ge=0.0,
+            le=600.0,
+            unit="s",
+            source="ours: the way across a shelter",
+        ),
+    ] = 10.0
+    near: Annotated[
+        float,
+        about(
+            "robots that rest farther away are not under the same shelter",
+            ge=0.1,
+            le=100.0,
+            unit="m",
+            source="ours: the width of a shelter",
+        ),
+    ] = 1.5
+    dark: Annotated[
+        float,
+        about("the floor is a shelter's below", ge=0.0, le=1e6, source="ours: halfway to white"),
+    ] = 0.5
+    share_period: Annotated[
+        float,
+        about("time between two messages of a rest", ge=0.1, le=60.0, unit="s", source="ours"),
+    ] = 1.0
+    speed: TopSpeed
+    clearance: Annotated[
+        float,
+        about(
+            "the walk turns away from nearer obstacles ahead",
+            ge=0.0,
+            le=20.0,
+            unit="m",
+            source="ours: as collective_perception",
+            derived=of_threshold(0.9),
+        ),
+    ]
+    recovery: Recovery = False
+
+
+class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
+    """Walks, rests under a shelter, and leaves the sooner the fewer rest there."""
+
+    params_type = ShelterChoiceParams
+    needs = frozenset({"scan", "reading:ground", "neighbors.distance"})
+    channels = {_CHANNEL: bool}  # noqa: RUF012 - a Mapping, as in the base
+
+    def __init__(self, params: ShelterChoiceParams, context: Context) -> None:
+        super().__init__(params, context)
+        self.channels = type(self).channels  # its part has none
+        self._rests = False
+        self._walk_until = self._share_at = 0.0
+        self._heard: dict[str, float] = {}  # when it told that it rests, by neighbour
+
+    def make_parts(self) -> Mapping[str, Pattern[Any]]:
+        """The walk."""
+        speed, clearance = self.params.speed, self.params.clearance
+        walk = self.context.make("random_walk", part=_WALK, speed=speed, clearance=clearance)
+        return {_WALK: walk}
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """Walk or rest; change between them by chance."""
+        now, params = inputs.now, self.params
+        for message in inputs.messages:
+            if message.channel == _CHANNEL and message.value is True:
+                self._heard[message.sender] = now - message.age
+        if inputs.scan is None or "ground" not in inputs.readings:
+            return Outputs(report={"state": "walk", "count": 0})
+        is_dark = inputs.readings["ground"] < params.dark
+        count = self._count(inputs) + self._rests
+        filled = count / params.capacity
+        if self._rests:
+            hold = 1.0 + params.social * filled**params.exponent
+            if not is_dark or self._happens(params.leave / hold, inputs.dt):
+                self._rests, self._walk_until = False, now + params.away
+        elif is_dark and now >= self._walk_until:
+            self._rests = self._happens(params.stop * (1.0 - filled), inputs.dt)
+            self._share_at = now
+        report: dict[str, Scalar] = {"state": "rest" if self._rests else "walk", "count": count}
+        if not self._rests:
+            return Outputs(self.step_part(_WALK, inputs).twist, report=report)
+        sent: dict[str, Value] = {}
+        if now >= self._share_at:
+            self._share_at = now + params.share_period
+            sent[_CHANNEL] = True
+        return Outputs(ZERO, sent, report)
+
+    def _happens(self, rate: float, dt: float) -> bool:
+        return float(self.context.rng.random()) < rate * dt
+
+    def _count(self, inputs: Inputs) -> int:
+        """How many others rest near it."""
+        since = inputs.now - 3.0 * self.params.share_period
+        self._heard = {name: at for name, at in self._heard.items() if at >= since}
+        return sum(
+            one.id in self._heard and one.distance is not None and one.distance <= self.params.near
+            for one in inputs.neighbors
+        )
