@@ -68,6 +68,12 @@ SHOTS = MappingProxyType(
         "film_dispersion": Shot(scenario="dispersion", title="dispersion", stop=40.0, sets=_ROOM),
         "film_drive": Shot(scenario="drive", title="drive, towards a wall", stop=25.0),
         "film_flocking": Shot(scenario="flocking", title="flocking", stop=40.0, seed=1),
+        "film_foraging": Shot(
+            scenario="foraging",
+            title="foraging, from the source on the right to the nest",
+            stop=120.0,
+            camera="top",
+        ),
         "film_line_formation": Shot(
             scenario="line_formation",
             title="line_formation; one robot is removed",

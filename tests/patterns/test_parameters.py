@@ -25,7 +25,7 @@ WITHOUT_UNIT = {
     "rays",
     "surge",
 }
-WITHOUT_UNIT |= {"concavity", "coupling", "exponent", "refractory", "steepness", "stop"}
+WITHOUT_UNIT |= {"concavity", "coupling", "exponent", "refractory", "steepness", "stop", "white"}
 
 
 @pytest.mark.parametrize("name", FOUND)
