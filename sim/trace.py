@@ -74,8 +74,8 @@ class Trace:
     numbers that patterns reported, NaN where absent; `words`: texts, empty where absent;
     `readings`: the scalar sensors that robots read, NaN where absent.
 
-    `box_pose` (T, m, 3) are the poses of the movable boxes `movable_boxes`, NaN for one outside the
-    arena; `box_shapes` (m, k, 2) their outlines in their own frames.
+    `box_pose` (T, m, 3) are the poses of the movable boxes and then the items `movable_boxes`, NaN
+    for one outside the arena; `box_shapes` (m, k, 2) their outlines in their own frames.
     """
 
     ids: tuple[str, ...]

@@ -99,6 +99,12 @@ SHOTS = MappingProxyType(
             "firefly_synchronization", "phase", 20.0, "report:phase"
         ),
         "film_flocking": Shot(scenario="flocking", title="flocking", stop=40.0, seed=1),
+        "film_foraging": Shot(
+            scenario="foraging",
+            title="foraging, from the source on the right to the nest",
+            stop=120.0,
+            camera="top",
+        ),
         "film_hop_gradient": _shot("hop_gradient", "hops to the leader", 20.0, "report:hops"),
         "film_levy_walk": Shot(
             scenario="random_walk",

@@ -39,6 +39,7 @@ CONTENTS = {
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",
+        "docs/patterns/foraging",
         "docs/patterns/levy_walk",
     ],
     "How to": [

@@ -230,6 +230,9 @@ def _paint(model: mujoco.MjModel) -> None:
         if group == bodies.FIXED and not name.startswith("floor"):
             is_wall = name.startswith(("wall/", "segment/"))
             model.geom_rgba[geom] = _BROWN if _is_movable(model, geom) else _GREY
+            if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE:  # an item
+                model.geom_pos[geom][2] = model.geom_size[geom][0]
+                continue
             half = (_WALL if is_wall else _OBSTACLE) / 2.0
             is_pole = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CYLINDER
             model.geom_size[geom][1 if is_pole else 2] = half

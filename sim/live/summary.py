@@ -92,8 +92,9 @@ class Summary:
         """(name, value) pairs to print."""
         n = self.numbers
         moving, duty = self.seconds_to_moving, n.protection_duty
+        arena = self.arena.partition(",item/")[0]  # of hundreds of items none is listed
         return [
-            ("robots", f"{len(self.robots)} {self.platform}, {self.pattern}, {self.arena} m"),
+            ("robots", f"{len(self.robots)} {self.platform}, {self.pattern}, {arena} m"),
             ("simulated time", f"{n.seconds:.1f} s, {n.real_time_factor:.2f} times real time"),
             ("all moving after", "not all moved" if moving is None else f"{moving:.1f} s"),
             *([("started late", ", ".join(self.late))] if self.late else []),

@@ -145,7 +145,7 @@ def _key(trace: Trace) -> list[tuple[Any, str]]:
     if (step < 0).any():
         entries.append(mark("v", "0.35", "white", "leaves"))
     if trace.movable_boxes:
-        entries.append(mark("s", scene.MOVABLE_BOX_COLOUR, "0.3", "movable box"))
+        entries.append(mark("s", scene.MOVABLE_BOX_COLOUR, "0.3", "movable box or item"))
     found = [mark.kind for mark in marks_of(trace)]
     for kind, (marker, face) in MARKS.items():
         if kind in found:

@@ -9,6 +9,7 @@ import base64
 import json
 import math
 import re
+from collections import Counter
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -109,15 +110,14 @@ def _linked(text: str) -> str:
 def _box_shapes(source: Source, duration: float) -> list[Array]:
     """The outlines of all movable boxes that are in the arena at any of twenty times."""
     assert source.playback is not None
-    found: list[Array] = []
+    shapes: dict[bytes, Array] = {}
+    most = Counter[bytes]()
     for k in range(21):
         source.playback.seek(k * duration / 20.0)
         there = [shape for shape, _ in source.boxes()]
-        for shape in there:
-            many = sum(np.array_equal(shape, one) for one in there)
-            if sum(np.array_equal(shape, one) for one in found) < many:
-                found.append(shape)
-    return found
+        shapes |= {shape.tobytes(): shape for shape in there}
+        most |= Counter(shape.tobytes() for shape in there)
+    return [shapes[one] for one in most.elements()]
 
 
 def _packed(poses: Array) -> tuple[str, list[float], float]:

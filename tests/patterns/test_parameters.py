@@ -25,7 +25,16 @@ WITHOUT_UNIT = {
     "rays",
     "surge",
 }
-WITHOUT_UNIT |= {"band", "concavity", "coupling", "exponent", "refractory", "steepness", "stop"}
+WITHOUT_UNIT |= {
+    "band",
+    "concavity",
+    "coupling",
+    "exponent",
+    "refractory",
+    "steepness",
+    "stop",
+    "white",
+}
 WITHOUT_UNIT |= {"pace", "social", "strongest"}
 
 

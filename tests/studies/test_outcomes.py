@@ -17,6 +17,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "cross_inhibition": {"has_bounds": False},
     "circle_formation": {"settings": (SHORT,)},
     "discussed_dispersion": {"seconds": 46.0},
+    "foraging": {"sizes": (1, 4), "duration": 120.0},
     "levy_walk": {"has_slow": False},
     "leader_following": {"has_bodies": False},
     "line_formation": {"settings": (SHORT,)},

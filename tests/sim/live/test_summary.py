@@ -113,3 +113,8 @@ def test_duty_is_weighted_by_decisions() -> None:
     }
     assert mean_duty(statuses) == pytest.approx(0.4)
     assert mean_duty({"c": status("c")}) is None
+
+
+def test_the_arena_is_told_without_its_items() -> None:
+    arena = "4x4,pole:1:1:0.1,item/food-1:0:0:0.05,item/food-2:0:0:0.05"
+    assert "attraction, 4x4,pole:1:1:0.1 m" in dict(summary(arena=arena).lines())["robots"]

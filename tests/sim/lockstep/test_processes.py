@@ -71,6 +71,27 @@ LATCHES = {
 }
 
 
+# Each robot has an item ahead of it, which it carries.
+_SENSORS = {"light": [{"at": [0.0, 0.04]}, {"at": [0.0, -0.04]}]}
+CARRIED = {
+    **AT_ONCE,
+    "platforms": {
+        "burger": {
+            "extends": "burger", "provides": ["scan", "odometry", "gripper"], "sensors": _SENSORS,
+        }
+    },
+    "accepts_unseen": [],
+    "accepts_faster": [],
+    "groups": {"all": {"platform": "burger", "count": 3, "prefix": "r", "pattern": "foraging"}},
+    "start": {"layout": "list", "poses": [[0, 0, 0], [0, 1.5, 0], [0, -1.5, 0]]},
+    "fields": [{"name": "light", "kind": "light"}, {"name": "ground", "kind": "floor"}],
+    "items": [
+        {"name": "food", "at": [[0.06, 0], [0.06, 1.5], [0.06, -1.5]], "source": [2, 0, 0.5]},
+        {"name": "puck", "count": 5, "source": [-2, 0, 0.5], "mass": 0.05},
+    ],
+}  # fmt: skip
+
+
 def same_bits(a: Trace, b: Trace) -> None:
     for field in fields(Trace):
         one, other = getattr(a, field.name), getattr(b, field.name)
@@ -84,13 +105,21 @@ def same_bits(a: Trace, b: Trace) -> None:
 
 @pytest.mark.parametrize(
     ("data", "cores"),
-    [(MIXED, 3), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3)],
-    ids=["mixed", "at_once", "boxes", "latches"],
+    [(MIXED, 3), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3), (CARRIED, 2)],
+    ids=["mixed", "at_once", "boxes", "latches", "carried"],
 )
 def test_processes_give_the_bits_of_one_process(data: dict[str, Any], cores: int) -> None:
     whole = simulate_run(scenario_of(data), 4)
     assert len(whole.t) > 100
     same_bits(whole, simulate_run(scenario_of(data), 4, cores=cores))
+
+
+def test_robots_carry_their_items_from_the_first_steps_on() -> None:
+    trace = simulate_run(scenario_of(CARRIED), 4)
+    assert (trace.readings["held"][-1] == 1.0).all()
+    assert trace.box_pose is not None
+    ahead = trace.box_pose[-1, 1:4, :2] - trace.pose[-1, :, :2]
+    assert np.hypot(*ahead.T) == pytest.approx(0.038, abs=1e-9)
 
 
 @pytest.mark.parametrize("robot", ["r-01", "r-02"])

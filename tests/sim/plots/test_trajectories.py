@@ -41,7 +41,7 @@ def test_each_robot_has_its_line_in_the_legend() -> None:
 
 def test_the_legend_names_each_kind_of_mark() -> None:
     assert labels(trajectories_figure(full(3))) == [
-        *("tb3-00", "tb3-01", "tb3-02", "start", "end", "joins", "leaves", "movable box"),
+        *("tb3-00", "tb3-01", "tb3-02", "start", "end", "joins", "leaves", "movable box or item"),
         *("contact, both moving: 1", "contact, one moving: 1", "contact with wall or box: 1"),
     ]
 
@@ -49,7 +49,7 @@ def test_the_legend_names_each_kind_of_mark() -> None:
 def test_many_robots_are_coloured_by_time_and_not_named() -> None:
     figure = trajectories_figure(full(30))
     assert labels(figure) == [
-        *("start", "end", "joins", "leaves", "movable box"),
+        *("start", "end", "joins", "leaves", "movable box or item"),
         *("contact, both moving: 1", "contact, one moving: 1", "contact with wall or box: 1"),
     ]
     assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "time [s]"]
