@@ -135,8 +135,17 @@ def test_a_robot_clears_the_way_of_another_that_does_not_go_on() -> None:
 def test_a_robot_in_an_opening_goes_on_while_another_is_before_its_other_side() -> None:
     ride = Ride()
     ride.at(near(-0.6))
-    ride.at(near(-0.2), track(1, 0.55), seconds=4.0)
+    ride.way._is_mine, ride.way._drawn_until = False, np.inf  # chance is against the robot
+    ride.at(near(-0.2), track(1, 0.5), seconds=4.0)
     assert ride.way.state == "in"
+
+
+def test_a_robot_asks_for_a_speed_at_which_protection_does_not_turn_it_aside() -> None:
+    def allows(asked: Twist) -> Twist:
+        return asked if asked.linear < 0.15 else Twist(asked.linear, -1.0)
+
+    asked = Ride().way._fastest(AHEAD, allows)
+    assert asked.linear == pytest.approx(0.14)
 
 
 def test_a_robot_beside_the_middle_of_an_opening_lines_up_again() -> None:
