@@ -55,13 +55,14 @@ _LEAN = 0.1  # m/s: a robot in a corridor keeps away from the side whose rays ar
 _ABEAM = 1.0  # rad: the bearing of the walls beside and ahead that limit its speed
 _DEEP = 0.2  # m: a deeper opening is a corridor
 _PURSUIT = 0.15  # m ahead on the axis
+_WRONG = 0.1  # m by which the middle may be off; an opening farther off is looked for anew
 _NEW = 0.03  # weight of a new measurement of the axis
 _BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
 _FOLLOW = 0.27  # m behind another robot that goes in
 _PERSISTS = 1.0  # s after which a track is no part of a wall
 _CLEAR = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 _HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
-_AFTER, _AGAIN = (6.0, 10.0), 60.0  # s for which a robot that has passed lets others pass
+_AFTER, _AGAIN = (6.0, 10.0), 120.0  # s for which a robot that has passed lets others pass
 _PATIENCE = (3.0, 6.0)  # s after which it is drawn anew which of two goes on
 _CLOSE = 0.15  # m within which two are as deep
 _STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries the other way
@@ -461,6 +462,10 @@ class RightOfWay:
             self._drawn_until = now + self._rng.uniform(*_PATIENCE)
         self._find_middle(at, points)
         left = self._off or 0.0
+        if abs(left) > _WRONG and self._opening in self._openings:  # a robot was taken for a post
+            self._openings.remove(self._opening)
+            self._release()
+            return ZERO
         at = at._replace(side=at.side - left)
         traffic = self._traffic(at, [(id, s, off - left) for id, s, off in others])
         if not at.is_in:
@@ -471,7 +476,9 @@ class RightOfWay:
         elif abs(at.s - self._best) > _PROGRESS:
             self._best, self._best_at = at.s, now
         if traffic.is_met or traffic.is_busy or self._is_backing:
-            self._busy_at, self._clear = now, self._rng.uniform(*_CLEAR)
+            has_passed = now - self._passed_at < _AGAIN
+            self._busy_at = now
+            self._clear = self._rng.uniform(*(_AFTER if has_passed else _CLEAR))
             self._clear += _HIDDEN if traffic.is_within else 0.0
         if self._is_backing:
             self.state = "back"

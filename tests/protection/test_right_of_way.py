@@ -165,6 +165,28 @@ def test_a_robot_steers_to_the_middle_that_the_posts_show(off: float) -> None:
     assert asked.angular * off > 0.0
 
 
+def test_an_opening_whose_posts_are_elsewhere_is_looked_for_anew() -> None:
+    ride = Ride()
+    ride.at(near(-0.5))
+    posts = np.array(((0.5, 0.15 + HALF), (0.5, 0.15 - HALF)))
+    assert ride.at(near(-0.5), points=posts, seconds=0.1) is ZERO
+    assert ride.way.state == ""
+    ride.at(near(-0.5))
+    assert ride.way.state == "line"
+
+
+def test_a_robot_that_has_passed_lets_others_go_first() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.way._passed_at = ride.now - 20.0
+    ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
+    ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9))
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.way.state == "wait"
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.way.state == "go"
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_robot_in_a_corridor_keeps_away_from_the_side_that_was_seen_earlier(side: float) -> None:
     ride = Ride(1.0, np.where(side * BEARINGS < 0.0, 0.2, 0.0))
