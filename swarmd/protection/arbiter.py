@@ -109,7 +109,7 @@ class Protection:
             self._is_avoiding = False
             self._avoidance = Avoidance(clearance, platform.limits)
             self._tracker = load_kernel("swarmd.protection.tracks").Tracker(platform)
-            self._right_of_way = RightOfWay(clearance, platform.limits, self._recovery, seed)
+            self._right_of_way = RightOfWay(clearance, platform.limits, seed)
 
     @property
     def passage(self) -> NarrowestPassage | None:

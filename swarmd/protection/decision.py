@@ -93,6 +93,7 @@ class Avoided(Struct, frozen=True):
 
 _AT_OPENING = {
     "go": "drives to an opening",
+    "line": "drives to an opening",
     "wait": "gives way at an opening",
     "aside": "gives way at an opening",
     "in": "passes an opening",

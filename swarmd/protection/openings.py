@@ -389,6 +389,12 @@ class Openings:
         """Forget all openings."""
         self._known = []
 
+    def forget(self, opening: object) -> cython.bint:
+        """Forget one opening; whether it was remembered."""
+        before = len(self._known)
+        self._known = [one for one in self._known if one is not opening]
+        return len(self._known) < before
+
     def observe(
         self, scan: Scan, offset: tuple, pose: Pose, now: cython.double, tracks: tuple, kept: object
     ) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.recovery import Clearance, Recovery
+from swarmd.protection.recovery import Clearance
 from swarmd.protection.right_of_way import RightOfWay
 from swarmd.protection.tracks import Surroundings, Track
 
@@ -16,28 +16,40 @@ AHEAD = Twist(0.22)
 BEARINGS = np.radians(np.arange(-180.0, 180.0))
 HALF = 0.18  # m, of a door at x = 0; the wall reaches 2 m to each side
 FAR = 3.0  # m to whatever is behind
+NO_POINTS = np.empty((0, 2))
 
 
-def scan(pose: Pose) -> Scan:
-    """What a lidar sees of a wall at x = 0 with a door in its middle."""
+def scan(pose: Pose, depth: float = 0.0, ages: Array | None = None) -> Scan:
+    """What a lidar sees of a wall at x = 0 with a door, or a corridor, in its middle."""
     angles = BEARINGS + pose.yaw
     with np.errstate(divide="ignore"):
         ranges = -pose.x / np.cos(angles)
+        beside = (np.copysign(HALF, np.sin(angles)) - pose.y) / np.sin(angles)
     y = pose.y + ranges * np.sin(angles)
+    x = pose.x + beside * np.cos(angles)
     is_wall = (ranges > 0.0) & (np.abs(y) > HALF) & (np.abs(y) < 2.0)
-    return Scan(0, 0.0, np.where(is_wall, np.minimum(ranges, FAR), FAR), BEARINGS, 0.1, 3.5)
+    seen = np.where(is_wall, np.minimum(ranges, FAR), FAR)
+    is_side = (x > 0.0) & (x < depth)
+    seen = np.where(is_side, np.minimum(beside, seen), seen)
+    return Scan(0, 0.0, seen, BEARINGS, 0.1, 3.5, ages=ages)
 
 
 class Ride:
     """A robot that stands at places one after the other, each for two scans."""
 
-    def __init__(self) -> None:
-        self.way = RightOfWay(ROOM, BASE, Recovery(ROOM, BASE, "one"), "one")
+    def __init__(self, depth: float = 0.0, ages: Array | None = None) -> None:
+        self.depth, self.ages = depth, ages
+        self.way = RightOfWay(ROOM, BASE, "one")
         self.now = 0.0
         self.context = DecisionContext(0.0)
 
     def at(
-        self, pose: Pose, *tracks: Track, seconds: float = 1.0, requested: Twist = AHEAD
+        self,
+        pose: Pose,
+        *tracks: Track,
+        seconds: float = 1.0,
+        requested: Twist = AHEAD,
+        points: Array = NO_POINTS,
     ) -> Twist:
         """The request after some seconds at a place, among tracks in the base frame."""
         asked = requested
@@ -46,10 +58,10 @@ class Ride:
             odometry = Odometry(self.now, pose, ZERO)
             self.context = context = DecisionContext(self.now, 0.0, odometry, 0.0)
             if tick % 2 == 0:
-                self.way.observe(scan(pose), (0.0, 0.0), context)
+                self.way.observe(scan(pose, self.depth, self.ages), (0.0, 0.0), context)
             around = Surroundings(tracks, np.empty((0, 2)))
             asked = self.way.command(
-                requested, context, around, lambda twist: twist, lambda: np.empty((0, 2))
+                requested, context, around, lambda twist: twist, lambda: points
             )
         return asked
 
@@ -115,9 +127,82 @@ def test_of_two_that_meet_the_deeper_one_goes_on(there: float, state: str) -> No
 
 def test_a_robot_follows_another_that_goes_in_at_a_distance() -> None:
     ride = Ride()
-    ride.at(near(-0.5), track(1, 0.2), seconds=2.0)
-    assert ride.at(near(-0.5), track(1, 0.35), seconds=1.0) is ZERO
-    assert ride.at(near(-0.5), track(1, 0.6), seconds=1.0).linear > 0.0
+    ride.at(near(-0.5), track(1, 0.0), seconds=2.0)
+    assert ride.at(near(-0.3), track(1, 0.2), seconds=1.0) is ZERO
+    assert ride.at(near(-0.3), track(1, 0.35), seconds=1.0).linear > 0.0
+
+
+def test_a_robot_clears_the_way_of_another_that_does_not_go_on() -> None:
+    ride = Ride()
+    ride.at(near(-0.5), track(1, 0.0), seconds=2.0)
+    assert ride.at(near(-0.3), track(1, 0.2), seconds=8.0) is ZERO
+    ride.at(near(-0.3), track(1, 0.2), seconds=4.0)
+    assert ride.way.state == "aside"
+
+
+def test_a_robot_in_an_opening_goes_on_while_another_is_before_its_other_side() -> None:
+    ride = Ride()
+    ride.at(near(-0.6))
+    ride.way._is_mine, ride.way._drawn_until = False, np.inf  # chance is against the robot
+    ride.at(near(-0.2), track(1, 0.5), seconds=4.0)
+    assert ride.way.state == "in"
+
+
+def test_a_robot_asks_for_a_speed_at_which_protection_does_not_turn_it_aside() -> None:
+    def allows(asked: Twist) -> Twist:
+        return asked if asked.linear < 0.15 else Twist(asked.linear, -1.0)
+
+    asked = Ride().way._fastest(AHEAD, allows)
+    assert asked.linear == pytest.approx(0.14)
+
+
+def test_a_robot_beside_the_middle_of_an_opening_lines_up_again() -> None:
+    ride = Ride()
+    ride.at(near(-0.5))
+    asked = ride.at(near(-0.2, 0.08))
+    assert ride.way.state == "go"
+    assert asked.linear < 0.0  # backs out as it has come
+
+
+@pytest.mark.parametrize("off", [0.03, -0.03])
+def test_a_robot_steers_to_the_middle_that_the_posts_show(off: float) -> None:
+    ride = Ride()
+    ride.at(near(-0.5))
+    posts = np.array(((0.3, off + HALF), (0.3, off - HALF)))
+    asked = ride.at(near(-0.3), points=posts)
+    assert asked.angular * off > 0.0
+
+
+def test_an_opening_whose_posts_are_elsewhere_is_looked_for_anew() -> None:
+    ride = Ride()
+    ride.at(near(-0.5))
+    posts = np.array(((0.5, 0.15 + HALF), (0.5, 0.15 - HALF)))
+    assert ride.at(near(-0.5), points=posts, seconds=0.1) is ZERO
+    assert ride.way.state == ""
+    ride.at(near(-0.5))
+    assert ride.way.state == "line"
+
+
+def test_a_robot_that_has_passed_lets_others_go_first() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.way._passed_at = ride.now - 20.0
+    ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
+    ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9))
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.way.state == "wait"
+    ride.at(near(-1.0, 0.9), seconds=9.0)
+    assert ride.way.state == "go"
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_robot_in_a_corridor_keeps_away_from_the_side_that_was_seen_earlier(side: float) -> None:
+    ride = Ride(1.0, np.where(side * BEARINGS < 0.0, 0.2, 0.0))
+    ride.at(near(-0.8))
+    ride.at(near(-0.3))
+    asked = ride.at(near(0.2))
+    assert ride.way.state == "in"
+    assert asked.angular * side > 0.0
 
 
 def test_a_robot_whose_request_leads_away_is_free_again() -> None:
