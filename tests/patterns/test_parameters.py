@@ -26,7 +26,7 @@ WITHOUT_UNIT = {
     "surge",
 }
 WITHOUT_UNIT |= {"band", "concavity", "coupling", "exponent", "refractory", "steepness", "stop"}
-WITHOUT_UNIT |= {"pace", "social", "strongest"}
+WITHOUT_UNIT |= {"cohesion", "flight", "pace", "social", "strongest"}
 
 
 @pytest.mark.parametrize("name", FOUND)
