@@ -36,6 +36,7 @@ CONTENTS = {
         "docs/patterns/patrol",
         "docs/patterns/shelter_choice",
         "docs/patterns/cue_aggregation",
+        "docs/patterns/shepherding",
         "docs/patterns/collective_perception",
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",

@@ -35,7 +35,7 @@ WITHOUT_UNIT |= {
     "stop",
     "white",
 }
-WITHOUT_UNIT |= {"pace", "social", "strongest"}
+WITHOUT_UNIT |= {"cohesion", "flight", "pace", "social", "strongest"}
 
 
 @pytest.mark.parametrize("name", FOUND)

@@ -26,6 +26,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "hexagonal_lattice": {"has_more": False},
     "patrol": {"numbers": (1, 4), "has_bodies": False},
     "random_walk": {"duration": 40.0},
+    "shepherding": {"sizes": (4, 8), "has_loose": False},
     "shelter_choice": {"robots": 8, "seconds": 240.0, "has_controls": False},
     "vicsek_alignment": {"has_sizes": False},
     "flocking": {"duration": 30.0},
