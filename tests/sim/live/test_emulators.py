@@ -7,6 +7,7 @@ import signal
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -208,7 +209,7 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
             show.run(pattern)
             wait_until(lambda: show.is_moving(0) or show.is_moving(1), f"{pattern} drives")
 
-        def read() -> list[Mapping[str, float]]:
+        def read() -> list[Mapping[str, Any]]:
             return [one.readings for one in statuses_of(show.operator.members()).values()]
 
         wait_until(lambda: all("ground_4" in one for one in read()), "floors are read")
