@@ -1,4 +1,4 @@
-"""Drive: straight ahead, or along a circle.
+"""Drive: straight ahead, along a circle, or sideways.
 
 Source: pattern "drive" of Kaiser et al., ICRA 2022 (ROS2swarm).
 """
@@ -11,7 +11,7 @@ from swarmd.api import Inputs, MovementPattern, Params, Twist, about
 
 
 class DriveParams(Params, frozen=True, kw_only=True):
-    """Speed and turn rate."""
+    """Speeds and turn rate."""
 
     speed: Annotated[
         float,
@@ -34,10 +34,20 @@ class DriveParams(Params, frozen=True, kw_only=True):
             source="ROS2swarm",
         ),
     ] = 0.0
+    lateral: Annotated[
+        float,
+        about(
+            "speed to the left, of a base that moves sideways; negative drives to the right",
+            ge=-2.0,
+            le=2.0,
+            unit="m/s",
+            source="ours",
+        ),
+    ] = 0.0
 
 
 class Drive(MovementPattern[DriveParams]):
-    """Drives straight ahead, or along a circle, until the run ends.
+    """Drives straight ahead, along a circle or sideways until the run ends.
 
     It uses no sensor; only protection stops it before obstacles.
     """
@@ -48,4 +58,4 @@ class Drive(MovementPattern[DriveParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """The same command at every step."""
-        return Twist(linear=self.params.speed, angular=self.params.turn)
+        return Twist(self.params.speed, self.params.turn, self.params.lateral)

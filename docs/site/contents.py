@@ -71,6 +71,7 @@ CONTENTS = {
         "docs/robots/thymio",
         "docs/robots/epuck2",
         "docs/robots/turtlebot4",
+        "docs/robots/rosbot_xl",
         "docs/robots/new_robot",
         "docs/robots/last_word",
         "docs/robots/trouble",

@@ -323,7 +323,7 @@ class Lockstep:
         for shell in self._present([world.rings[one] for one in self._rings_due.due(now)]):
             shell.step(events.RangesInput(world.ring_scan(shell.row)), now)
         for shell in self._present(self._readings_due.due(now)):
-            if world.fields:
+            if world.has_readings:
                 shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
             if (found := world.detections(shell.row)) is not None:
                 shell.step(events.DetectionsInput(found), now)

@@ -352,6 +352,25 @@ def test_a_ring_reaches_protection_and_patterns(tmp_path: Path) -> None:
     assert len(trace.contact_pair) == 0
 
 
+@pytest.mark.parametrize("realism", ["ideal", "realistic"])
+def test_an_omnidirectional_base_brakes_sideways_before_a_wall(realism: str) -> None:
+    group = {"count": 1, "prefix": "r", "pattern": "drive", "platform": "rosbot_xl",
+             "parameters": {"speed": 0.0, "lateral": 0.8}}  # fmt: skip
+    trace = simulate_run(
+        scenario(
+            duration=8.0,
+            realism=realism,
+            arena={"size": [4.0, 6.0]},
+            groups={"all": group},
+            start={"layout": "list", "poses": [[0.0, 0.0, 0.0]]},
+        ),
+        0,
+    )
+    assert trace.safe[:, 0, 2].max() > 0.5
+    assert 1.8 < trace.pose[:, 0, 1].max() < 3.0 - 0.163
+    assert len(trace.contact_pair) == 0
+
+
 def test_repeated_scans_without_noise_do_not_count_as_frozen() -> None:
     abreast = {"layout": "row", "spacing": 1.5, "heading_deg": 90}
     trace = simulate_run(scenario(duration=6.0, start=abreast), 0)
