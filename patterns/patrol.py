@@ -8,8 +8,7 @@ Ours: robots tell each other their visits and the place that each is on its way 
 another is on its way to is not chosen while there is one that none is on its way to. Adjacent are
 the places within `reach`.
 
-Needs the robot's pose in a frame that the robots share: the odometry's, once `start_x`, `start_y`
-and `start_yaw` tell where the odometry's frame lies in it.
+Needs the robot's pose in a frame that the robots share, as from a camera above or a localisation.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ from swarmd.api import (
     Outputs,
     Params,
     Pattern,
-    Pose,
     Scalar,
     TopSpeed,
     TopTurn,
@@ -39,7 +37,7 @@ _BRAKE = 0.3  # m before a place over which the speed falls
 
 
 class PatrolParams(Params, frozen=True, kw_only=True):
-    """The places, the frame and the speeds."""
+    """The places, the messages and the speeds."""
 
     places: Annotated[
         str,
@@ -59,15 +57,6 @@ class PatrolParams(Params, frozen=True, kw_only=True):
         float,
         about("a nearer place is visited", ge=0.01, le=10.0, unit="m", source="ours: a body"),
     ] = 0.2
-    start_x: Annotated[
-        float, about("x of the odometry's origin", ge=-1e4, le=1e4, unit="m", source="ours")
-    ] = 0.0
-    start_y: Annotated[
-        float, about("y of the odometry's origin", ge=-1e4, le=1e4, unit="m", source="ours")
-    ] = 0.0
-    start_yaw: Annotated[
-        float, about("yaw of the odometry's frame", ge=-7.0, le=7.0, unit="rad", source="ours")
-    ] = 0.0
     share_period: Annotated[
         float,
         about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
@@ -94,7 +83,7 @@ class Patrol(Pattern[PatrolParams]):
     """Drives to the adjacent place that was left alone for longest."""
 
     params_type = PatrolParams
-    needs = frozenset({"odometry"})
+    needs = frozenset({"pose"})
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base
 
     def __init__(self, params: PatrolParams, context: Context) -> None:
@@ -120,9 +109,9 @@ class Patrol(Pattern[PatrolParams]):
         now, params = inputs.now, self.params
         for message in inputs.messages:
             self._hear(message, now - message.age)
-        if inputs.odometry is None:
+        pose = inputs.pose
+        if pose is None:
             return Outputs()
-        pose = self._pose(inputs.odometry.pose)
         away = [math.hypot(x - pose.x, y - pose.y) for x, y in self._places]
         if self._target < 0 or away[self._target] <= params.arrival:
             if self._target >= 0:
@@ -146,12 +135,6 @@ class Patrol(Pattern[PatrolParams]):
         self._share_at = now + params.share_period
         ages: list[Value] = [min(now - at, 1e9) for at in self._visited]
         return Outputs(twist, {_CHANNEL: [self._target, *ages]}, report)
-
-    def _pose(self, own: Pose) -> Pose:
-        params = self.params
-        cos, sin = math.cos(params.start_yaw), math.sin(params.start_yaw)
-        x = params.start_x + cos * own.x - sin * own.y
-        return Pose(x, params.start_y + sin * own.x + cos * own.y, params.start_yaw + own.yaw)
 
     def _choose(self, now: float, away: list[float]) -> int:
         """The adjacent place of the greatest idleness that no other is on its way to."""

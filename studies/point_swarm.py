@@ -185,6 +185,7 @@ class PointSwarm:
             odometry=Odometry(now, Pose(*poses[row].tolist()), Twist(*self._twist[row].tolist())),
             neighbors=self._sensed(row, near, poses) if self._has_bearings else (),
             messages=tuple(Message(m.sender, m.channel, m.value, now - at) for at, m in arrived),
+            pose=Pose(*poses[row].tolist()),
             readings={} if self._sense is None else self._sense(now, row, poses),
         )
         point.stepped_at = now

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
-from swarmd.core.values import Array, Pose, SharedPose
+from swarmd.core.values import Array
 from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
@@ -33,7 +33,6 @@ COMMAND_TIMEOUT = 0.5
 
 STATE_RATE = 10.0
 POSE_RATE = 20.0
-POSE_ERROR, POSE_YAW_ERROR = 0.01, 0.01  # m and rad, as of motion capture
 
 
 class RealTimeWorld:
@@ -147,15 +146,13 @@ class RealTimeWorld:
         if self._radio is not None:
             self._publish_radio(self._radio)
         for row in self._readings_due.due(world.time):
-            if world.fields:
+            if world.has_readings:
                 transport.send(world.ids[row], "readings", world.readings(int(row)))
             if (found := world.detections(int(row))) is not None:
                 transport.send(world.ids[row], "detections", found)
         for row in self._poses_due.due(world.time):
-            pose = Pose(*world.poses()[row].tolist())
             # Stamped in real time: simulated time may lag behind.
-            shared = SharedPose(self._clock(), pose, POSE_ERROR, POSE_YAW_ERROR, "world")
-            transport.send(world.ids[row], "pose", shared)
+            transport.send(world.ids[row], "pose", world.shared_pose(int(row), self._clock()))
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 

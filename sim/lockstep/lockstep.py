@@ -112,7 +112,9 @@ class Lockstep:
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
-        readers = n if self.world.has_readings or self.world.has_detectors else 0
+        has_poses = any("pose" in platform.provides for platform in self._platforms)
+        has_any = self.world.has_readings or self.world.has_detectors or has_poses
+        readers = n if has_any else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self.alarms = Alarms(n, self.world.dt)
@@ -327,6 +329,8 @@ class Lockstep:
                 shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
             if (found := world.detections(shell.row)) is not None:
                 shell.step(events.DetectionsInput(found), now)
+            if "pose" in self._platforms[shell.row].provides:
+                shell.step(events.PoseInput(world.shared_pose(shell.row, now)), now)
 
     def _tick(self, now: float) -> None:
         world = self.world

@@ -16,7 +16,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, Twist
+from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
@@ -33,6 +33,8 @@ from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
 from swarmd.sim.world.rolling import RollingScans
 from swarmd.sim.world.scalar_fields import Field, readings_at
+
+_POSE_ERROR, _POSE_YAW_ERROR = 0.01, 0.01  # m and rad, as of motion capture
 
 
 class World:
@@ -291,6 +293,11 @@ class World:
     def has_readings(self) -> bool:
         """Whether robots read anything besides their scans and odometry."""
         return bool(self.fields or self._items.names)
+
+    def shared_pose(self, robot: int, stamp: float) -> SharedPose:
+        """The robot's pose in the frame `world`, without an error."""
+        pose = Pose(*self.poses()[robot].tolist())
+        return SharedPose(stamp, pose, _POSE_ERROR, _POSE_YAW_ERROR, "world")
 
     @property
     def has_detectors(self) -> bool:

@@ -365,6 +365,7 @@ _INPUTS = (
     "ranges",
     "odometry",
     "detections",
+    "pose",
     "neighbors",
     "neighbors.distance",
     "neighbors.bearing",
@@ -394,7 +395,8 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
     once for each scan. `messages` are those received since the last step. `ranges` is the latest
     conditioned scan of the platform's ring of range sensors, measured from the ring's own offset
     (None without a ring, or before its first scan). `detections` are the objects that the robot
-    recognises now (None without a sensor for them, or without a fresh value).
+    recognises now (None without a sensor for them, or without a fresh value). `pose` is that of the
+    robot's axle in the frame that robots share (None without one that is fresh).
     """
 
     now: float
@@ -407,6 +409,7 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
     readings: Mapping[str, float] = {}
     ranges: Scan | None = None
     detections: tuple[Detection, ...] | None = None
+    pose: Pose | None = None
 
 
 class Outputs(Struct, frozen=True, array_like=True):

@@ -60,7 +60,7 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
-    - `needs`: what the robot must have, of scan, ranges, odometry, detections, neighbors,
+    - `needs`: what the robot must have, of scan, ranges, odometry, detections, pose, neighbors,
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
@@ -122,8 +122,8 @@ class MovementPattern(Pattern[P]):
 
 
 def _is_missing(word: str, inputs: Inputs) -> bool:
-    """True if the reading, ring or detections that `word` names are not among the inputs."""
-    if word in ("ranges", "detections"):
+    """True if the reading, ring, detections or pose that `word` names are not among the inputs."""
+    if word in ("ranges", "detections", "pose"):
         return getattr(inputs, word) is None
     kind, _, name = word.partition(":")
     return kind == "reading" and name not in inputs.readings

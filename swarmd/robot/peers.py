@@ -147,18 +147,23 @@ class Peers:
         self._find_due()
         return bool(self._sensed)
 
-    def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> None:
-        """Take in the own pose; `twist` is the measured one. One that is not valid is ignored."""
+    def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
+        """Take in the own pose; `twist` is the measured one.
+
+        The time of the pose; None, and it is ignored, if it is not valid or no news.
+        """
         if not pose.is_valid:
-            return
+            return None
         late = self._pose_delay.take(pose.stamp, now)
         if late is None:
-            return
+            return None
         limits, half = self._limits, 0.5 * FASTEST_POSE
         if twist is None:
             twist = Twist(limits.linear, limits.angular, limits.lateral)
         shift = half * math.hypot(twist.linear, twist.lateral)
-        self._own_pose = _OwnPose(pose, now - late - half, shift, half * abs(twist.angular))
+        at = now - late - half
+        self._own_pose = _OwnPose(pose, at, shift, half * abs(twist.angular))
+        return at
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose and its highest age in s, if peers are to know it."""

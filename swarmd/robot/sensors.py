@@ -25,6 +25,7 @@ from swarmd.core.values import (
     Odometry,
     PeerPlace,
     Platform,
+    Pose,
     Scan,
     ScanSpec,
     SharedPose,
@@ -34,7 +35,7 @@ from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_setti
 from swarmd.protection.decision import ToldObstacle
 from swarmd.protection.footprint import Footprint
 from swarmd.robot.hazard_holds import HazardHolds
-from swarmd.robot.peers import Peers
+from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
@@ -69,6 +70,7 @@ class Sensors(InputTimes):
     odometry: Odometry | None
     readings: Mapping[str, float]
     detections: tuple[Detection, ...] | None
+    pose: Pose | None
 
     def __init__(
         self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
@@ -95,6 +97,7 @@ class Sensors(InputTimes):
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
         self.readings, self.detections = {}, None
+        self.pose, self.pose_until = None, -math.inf
         self.stale_readings: tuple[str, ...] = ()
         self.driver_text = "not connected yet"
         self.gets_zero = False
@@ -146,7 +149,9 @@ class Sensors(InputTimes):
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """Take in the own pose in a shared frame."""
         odometry = self._fresh_odometry(now)
-        self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
+        at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
+        if at is not None:
+            self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in where a peer is in a shared frame."""

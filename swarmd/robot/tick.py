@@ -331,6 +331,8 @@ class InputTimes:
     scan = cython.declare(object, visibility="public")
     readings = cython.declare(object, visibility="public")
     detections = cython.declare(object, visibility="public")
+    pose = cython.declare(object, visibility="public")
+    pose_until = cython.declare(cython.double, visibility="public")
     scan_delay = cython.declare(object, visibility="public")
     is_driver_up = cython.declare(cython.bint, visibility="public")
     driver_hold = cython.declare(object, visibility="public")
@@ -408,6 +410,7 @@ class InputTimes:
             self.readings,
             None if self._ring is None else self._ring.scan,
             self.detections,
+            self.pose if now <= self.pose_until else None,
         )
         self._is_new_scan = False
         return inputs

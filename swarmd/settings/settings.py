@@ -184,6 +184,8 @@ def _read(options: Mapping[str, Value]) -> set[str]:
     """The inputs that a driver with these options reads besides: patterns may need them."""
     readings = options.get("readings")
     found = {"detections"} if options.get("detections") else set()
+    if options.get("shared_pose"):
+        found.add("pose")
     for name, entry in readings.items() if isinstance(readings, dict) else ():
         given = entry if isinstance(entry, dict) else {}
         topic, count = given.get("topic"), given.get("count")

@@ -124,6 +124,7 @@ class Subject:
                 readings=readings,
                 ranges=scan if "ranges" in pattern.needs else None,
                 detections=_DETECTIONS if "detections" in pattern.needs else None,
+                pose=Pose(0.01 * index) if "pose" in pattern.needs else None,
             )
 
     def _find(self, name: str) -> type[Pattern[Any]]:

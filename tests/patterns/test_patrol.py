@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.errors import ParameterError
-from swarmd.core.values import Inputs, Message, Odometry, Outputs, Pose, Twist, Value
+from swarmd.core.values import Inputs, Message, Outputs, Pose, Value
 from swarmd.kit.behavior import Pattern
 from swarmd.patterns.patrol import Patrol, places_of
 from swarmd.testing.pattern_contract import PatternContract, Subject
@@ -28,8 +28,7 @@ def made(**params: Value) -> Pattern[Any]:
 
 def stepped(pattern: Pattern[Any], now: float, pose: Pose, *said: list[Value]) -> Outputs:
     messages = tuple(Message(f"b{k}", "patrol", one, 0.0) for k, one in enumerate(said))
-    odometry = Odometry(now, pose, Twist())
-    return pattern.step(Inputs(now, 0.1, odometry=odometry, messages=messages))
+    return pattern.step(Inputs(now, 0.1, pose=pose, messages=messages))
 
 
 def test_goes_to_the_place_that_was_left_alone_for_longest() -> None:
@@ -64,9 +63,9 @@ def test_tells_its_target_and_the_age_of_all_visits() -> None:
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -3.0])
 def test_turns_to_the_place_in_the_shared_frame(yaw: float) -> None:
-    # It starts 1 m left of the first place, with the heading yaw.
-    pattern = made(places="0 0, 3 1", start_y=1.0, start_yaw=yaw, reach=10.0)
-    found = stepped(pattern, 0.0, Pose())
+    # It is 1 m left of the first place, with the heading yaw.
+    pattern = made(places="0 0, 3 1", reach=10.0)
+    found = stepped(pattern, 0.0, Pose(0.0, 1.0, yaw))
     assert found.report == {"target": 1}
     assert found.twist is not None
     bearing = math.remainder(-yaw, 2.0 * math.pi)
@@ -86,3 +85,7 @@ def test_other_texts_are_no_places(text: str) -> None:
 
 def test_places_are_pairs_of_numbers() -> None:
     assert places_of("1 -2.5,3 4") == [(1.0, -2.5), (3.0, 4.0)]
+
+
+def test_stands_and_says_nothing_without_a_fresh_pose() -> None:
+    assert made().step(Inputs(1.0, 0.1)) == Outputs()

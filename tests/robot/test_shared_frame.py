@@ -12,6 +12,7 @@ from swarmd.core.messages import Body, Reason
 from swarmd.core.values import PeerPlace, Pose, SharedPose, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
+from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -157,3 +158,20 @@ def test_a_robot_runs_beside_an_unseen_peer_while_it_is_told_and_no_longer() -> 
     harness.advance(TOLD_TIMEOUT)
     assert harness.twist.is_zero
     assert harness.status.reason is Reason.INCOMPATIBLE_PEER
+
+
+def test_a_pattern_gets_the_own_pose_until_it_is_too_old() -> None:
+    sensors = Sensors(load_platform("burger"))
+    assert sensors.inputs(10.0, 0.1).pose is None
+    for number in range(10):
+        at = 10.0 + 0.02 * number
+        sensors.on_pose(shared(1.0, 2.0, stamp=at), at)
+    assert sensors.inputs(10.2, 0.1).pose == Pose(1.0, 2.0)
+    last = 10.18 - HALF + POSE_TIMEOUT
+    sensors.on_pose(shared(5.0, 2.0, stamp=10.18), 10.4)  # its stamp does not advance
+    sensors.on_pose(shared(math.nan, 2.0, stamp=10.5), 10.5)
+    assert sensors.inputs(last - 0.001, 0.1).pose == Pose(1.0, 2.0)
+    assert sensors.inputs(last + 0.001, 0.1).pose is None
+    sensors.on_pose(shared(3.0, 2.0, stamp=10.7), 11.1)  # 0.4 s late
+    assert sensors.inputs(11.15, 0.1).pose == Pose(3.0, 2.0)
+    assert sensors.inputs(11.25, 0.1).pose is None

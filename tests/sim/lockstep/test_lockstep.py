@@ -291,6 +291,31 @@ def test_readings_reach_the_pattern(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.report["light"][-1], [-0.5, 4.5], atol=1e-6)
 
 
+def test_a_pattern_that_needs_its_pose_gets_that_of_the_world(tmp_path: Path) -> None:
+    (tmp_path / "where.py").write_text(
+        "from swarmd.api import ZERO, MovementPattern, Params\n"
+        "class Where(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    needs = frozenset({'pose'})\n"
+        "    at = (0.0, 0.0)\n"
+        "    def drive(self, inputs):\n"
+        "        self.at = inputs.pose.x, inputs.pose.y\n"
+        "        return ZERO\n"
+        "    def report(self):\n"
+        "        return {'x': self.at[0], 'y': self.at[1]}\n"
+    )
+    (tmp_path / "placed.yaml").write_text("extends: burger\nprovides: [scan, odometry, pose]\n")
+    group = {
+        "count": 2,
+        "prefix": "r",
+        "pattern": "where",
+        "platform": str(tmp_path / "placed.yaml"),
+    }
+    trace = simulate_run(scenario(groups={"all": group}, plugin_dir=str(tmp_path)), 0)
+    for row, name in enumerate(("x", "y")):
+        np.testing.assert_allclose(trace.report[name][-1], trace.pose[-1, :, row], atol=1e-6)
+
+
 def test_detections_reach_a_pattern_that_needs_them(tmp_path: Path) -> None:
     (tmp_path / "look.py").write_text(
         "from swarmd.api import ZERO, MovementPattern, Params\n"
