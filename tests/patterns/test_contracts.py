@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import ClassVar
@@ -15,14 +16,30 @@ from swarmd.testing.pattern_contract import PatternContract
 FOUND = installed_patterns()
 FIND = PatternLoader({name: (origin.value, origin.is_file) for name, origin in FOUND.items()})
 OURS = sorted(name for name, origin in FOUND.items() if origin.value.startswith("swarmd.patterns."))
-MISSION = FIND("discuss_then_disperse")
+MISSIONS = [name for name, origin in FOUND.items() if origin.source == "swarmd"]
+TURTLEBOTS = ("burger", "waffle_pi")
 
 
 class TestDiscussThenDisperse(PatternContract):
-    """The mission that comes along; its distances are for TurtleBots."""
+    """Its distances are for TurtleBots."""
 
-    pattern = MISSION
-    platforms: ClassVar = ("burger", "waffle_pi")
+    pattern = FIND("discuss_then_disperse")
+    platforms: ClassVar = TURTLEBOTS
+
+
+class TestSearchGatherDecideDisperse(PatternContract):
+    """Its distances are for TurtleBots."""
+
+    pattern = FIND("search_gather_decide_disperse")
+    platforms: ClassVar = TURTLEBOTS
+
+
+class TestPatrolWithoutLeader(PatternContract):
+    pattern = FIND("patrol_without_leader")
+
+
+class TestForageAtVotedSource(PatternContract):
+    pattern = FIND("forage_at_voted_source")
 
 
 @pytest.mark.parametrize("name", OURS)
@@ -42,8 +59,13 @@ def test_each_pattern_passes_the_contract_on_every_platform(name: str) -> None:
 
 
 def test_every_shipped_mission_is_tested() -> None:
-    missions = [name for name, origin in FOUND.items() if origin.source == "swarmd"]
-    assert missions == ["discuss_then_disperse"]
+    kinds = [one.pattern for one in vars(sys.modules[__name__]).values() if _is_contract(one)]
+    assert sorted(kinds, key=str) == sorted(map(FIND, MISSIONS), key=str)
+
+
+def _is_contract(value: object) -> bool:
+    is_class = isinstance(value, type) and issubclass(value, PatternContract)
+    return is_class and value is not PatternContract
 
 
 def test_each_file_of_the_folder_is_installed() -> None:
