@@ -47,7 +47,7 @@ class HexagonalLatticeParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "distance of neighbours in the lattice, from axle to axle",
-            ge=0.1,
+            ge=0.05,
             le=100.0,
             unit="m",
             source="Spears et al. 2004, R; the value: 1.4 times the protection threshold",

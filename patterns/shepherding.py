@@ -48,7 +48,7 @@ class ShepherdingParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "distance that sheep keep, from axle to axle",
-            ge=0.05,
+            ge=0.02,
             le=20.0,
             unit="m",
             source="Strombom et al. 2014, r_a; the value: 0.8 times the protection threshold",
