@@ -8,6 +8,8 @@ CONTENTS = {
         "docs/tutorial/3-statistics",
         "docs/tutorial/4-votes",
         "docs/tutorial/5-protection",
+        "docs/tutorial/6-decisions",
+        "docs/tutorial/7-foraging",
         "docs/tutorial/teachers",
     ],
     "Patterns": [
