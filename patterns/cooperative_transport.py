@@ -88,7 +88,7 @@ class CooperativeTransport(CombinedPattern[CooperativeTransportParams]):
 
     def step(self, inputs: Inputs) -> Outputs:
         """The search without a box, a push where the box hides the lamp, else the way around."""
-        params, seen = self.params, inputs.detections
+        params, seen = self.params, inputs.detections or ()
         placed = [one for one in seen if one.distance is not None]
         box = min((one for one in placed if one.kind == "box"), key=_away, default=None)
         if box is None:

@@ -44,8 +44,8 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 
 # test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
 ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
-# Ten seconds of processor time each; tests/patterns has their rules.
-LONG = {"collective_perception", "cue_aggregation", "response_threshold"}
+# Four to ten seconds of processor time each; tests/patterns has their rules.
+LONG = {"collective_perception", "cooperative_transport", "cue_aggregation", "response_threshold"}
 
 
 @pytest.mark.parametrize(
