@@ -87,6 +87,12 @@ SHOTS = MappingProxyType(
             colour="opinion",
             camera="top",
         ),
+        "film_cooperative_transport": Shot(
+            scenario="cooperative_transport",
+            title="cooperative_transport, to a lamp on the right",
+            stop=75.0,
+            camera="top",
+        ),
         "film_cross_inhibition": _shot(
             "cross_inhibition", "quality 0.6 and 0.9", 120.0, "report:opinion", **_OPTIONS
         ),

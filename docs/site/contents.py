@@ -43,6 +43,7 @@ CONTENTS = {
         "docs/patterns/phototaxis",
         "docs/patterns/source_seeking",
         "docs/patterns/foraging",
+        "docs/patterns/cooperative_transport",
         "docs/patterns/levy_walk",
     ],
     "How to": [

@@ -14,6 +14,7 @@ from studies.outcomes.outcome import Outcome, at_least, at_most
 SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "attraction": {"duration": 40.0},
     "best_of_n": {"has_hard": False},
+    "cooperative_transport": {"shapes": ((0.5, 0.5),), "duration": 80.0},
     "cross_inhibition": {"has_bounds": False},
     "circle_formation": {"settings": (SHORT,)},
     "discussed_dispersion": {"seconds": 46.0},
@@ -43,8 +44,8 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 
 # test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
 ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
-# Ten seconds of processor time each; tests/patterns has their rules.
-LONG = {"collective_perception", "cue_aggregation", "response_threshold"}
+# Four to ten seconds of processor time each; tests/patterns has their rules.
+LONG = {"collective_perception", "cooperative_transport", "cue_aggregation", "response_threshold"}
 
 
 @pytest.mark.parametrize(
