@@ -330,7 +330,8 @@ def test_a_retry_does_not_fail_by_what_its_parts_reported_before(
 ) -> None:
     last = "brief" if "brief" in condition else "go"
     text = parts("other", last) + (
-        f"sequence: [{{part: other, until: {{timeout: 1}}}}, {{part: {last}, until: {{timeout: 9}}}}]\n"
+        "sequence: [{part: other, until: {timeout: 1}}, "
+        f"{{part: {last}, until: {{timeout: 9}}}}]\n"
         f"then: repeat\nfails: {{{condition}}}\nretry: 1\n"
     )
     found = steps(made(tmp_path, text), *(0.5 * index for index in range(8)))
