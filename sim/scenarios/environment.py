@@ -12,7 +12,7 @@ from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.sim.scenarios.schema import ArenaSection
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.floor import FloorField
-from swarmd.sim.world.item_kind import ItemKind
+from swarmd.sim.world.item_kind import DELIVERED, HELD, ItemKind
 from swarmd.sim.world.scalar_fields import Field
 
 
@@ -27,7 +27,14 @@ def blamed(layers: Layered, *keys: str | int, prefix: str = "") -> Iterator[None
 
 def arena_of(layers: Layered, section: ArenaSection, items: Sequence[ItemKind] = ()) -> Arena:
     """The arena; ConfigError for duplicate names and for places outside the walls."""
+    known = {HELD, DELIVERED}
     for index, kind in enumerate(items):
+        own = kind.readings[:3]
+        taken = next((name for name in own if name in known), None)
+        if taken is not None:
+            text = f"items[{index}].name gives a reading {taken!r} a second time; expected another"
+            raise layers.error(("items", index, "name"), f"{text} name")
+        known.update(own)
         discs = [disc[:2] for disc in (kind.source, kind.nest) if disc is not None]
         for place in (*discs, *kind.at):
             check_inside(layers, section, ("items", index), place)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias, cast
 from typing import get_type_hints as type_hints
@@ -91,7 +91,7 @@ class Mission(CombinedPattern[Params]):
         seen = Observation(inputs.now, self._reports, self._done, inputs.scan, inputs.readings)
         self._stepped = {}
         twist = None
-        if not self._root.check(seen):
+        if not self._root.check(self, seen):
             twist = self._root.step(self, inputs, seen)
         messages: dict[str, Value] = {}
         grip = None
@@ -110,6 +110,12 @@ class Mission(CombinedPattern[Params]):
             if source == name and key in outputs.report:
                 self._set(*setter.target, setter.table.get(outputs.report[key]))
         return outputs
+
+    def forget(self, parts: Collection[str]) -> None:
+        """Forget what parts have reported: no condition holds by it until they are stepped."""
+        for key in [key for key in self._reports if schema.split(key)[0] in parts]:
+            del self._reports[key]
+        self._done.difference_update(parts)
 
     def _builder(self, params: Params) -> validate.PartBuilder:
         exposed: dict[str, dict[str, Any]] = {}
@@ -249,6 +255,7 @@ class _Node(ABC):
         self._until = None if element.until is None else ConditionState(element.until)
         self._fails = None if element.fails is None else ConditionState(element.fails)
         self._retry, self._retries = element.retry or 0, 0
+        self._parts = frozenset(schema.parts_in(element))
 
     def start(self, now: float) -> None:
         """Start, or start again from the beginning."""
@@ -262,7 +269,7 @@ class _Node(ABC):
             if condition is not None:
                 condition.start(now)
 
-    def check(self, seen: Observation) -> str:
+    def check(self, mission: Mission, seen: Observation) -> str:
         """The reason why it has ended, evaluated once before each step.
 
         It never ends before its first step: until then its parts' reports are from an earlier time.
@@ -276,23 +283,24 @@ class _Node(ABC):
             if until is not None and is_over:
                 self.ended = str(until.condition)
             elif fails is not None and is_lost:
-                self._fail(str(fails.condition), seen.now)
+                self._fail(str(fails.condition), mission, seen.now)
                 self._is_new = False
         return self.ended
 
-    def _fail(self, reason: str, now: float) -> None:
-        """Fail for a reason, or begin again."""
+    def _fail(self, reason: str, mission: Mission, now: float) -> None:
+        """Fail for a reason, or begin again without what its parts have reported."""
         if self._retries < self._retry:
             self._retries += 1
+            mission.forget(self._parts)
             self._begin(now)
         else:
             prefix = "" if reason.startswith(_FAILED) else _FAILED
             self.ended, self.has_failed = prefix + reason, True
 
-    def _end_like(self, child: _Node, now: float) -> None:
+    def _end_like(self, child: _Node, mission: Mission, now: float) -> None:
         """End, or fail, as an element in it has."""
         if child.has_failed:
-            self._fail(child.ended, now)
+            self._fail(child.ended, mission, now)
         else:
             self.ended = child.ended
 
@@ -339,17 +347,17 @@ class _SequenceNode(_Node):
 
     def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         current = self._steps[self._index]
-        if current.check(seen):
+        if current.check(mission, seen):
             if self._is_last(current):
-                self._end_like(current, seen.now)
+                self._end_like(current, mission, seen.now)
                 return None
             self._index = (self._index + 1) % len(self._steps)
             current = self._steps[self._index]
             current.start(seen.now)
-            current.check(seen)
+            current.check(mission, seen)
         twist = current.step(mission, inputs, seen)
         if current.ended and self._is_last(current):
-            self._end_like(current, seen.now)
+            self._end_like(current, mission, seen.now)
         return twist
 
     def _is_last(self, current: _Node) -> bool:
@@ -376,14 +384,14 @@ class _ParallelNode(_Node):
     def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         requested = None
         for item in self._items:
-            if item.check(seen):
+            if item.check(mission, seen):
                 continue
             twist = item.step(mission, inputs, seen)
             if item.name == self._driver:
                 requested = twist
         failed = next((item for item in self._items if item.has_failed), None)
         if failed is not None:
-            self._fail(failed.ended, seen.now)
+            self._fail(failed.ended, mission, seen.now)
         elif all(item.ended for item in self._items):
             self.ended = "; ".join(item.ended for item in self._items)
         return requested
@@ -417,9 +425,9 @@ class _SwitchNode(_Node):
             self._chosen = chosen
             if chosen is not None:
                 chosen.start(seen.now)
-        if chosen is None or chosen.check(seen):
+        if chosen is None or chosen.check(mission, seen):
             if chosen is not None and chosen.has_failed:
-                self._fail(chosen.ended, seen.now)
+                self._fail(chosen.ended, mission, seen.now)
             return None
         return chosen.step(mission, inputs, seen)
 

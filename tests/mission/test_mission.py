@@ -322,3 +322,20 @@ def test_an_item_that_fails_fails_its_parallel_and_a_branch_its_switch(tmp_path:
     for text in (parts("go", "other") + both, parts("go") + branch):
         found = steps(made(tmp_path, text), 0.0, 1.0, range_=0.4)
         assert [one.done for one in found] == [None, "failed: something is nearer than 0.5 m"]
+
+
+@pytest.mark.parametrize("condition", ["report: go.steps, above: 1", "done: brief"])
+def test_a_retry_does_not_fail_by_what_its_parts_reported_before(
+    tmp_path: Path, condition: str
+) -> None:
+    last = "brief" if "brief" in condition else "go"
+    text = parts("other", last) + (
+        "sequence: [{part: other, until: {timeout: 1}}, "
+        f"{{part: {last}, until: {{timeout: 9}}}}]\n"
+        f"then: repeat\nfails: {{{condition}}}\nretry: 1\n"
+    )
+    found = steps(made(tmp_path, text), *(0.5 * index for index in range(8)))
+    again = [one.report["phase"] for one in found].index("other", 2)
+    assert [one.report["phase"] for one in found[again : again + 2]] == ["other", "other"]
+    assert found[again + 2].report["phase"] == last
+    assert [one.done for one in found[: again + 3]] == [None] * (again + 3)

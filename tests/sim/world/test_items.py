@@ -15,6 +15,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics.delivery import delivered, items_delivered
 from swarmd.sim.metrics.window import tall_boxes
+from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import TraceBuilder
 from swarmd.sim.world.arena import Arena, Box, parse_arena
 from swarmd.sim.world.item_kind import ItemKind, with_items
@@ -227,3 +228,11 @@ def test_delivered_items_count_for_each_robot_and_minute() -> None:
     assert found.tolist() == [0.0, 3.0, 6.0]
     assert items_delivered(trace) == 1.5
     assert items_delivered(builder.trace()) is None
+
+
+@pytest.mark.parametrize("names", [("held",), ("food", "food"), ("food", "food_distance")])
+def test_a_name_that_gives_a_reading_twice_is_refused(names: tuple[str, ...]) -> None:
+    items = [{"name": name, "at": [[0.0, 0.0]]} for name in names]
+    data = {"groups": {"all": {"count": 1, "pattern": "drive"}}, "items": items}
+    with pytest.raises(ConfigError, match=rf"items\[{len(names) - 1}\].name .*'{names[-1]}'"):
+        scenario_of(data)
