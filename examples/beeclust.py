@@ -1,6 +1,16 @@
 """BEECLUST: robots gather where it is warm (Schmickl and Hamann 2011). They send no messages."""
 
-from swarmd.api import Annotated, Inputs, Params, TimedPattern, Twist, about, nearest, robots_near
+from swarmd.api import (
+    Annotated,
+    Avoidance,
+    Inputs,
+    Params,
+    TimedPattern,
+    Twist,
+    about,
+    nearest,
+    robots_near,
+)
 
 
 class BeeclustParams(Params, frozen=True):
@@ -11,6 +21,7 @@ class BeeclustParams(Params, frozen=True):
     wait: Annotated[float, about("longest wait", ge=0.0, le=600.0, unit="s")] = 120.0
     cold: Annotated[float, about("no wait at or below", ge=-50.0, le=100.0, unit="degC")] = 20.0
     half: Annotated[float, about("half of the wait at cold +", ge=0.1, le=50, unit="degC")] = 5.0
+    avoidance: Avoidance = "none"  # a bee that is to meet others passes none of them
 
 
 class Beeclust(TimedPattern[BeeclustParams]):

@@ -29,6 +29,7 @@ from swarmd.kit.field_pattern import Bias, FieldParams, FieldPattern, TurnIfAlon
 from swarmd.kit.formation_geometry import place_on_circle, place_on_line, radius_of
 from swarmd.kit.formation_pattern import FormationParams, FormationPattern
 from swarmd.kit.params import (
+    Avoidance,
     ObjectWidth,
     P,
     Params,
@@ -68,6 +69,7 @@ __all__ = [
     "ZERO",
     "Annotated",
     "Array",
+    "Avoidance",
     "Bias",
     "CombinedPattern",
     "ConfigError",

@@ -67,9 +67,9 @@ def test_finds_patterns_in_the_plugin_folder_and_ignores_other_files(folder: Pat
     for name in ("spin.py", "test_spin.py", "_hidden.py", "Big.py", "notes.txt", "swarm.yaml"):
         (folder / name).touch()
     (folder / "folder.py").mkdir()
-    (folder / "patrol.yaml").write_text("# by night\nmission: Goes round\n")
+    (folder / "survey.yaml").write_text("# by night\nmission: Goes round\n")
     found = plugins.pattern_names(folder).items() - plugins.installed_patterns().items()
-    assert sorted(name for name, origin in found if origin.is_file) == ["patrol", "spin"]
+    assert sorted(name for name, origin in found if origin.is_file) == ["spin", "survey"]
     spin = plugins.find_pattern("spin", folder)
     assert spin.value == str((folder / "spin.py").resolve())
     assert spin.source == str(folder / "spin.py")
