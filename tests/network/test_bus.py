@@ -138,7 +138,9 @@ async def test_an_answer_may_come_later_and_only_once(rig: BusRig) -> None:
     assert await rig.get("me/control/run/eve") == [(rig.key("me/control/run/eve"), b"first")]
 
 
-async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(rig: BusRig) -> None:
+async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(
+    rig: BusRig, until: Until
+) -> None:
     """Every query of a flood is handled or counted, and another verb is answered meanwhile."""
     handled: list[bytes] = []
 
