@@ -4,9 +4,8 @@ Source: Machado, Ramalho, Zucker and Drogoul, "Multi-agent patrolling: an empiri
 alternative architectures", MABS 2002, LNAI 2581, 2003: the conscientious reactive agent goes to the
 adjacent place that it has not visited for longest. Idleness is the time since the last visit.
 
-Ours: robots tell each other their visits and the place that each is on its way to; a place that
-another is on its way to is not chosen while there is one that none is on its way to. Adjacent are
-the places within `reach`.
+Ours: robots tell each other their visits and their targets. A robot takes the target of another
+robot only where all adjacent places are targets. Adjacent are the places within `reach`.
 
 Needs the robot's pose in a frame that the robots share, as from a camera above or a localisation.
 """

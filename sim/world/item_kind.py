@@ -43,7 +43,7 @@ class ItemKind(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
         if self.source is None and (self.count is not None or self.nest is not None):
             raise ValueError("has no source; expected x, y, radius of the disc where they appear")
         if self.nest is not None and self.mass is not None:
-            raise ValueError("has both a nest and a mass; nobody picks up a puck: leave one out")
+            raise ValueError("has both a nest and a mass; a gripper takes no puck: leave one out")
 
     @property
     def things(self) -> tuple[Item, ...]:

@@ -395,8 +395,8 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
     once for each scan. `messages` are those received since the last step. `ranges` is the latest
     conditioned scan of the platform's ring of range sensors, measured from the ring's own offset
     (None without a ring, or before its first scan). `detections` are the objects that the robot
-    recognises now (None without a sensor for them, or without a fresh value). `pose` is that of the
-    robot's axle in the frame that robots share (None without one that is fresh).
+    recognises now (None without a sensor for them, or without a fresh value). `pose` is the
+    place of the robot's axle in the shared frame (None without a fresh one).
     """
 
     now: float
