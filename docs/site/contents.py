@@ -53,6 +53,7 @@ CONTENTS = {
         "docs/daemon",
         "docs/watching",
         "docs/recording",
+        "docs/keys",
         "docs/experiments",
         "docs/clusters",
         "docs/trace",

@@ -14,12 +14,18 @@ from typing import Any, get_args
 
 import click
 import msgspec
+import zenoh
 from docstrings import module, prose
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import cli
+from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
+from swarmd.core.keys import CONTROL, SHARED, STATE, build
+from swarmd.core.verbs import VERBS
+from swarmd.network.access import robot_access
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
+from swarmd.security.roster import Roster
 from swarmd.settings.platforms import (
     HeightsSection,
     LimitsSection,
@@ -200,6 +206,118 @@ def reasons() -> Iterator[str]:
     yield _table(("reason", "meaning and remedy"), rows)
 
 
+def keys() -> Iterator[str]:
+    """The keys of a robot: content, rate, and which roles links let pass in a secured swarm."""
+    yield "## What robots publish"
+    rows = [
+        (
+            f"`state/{one.name}`",
+            f"`{one.content.__name__}`",
+            one.rate,
+            one.text,
+            _roles(STATE, one.name, "declare_subscriber"),
+        )
+        for one in PUBLISHED.values()
+    ]
+    yield _table(("key", "content", "rate, while somebody subscribes", "what", "may read"), rows)
+    yield "## What robots answer"
+    answered = [
+        (f"`state/{name}`", "nothing", f"`{kind.__name__}`", "", _roles(STATE, name, "query"))
+        for name, kind in ANSWERED.items()
+    ]
+    asked = [
+        (
+            f"`control/{row.name}/ASKER`",
+            f"`{row.asked.__name__}`" if row.asked.__struct_fields__ else "nothing",
+            f"`{row.answer.__name__}`",
+            row.help,
+            _roles(CONTROL, row.name, "query"),
+        )
+        for row in VERBS.values()
+        if not row.is_datagram
+    ]
+    shared = [
+        (f"`shared/{name}/ASKER`", "a name and an offset", "bytes", text, _roles(SHARED, name))
+        for name, text in HANDED_OVER.items()
+    ]
+    heads = ("key", "asked", "answer", "what", "may ask")
+    yield _table(heads, [*answered, *asked, *shared])
+    yield "## Content"
+    known: list[type] = [one.content for one in PUBLISHED.values()]
+    for kind in known:  # it grows by the parts that are found
+        form = "array" if kind.__struct_config__.array_like else "map"
+        yield f"### {kind.__name__}"
+        yield prose(inspect.cleandoc(kind.__doc__ or ""))
+        info = msgspec.inspect.type_info(kind)
+        assert isinstance(info, msgspec.inspect.StructType)
+        rows = [(f"`{one.encode_name}`", _on_wire(one.type, known)) for one in info.fields]
+        yield _table((f"field of the {form}", "type"), rows)
+
+
+def _roles(plane: str, name: str, message: str = "query") -> str:
+    """Which roles a robot lets send `message` on a key of its own, by its access rules."""
+    roster = Roster(
+        swarm="lab",
+        generation=1,
+        robots=("robots", "r1"),
+        operators={"operators": bytes(64)},
+        viewers=("viewers",),
+        secret_digest=bytes(32),
+    )
+    access = robot_access(roster, "r1")
+    names = {one["id"]: one["cert_common_names"] for one in access["subjects"]}
+    rules = {one["id"]: one for one in access["rules"]}
+    found = []
+    for role in ("operators", "viewers", "robots"):
+        key = zenoh.KeyExpr(build("lab", "r1", plane, name, role if plane != STATE else ""))
+        passing = [rules[one["rules"][0]] for one in access["policies"]
+                   if role in names[one["subjects"][0]]]  # fmt: skip
+        if any(
+            message in rule["messages"]
+            and "ingress" in rule["flows"]
+            and any(zenoh.KeyExpr(own).includes(key) for own in rule["key_exprs"])
+            for rule in passing
+        ):
+            found.append(role)
+    return ", ".join(found)
+
+
+def _on_wire(kind: msgspec.inspect.Type, known: list[type]) -> str:
+    """The type of a field, in words; a struct is named, and added to `known`."""
+    match kind:
+        case msgspec.inspect.StructType(cls=cls):
+            if cls not in known:
+                known.append(cls)
+            return f"`{cls.__name__}`"
+        case msgspec.inspect.UnionType(types=types):
+            return " or ".join(dict.fromkeys(_on_wire(one, known) for one in types))
+        case (
+            msgspec.inspect.ListType(item_type=item) | msgspec.inspect.VarTupleType(item_type=item)
+        ):
+            return f"list of {_on_wire(item, known)}"
+        case msgspec.inspect.TupleType(item_types=items):
+            return f"[{', '.join(_on_wire(one, known) for one in items)}]"
+        case msgspec.inspect.DictType(value_type=value):
+            return f"map of text to {_on_wire(value, known)}"
+        case msgspec.inspect.EnumType(cls=cls):
+            return f"text: `{cls.__name__}`" if len(cls) > 5 else _one_of(one.value for one in cls)
+        case msgspec.inspect.LiteralType(values=values):
+            return _one_of(values)
+        case msgspec.inspect.NoneType():
+            return "nil"
+        case msgspec.inspect.BytesType():
+            return "bytes"
+        case msgspec.inspect.FloatType():
+            return "number"
+        case msgspec.inspect.IntType():
+            return "integer"
+    return _accepted(kind)
+
+
+def _one_of(values: Iterable[object]) -> str:
+    return "one of " + ", ".join(f"`{one}`" for one in values)
+
+
 def api() -> Iterator[str]:
     """What authors of patterns import."""
     yield from module("swarmd.api")
@@ -230,6 +348,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "metrics": metrics,
     "commands": commands,
     "reasons": reasons,
+    "keys": keys,
     "api": api,
     "testing": testing,
     "experiments": experiments,

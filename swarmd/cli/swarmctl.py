@@ -46,6 +46,8 @@ VERBS = dict((
     _verb("links", LOOK),
     _verb("logs", LOOK, "tb3-03 -f"),
     _verb("audit", LOOK, "--since 1h"),
+    _verb("zenoh", LOOK, "--out meadow.json5",
+          "Print the configuration with which any Zenoh program reads the swarm."),
     _verb("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s"),
     _verb("stop", MOVE, file="stop_and_reset"),
     _verb("estop", MOVE, "--reason 'a person in the arena'", file="stop_and_reset"),

@@ -15,6 +15,13 @@ Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Rate = Annotated[float, Meta(ge=0.0, le=1e6)]
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
+"""Seconds on the sensor's clock: a real one counts from 1970."""
+Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
+"""Metres in the odometry frame, which may be that of a map."""
+Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
+"""Seconds from one ray to the next."""
 Height = Annotated[float, Meta(ge=0.0, le=100.0)]
 Name = Annotated[str, Meta(min_length=1, max_length=63)]
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]

@@ -19,16 +19,14 @@ ANY = "*"
 _ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
 ANYONE = "anyone"
 """The asker in an insecure swarm."""
-CONTROL, SHARED = "control", "shared"
+STATE, CONTROL, SHARED, MULTICAST, UNICAST = "state", "control", "shared", "multicast", "unicast"
+"""The planes; `core/key_table.py` lists the names of each."""
 _ASKED = frozenset({CONTROL, SHARED})
-_PLANES = frozenset({"state", "msg", "sense", "multicast", "unicast"}) | _ASKED
+_PLANES = frozenset({STATE, MULTICAST, UNICAST}) | _ASKED
 
 
 class Key(NamedTuple):
-    """A parsed key. `name` follows the plane; for `msg` it is `<pattern>/<channel>`.
-
-    `asker`: of the planes `control` and `shared`, else empty.
-    """
+    """A parsed key. `asker`: of the planes `control` and `shared`, else empty."""
 
     swarm: str
     robot: str
@@ -69,13 +67,10 @@ def parse(key: str, *, is_query: bool = False) -> Key | None:
     chunks = key.split("/")
     if len(chunks) not in (5, 6) or chunks[0] != ROOT or chunks[3] not in _PLANES:
         return None
-    is_asked = chunks[3] in _ASKED
-    if (len(chunks) == 6) != (is_asked or chunks[3] == "msg"):
+    if (len(chunks) == 6) != (chunks[3] in _ASKED):
         return None
     is_for_all = is_query and chunks[2] == ANY
     names = (chunks[1], *(() if is_for_all else (chunks[2],)), *chunks[4:])
     if not all(is_id(name) for name in names):
         return None
-    if is_asked:
-        return Key(*chunks[1:])
-    return Key(chunks[1], chunks[2], chunks[3], "/".join(chunks[4:]))
+    return Key(*chunks[1:])

@@ -6,12 +6,14 @@ Unknown fields are ignored, so that a newer peer can add fields. Types with boun
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import (
+    Angle,
     BoundedScalar,
+    Coordinate,
     Count,
     Height,
     Line,
@@ -20,6 +22,8 @@ from swarmd.core.bounds import (
     Rate,
     Seconds,
     Speed,
+    Stamp,
+    Step,
     Word,
 )
 from swarmd.core.goal import GoalStatus
@@ -438,6 +442,63 @@ class Motion(Struct, frozen=True, array_like=True):
     is_active: bool
     gap: Metres | None = None
     rows: tuple[LimitingObstacle, ...] = ()
+
+
+class ShownPose(Struct, frozen=True, kw_only=True):
+    """The pose of a robot in a frame that robots share: `x`, `y` in m and `yaw` in rad.
+
+    `at` in s on the clock of the robot, `age` in s since the pose was measured. `error` in m and
+    `yaw_error` in rad: its bounds. `frame`: the name of the frame.
+    """
+
+    robot: Name
+    at: Seconds
+    age: Seconds
+    x: Coordinate
+    y: Coordinate
+    yaw: Metres
+    error: Metres
+    yaw_error: Angle
+    frame: Name
+
+
+class ShownDecision(Struct, frozen=True, kw_only=True):
+    """The last decision of protection, with the state and the reason of a standstill.
+
+    `at` in s on the clock of the robot.
+    """
+
+    robot: Name
+    at: Seconds
+    state: State
+    reason: Reason | None
+    decision: DecisionSummary
+
+
+class ShownMessage(Struct, frozen=True, kw_only=True):
+    """A message that the pattern of a robot sent. `at` in s on the clock of the robot.
+
+    `value`: what the pattern gave, made of the types of MessagePack.
+    """
+
+    robot: Name
+    at: Seconds
+    channel: Line
+    value: Any
+
+
+class ScanWire(Struct, frozen=True, array_like=True):
+    """One scan. `ranges` in m as little-endian float32; `stamp` in s on the clock of the sensor.
+
+    `bearings` in rad and `ages` in s of the rays: (first, step) if regular, else little-endian
+    float32. `ages` None: the sensor does not tell them, and those of the platform's sweep hold.
+    """
+
+    seq: Count
+    stamp: Stamp
+    ranges: bytes
+    bearings: tuple[Angle, Angle] | bytes
+    ages: tuple[Seconds, Step] | bytes | None = None
 
 
 class ShownTrack(Struct, frozen=True, array_like=True, gc=False):

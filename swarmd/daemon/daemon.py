@@ -17,6 +17,7 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -28,10 +29,10 @@ from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
-from swarmd.core.messages import Reply, Status
+from swarmd.core.messages import Reply, ShownMessage, Status
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
-from swarmd.core.values import Neighbor
+from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
@@ -487,6 +488,8 @@ class Daemon:
 
     def _publish_motion(self) -> None:
         self._network.publish("motion", self._motion)
+        self._network.publish("pose", self._pose)
+        self._network.publish("decision", self._decision)
         scan = self._robot.scan
         if scan is not None and scan.seq != self._shown_scan:
             self._shown_scan = scan.seq
@@ -497,9 +500,20 @@ class Daemon:
         motion = self._robot.motion(boottime())
         return None if motion is None else encode(motion)
 
+    def _pose(self) -> bytes | None:
+        pose = self._robot.shared_pose(boottime())
+        return None if pose is None else encode(pose)
+
+    def _decision(self) -> bytes:
+        return encode(self._robot.shown_decision(boottime()))
+
     def _tracks(self) -> bytes | None:
         tracks = self._robot.tracks(boottime())
         return None if tracks is None else encode(tracks)
+
+    def _message(self, channel: str, value: Value) -> bytes:
+        shown = ShownMessage(robot=self._robot.id, at=boottime(), channel=channel, value=value)
+        return encode(shown)
 
     def _check_storage(self) -> None:
         """Try the state folder, and tell of a change; write a latch that is in memory only."""
@@ -542,6 +556,7 @@ class Daemon:
                 log.debug("message on %s not sent: %s", name, error)
                 self._drops.add(f"msg/{name}:unsendable")
                 continue
+            self._network.publish("message", partial(self._message, name, value))
             if self._carrier is None:
                 self._network.publish_message(name, payload)
             else:

@@ -322,7 +322,7 @@ class Network:
                 self._send(body, address)
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
-        """Publish status, motion, scan, tracks or log to those that subscribe to it."""
+        """Publish a name of the table `PUBLISHED` to those that subscribe to it."""
         bus = self._connection.bus
         if bus is not None and self.owns_id:
             bus.publish(name, payload)

@@ -15,9 +15,10 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Count, Metres, Name, Seconds, Speed, Word
+from swarmd.core.bounds import Angle, Coordinate, Metres, Name, Speed, Stamp, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
+from swarmd.core.messages import ScanWire
 from swarmd.core.values import (
     MAX_DETECTIONS,
     MAX_TOLD_DISTANCE,
@@ -34,34 +35,14 @@ from swarmd.core.values import (
 )
 from swarmd.driver_api.driver import Sink
 
-Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
-Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
-"""Seconds on the sensor's clock: a real one counts from 1970."""
-Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
-"""Metres in the odometry frame, which may be that of a map."""
 Distance = Annotated[float, Meta(ge=0.0, le=MAX_TOLD_DISTANCE)]
 """Metres to another robot."""
-Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
-"""Seconds from one ray to the next."""
 Channel = Annotated[str, Meta(min_length=3, max_length=127)]
 MAX_RAYS = 20_000
 MAX_MESSAGES = 100
 """Messages in one packet, of at most MAX_MESSAGE bytes each."""
 INPUTS = ("scan", "ranges", "odometry", "neighbors", "pose", "readings", "detections")
 """Each is a method of the sink."""
-
-
-class ScanWire(Struct, frozen=True, array_like=True):
-    """One scan; `bearings` in rad and `ages` in s as (first, step) if regular, else float32 bytes.
-
-    `ages` None: the sensor does not tell them, and those of the platform's sweep hold.
-    """
-
-    seq: Count
-    stamp: Stamp
-    ranges: bytes
-    bearings: tuple[Angle, Angle] | bytes
-    ages: tuple[Seconds, Step] | bytes | None = None
 
 
 class OdometryWire(Struct, frozen=True, array_like=True):

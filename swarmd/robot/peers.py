@@ -165,6 +165,12 @@ class Peers:
         self._own_pose = _OwnPose(pose, at, shift, half * abs(twist.angular))
         return at
 
+    def shared_pose(self, now: float) -> tuple[SharedPose, float] | None:
+        """The own pose in a shared frame and its age in s; None without a fresh one."""
+        own = self._own_pose
+        age = 0.0 if own is None else max(now - own.at, 0.0)
+        return None if own is None or age > POSE_TIMEOUT else (own.shared, age)
+
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose and its highest age in s, if peers are to know it."""
         if not (self._is_missed or self._tells_pose) or self._own_pose is None:

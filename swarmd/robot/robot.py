@@ -23,6 +23,8 @@ from swarmd.core.messages import (
     Latch,
     Motion,
     Reason,
+    ShownDecision,
+    ShownPose,
     ShownTrack,
     State,
     Status,
@@ -40,7 +42,7 @@ from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotIdentity, RobotSettings
 from swarmd.robot.state import Lifecycle, StateMachine
-from swarmd.robot.status import make_status, status_reason
+from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
@@ -348,6 +350,34 @@ class Robot(Ticker):
             is_active=decision.is_active,
             gap=decision.min_gap,
             rows=decision.rows[:3],
+        )
+
+    def shared_pose(self, now: float) -> ShownPose | None:
+        """Its pose in a shared frame, for viewers; None without a fresh one."""
+        found = self._sensors.peers.shared_pose(now)
+        if found is None:
+            return None
+        shared, age = found
+        return ShownPose(
+            robot=self.id,
+            at=now,
+            age=age,
+            x=shared.pose.x,
+            y=shared.pose.y,
+            yaw=math.remainder(shared.pose.yaw, 2.0 * math.pi),
+            error=shared.error,
+            yaw_error=shared.yaw_error,
+            frame=shared.frame,
+        )
+
+    def shown_decision(self, now: float) -> ShownDecision:
+        """The last decision of protection, for viewers."""
+        return ShownDecision(
+            robot=self.id,
+            at=now,
+            state=self.state,
+            reason=status_reason(self._lifecycle, self.decision),
+            decision=decision_summary(self.decision, self._duty, self._sensors, now),
         )
 
     def tracks(self, now: float) -> Tracks | None:

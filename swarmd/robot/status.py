@@ -73,7 +73,7 @@ def make_status(
         labels=lifecycle.goals.labels,
         params={name: Param(value=value, source=src) for name, (value, src) in values.items()},
         report=_clean(lifecycle.report),
-        decision=_summary(decision, duty, _avoided(decision, sensors, now)),
+        decision=decision_summary(decision, duty, sensors, now),
         health=Health(
             scan_rate=sensors.scan_rate(now),
             host_restarts=lifecycle.pattern_run.restarts,
@@ -122,6 +122,13 @@ def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
         if way < _SAME_PLACE:
             return f"avoiding {one.id}"
     return avoided.text
+
+
+def decision_summary(
+    decision: Decision, duty: DutyCycle, sensors: Sensors, now: float
+) -> DecisionSummary:
+    """A decision within the bounds of a message, and what avoidance does."""
+    return _summary(decision, duty, _avoided(decision, sensors, now))
 
 
 def _summary(decision: Decision, duty: DutyCycle, avoiding: str = "") -> DecisionSummary:

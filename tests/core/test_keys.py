@@ -11,7 +11,7 @@ from swarmd.core.keys import ANY, Key, build, parse
     "key",
     [
         Key("lab", "r1", "state", "status"),
-        Key("lab", "r1", "msg", "voter/opinion"),
+        Key("lab", "r1", "multicast", "all"),
         Key("lab", "r1", "control", "run", "alice"),
         Key("lab", "r1", "shared", "roster", "r2"),
     ],
@@ -36,6 +36,7 @@ def test_only_questions_have_an_asker(plane: str, asker: str) -> None:
         "swarm/lab/*/state/status/alice",
         "swarm/*/r1/control/run/alice",
         "swarm/lab/r1/other/run",
+        "swarm/lab/r1/msg/voter/opinion",
         "lab/r1/control/run/alice",
         "**",
     ],

@@ -19,6 +19,7 @@ import yaml
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
 from swarmd.core.clock import TICK
+from swarmd.core.key_table import PUBLISHED
 from swarmd.plugins import DRIVERS
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
@@ -243,6 +244,7 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("metrics", [f"`{name}`" for name in METRICS]),
         ("commands", ["`--interface NAME`", "`--seeds SEEDS`"]),
         ("reasons", ["`stale_scan`", "`estop`"]),
+        ("keys", [*(f"`state/{name}`" for name in PUBLISHED), "`control/run/ASKER`", "`yaw`"]),
     ],
 )
 def test_the_generated_reference_is_complete(

@@ -12,9 +12,8 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import encode
-from swarmd.core.messages import Reason, State
+from swarmd.core.messages import Reason, ScanWire, State
 from swarmd.core.values import Array, Platform, Scan, ScanSpec, Twist
-from swarmd.driver_api.hw_codec import ScanWire
 from swarmd.testing.scans import trembling
 from tests.support.fake_body import Body
 

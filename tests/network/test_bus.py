@@ -241,3 +241,11 @@ async def test_after_close_nothing_is_called_and_nothing_raises(rig: BusRig) -> 
 )
 def test_an_ipv4_address_is_shown_as_one(given: str, shown: str) -> None:
     assert without_mapping(given) == shown
+
+
+def test_a_name_that_the_table_of_keys_lacks_is_refused(rig: BusRig) -> None:
+    for plane, name in (("control", "dance"), ("state", "scan"), ("msg", "run")):
+        with pytest.raises(ValueError, match="key_table"):
+            rig.bus.serve(plane, name, lambda query: query.drop())
+    with pytest.raises(KeyError):
+        rig.bus.publish("dance", lambda: b"")

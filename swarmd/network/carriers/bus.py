@@ -24,7 +24,8 @@ import zenoh
 from zenoh.handlers import Callback
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
-from swarmd.core.keys import ANY, CONTROL, SHARED, Key, build, parse
+from swarmd.core.key_table import PUBLISHED, is_queried
+from swarmd.core.keys import ANY, CONTROL, SHARED, STATE, Key, build, parse
 from swarmd.core.messages import Member, PeerView, Status
 from swarmd.core.verbs import MembersQuery
 from swarmd.network.carriers.inbound_queue import DropCounter, InboundQueue
@@ -123,11 +124,11 @@ class ZenohBus:
         self._queues: list[InboundQueue] = []
         self._publishers = {
             name: session.declare_publisher(
-                build(swarm, robot, "state", name),
+                build(swarm, robot, STATE, name),
                 congestion_control=zenoh.CongestionControl.DROP,
                 express=True,
             )
-            for name in ("status", "motion", "scan", "tracks", "log")
+            for name in PUBLISHED
         }
         # To ask Zenoh for subscribers takes 50 us: the daemon asks only after a change.
         self._watched = dict.fromkeys(self._publishers, False)
@@ -140,8 +141,7 @@ class ZenohBus:
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
         """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
 
-        `name`: status, motion, scan, tracks or log. A `payload` of None: there is nothing to
-        publish.
+        `name`: of the table `PUBLISHED`. A `payload` of None: there is nothing to publish.
         """
         publisher = self._publishers[name]
         if self._is_closed:
@@ -161,8 +161,11 @@ class ZenohBus:
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
         """Answer queries to this robot or to all, of any asker that links let pass.
 
-        A query of which the handler raises is counted and dropped.
+        A query of which the handler raises is counted and dropped. ValueError for a name that the
+        tables of `core/key_table.py` lack.
         """
+        if not is_queried(plane, name):
+            raise ValueError(f"{plane}/{name} is not in the tables of core/key_table.py")
         asker = ANY if plane in (CONTROL, SHARED) else ""
         kind = f"{plane}/{name}"
         queue = InboundQueue(self._loop, self.drops, kind)
@@ -205,8 +208,8 @@ class ZenohBus:
             view = PeerView(robot=self.robot, status=status(), members=members(), roster=roster)
             query.reply(encode(view))
 
-        self.serve("state", "status", lambda query: query.reply(encode(status())))
-        self.serve("control", "members", on_members)
+        self.serve(STATE, "status", lambda query: query.reply(encode(status())))
+        self.serve(CONTROL, "members", on_members)
 
     def close(self) -> None:
         """Stop at once: no handler is called and nothing is published any more. Idempotent."""

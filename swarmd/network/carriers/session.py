@@ -226,6 +226,26 @@ def operator_options(
     return options
 
 
+def foreign_options(
+    settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
+) -> dict[str, Any]:
+    """`operator_options` as the nested configuration file of another program of Zenoh.
+
+    Without the sizes and timeouts of links, which have defaults. Raises ConfigError for wrong
+    settings.
+    """
+    options = operator_options(settings, endpoints, identity)
+    nested: dict[str, Any] = {}
+    for path, value in options.items():
+        if not path.startswith(("transport/unicast", "transport/link/tx", "transport/link/rx")):
+            *above, name = path.split("/")
+            section = nested
+            for one in above:
+                section = section.setdefault(one, {})
+            section[name] = value
+    return nested
+
+
 def tls_options(identity: Identity) -> dict[str, object]:
     """The options of links on which both ends show a certificate of the swarm's authority.
 

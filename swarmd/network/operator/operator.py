@@ -48,7 +48,7 @@ from swarmd.network.operator.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Dis
 from swarmd.network.operator.member_search import MemberSearch
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_datagrams import Carrier, OperatorDatagrams
-from swarmd.network.operator.operator_sessions import OperatorSessions
+from swarmd.network.operator.operator_sessions import OperatorSessions, endpoint_of
 from swarmd.network.operator.operator_text import (
     operator_name,
     request_reason,
@@ -232,6 +232,13 @@ class Operator:
         """Pairs of robots that reported each other as alive to the last look."""
         with self._arrivals.lock:
             return frozenset() if self._discovery is None else self._discovery.links(boottime())
+
+    def endpoints(self) -> dict[str, str]:
+        """The endpoints of Zenoh at which the robots that the last look has found listen."""
+        with self._arrivals.lock:
+            found = {} if self._discovery is None else self._discovery.to_dial(boottime())
+        interface = self.settings.interface_name
+        return {robot: endpoint_of(address, interface) for (robot, _), address in found.items()}
 
     def ways(self, robot: str) -> tuple[str, ...]:
         """By which ways beacons of a robot came lately; empty without any, and by routers."""

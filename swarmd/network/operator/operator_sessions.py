@@ -120,7 +120,7 @@ class OperatorSessions:
             self.close()
             wanted = dict(found)
         interface = self._settings.interface_name
-        endpoints = sorted({_endpoint(reachable(one, interface)) for one in wanted.values()})
+        endpoints = sorted({endpoint_of(one, interface) for one in wanted.values()})
         opened = self._open_to(endpoints)
         self._opened += opened
         for session in opened:
@@ -230,8 +230,9 @@ class OperatorSessions:
             self._subscribers.setdefault((name, robot), []).append(one)
 
 
-def _endpoint(address: Address) -> str:
-    host, port = address
+def endpoint_of(address: Address, interface: str) -> str:
+    """The endpoint of Zenoh at an address, as dialled from this machine's interface."""
+    host, port = reachable(address, interface)
     return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
 
 

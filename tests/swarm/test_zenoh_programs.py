@@ -1,0 +1,167 @@
+"""Programs that read a swarm by Zenoh alone: the keys, `swarmctl zenoh`, and the examples."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import csv
+import json
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder
+from swarmd.core.key_table import PUBLISHED
+from swarmd.core.keys import ANY, STATE, build, parse
+from swarmd.core.messages import State
+from swarmd.core.values import Pose, SharedPose
+from swarmd.driver_api.hw_codec import encode_pose
+from swarmd.network.carriers.session import MAX_WIRE
+from tests.support.fake_body import Body
+from tests.support.processes import CAP, wait_until
+from tests.support.secured_swarm import RUNNING, SecuredSwarm
+from tests.support.swarmctl import swarmctl
+from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "zenoh"
+ROBOTS = ("r01", "r02")
+
+
+@pytest.fixture(scope="module")
+def voting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Swarm, dict[str, Body]]]:
+    """A swarm of two robots that vote, and their bodies."""
+    with contextlib.closing(Swarm(tmp_path_factory.mktemp("voting"))) as swarm:
+        bodies = {robot: swarm.body(robot) for robot in ROBOTS}
+        for daemon in [swarm.spawn(robot, body) for robot, body in bodies.items()]:
+            daemon.wait_ready()
+        done = swarm.ctl("run", "voter_model", "--all", "-p", "share_period=0.2")
+        assert done.code == 0, done
+        yield swarm, bodies
+
+
+@pytest.fixture(scope="module")
+def config(voting: tuple[Swarm, dict[str, Body]]) -> Path:
+    """The file that `swarmctl zenoh` has written for that swarm."""
+    swarm, _ = voting
+    file = swarm.folder / "swarm.json5"
+    done = swarm.ctl("zenoh", "--out", str(file), "-o", "json")
+    assert done.code == 0, done
+    assert done.json["robots"].keys() == set(ROBOTS)
+    assert sorted(done.json["robots"].values()) == done.json["config"]["connect"]["endpoints"]
+    assert json.loads(file.read_text()) == done.json["config"]
+    return file
+
+
+@contextlib.contextmanager
+def program(name: str, *words: object, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """An example in a process of its own; killed if it has not ended."""
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, words)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=cwd) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def finished(process: subprocess.Popen[str]) -> list[str]:
+    """The lines of an example that has ended well."""
+    out, err = process.communicate(timeout=CAP)
+    assert process.returncode == 0, err
+    return out.splitlines()
+
+
+def test_each_publication_reaches_a_foreign_session(
+    voting: tuple[Swarm, dict[str, Body]], config: Path
+) -> None:
+    swarm, bodies = voting
+    seen: dict[str, dict[str, Any]] = defaultdict(dict)
+    decoders = {name: Decoder(row.content, MAX_WIRE) for name, row in PUBLISHED.items()}
+
+    def take(sample: zenoh.Sample) -> None:
+        key = parse(str(sample.key_expr))
+        assert key is not None
+        seen[key.name][key.robot] = decoders[key.name](sample.payload.to_bytes())
+
+    def has_all() -> bool:
+        for body in bodies.values():
+            shared = SharedPose(boottime(), Pose(1.5, -2.0, 0.5), 0.02, 0.01, "room")
+            body.put("pose", encode_pose(shared))
+        told = {name for name, robots in seen.items() if robots.keys() == set(ROBOTS)}
+        return told >= PUBLISHED.keys() - {"tracks", "log"}
+
+    with zenoh.open(zenoh.Config.from_file(str(config))) as session:
+        session.declare_subscriber(build(swarm.name, ANY, STATE, ANY), take)
+        wait_until(has_all, "both robots publish all but tracks")
+    for robot in ROBOTS:
+        pose, decision, message = (seen[one][robot] for one in ("pose", "decision", "message"))
+        assert (pose.robot, pose.x, pose.y, pose.frame) == (robot, 1.5, -2.0, "room")
+        assert 0.0 <= pose.age < CAP
+        assert (decision.robot, decision.state) == (robot, State.RUNNING)
+        assert decision.decision.mode == "barrier"
+        assert (message.robot, message.channel) == (robot, "voter_model/opinion")
+        assert message.value in range(3)
+
+
+def test_the_examples_read_the_swarm(
+    voting: tuple[Swarm, dict[str, Body]], config: Path, tmp_path: Path
+) -> None:
+    swarm, _ = voting
+    words = (config, swarm.name)
+    with (
+        program("print_states", *words, "--count", 2, cwd=tmp_path) as states,
+        program("plot_pose", *words, "r02", "--count", 5, cwd=tmp_path) as plot,
+        program("record_opinions", *words, "--count", 12, cwd=tmp_path) as opinions,
+    ):
+        assert [line.split()[:3] for line in sorted(finished(states))] == [
+            [robot, "running", "voter_model"] for robot in ROBOTS
+        ]
+        assert finished(plot) == ["way.png: 5 poses of r02"]
+        assert finished(opinions) == []
+    assert (tmp_path / "way.png").read_bytes().startswith(b"\x89PNG")
+    with (tmp_path / "opinions.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 12
+    assert {row["robot"] for row in rows} == set(ROBOTS)
+    assert all(int(row["opinion"]) in range(3) for row in rows)
+    times = [float(row["at"]) for row in rows if row["robot"] == "r01"]
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize("file", sorted(EXAMPLES.glob("*.py")), ids=lambda file: file.stem)
+def test_an_example_needs_zenoh_and_msgpack_alone(file: Path) -> None:
+    tree = ast.walk(ast.parse(file.read_text()))
+    modules = {one.name for node in tree if isinstance(node, ast.Import) for one in node.names}
+    assert "from " not in file.read_text().partition("def main")[0].partition('"""\n\n')[2]
+    assert modules <= {"argparse", "csv", "queue", "msgpack", "zenoh", "matplotlib.pyplot"}
+
+
+def test_a_viewer_of_a_secured_swarm_reads_states_with_its_certificate(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as left:
+        swarm = SecuredSwarm(tmp_path / "robots", left).start()
+        file = tmp_path / "secured.json5"
+        identity = swarm.keys.folder_of("class")
+        words = ("--swarm", swarm.name, "--identity", str(identity))
+        done = swarmctl("zenoh", *words, "--out", str(file))
+        assert done.code == 0, done
+        found = json.loads(file.read_text())
+        assert all(one.startswith("tls/") for one in found["connect"]["endpoints"])
+        with program("print_states", file, swarm.name, "--count", 2, cwd=tmp_path) as states:
+            lines = sorted(finished(states))
+        assert [line.split()[:2] for line in lines] == [[robot, "idle"] for robot in RUNNING]
+
+
+def test_without_robots_the_configuration_is_an_error(swarm: Swarm) -> None:
+    done = swarm.ctl("zenoh", "--timeout", "0.3s")
+    assert (done.code, done.out) == (6, "")
+    assert len(done.err.splitlines()) == 1
+    assert swarm.name in done.err
