@@ -28,6 +28,15 @@ Imu: TypeAlias = ros2_jazzy.sensor_msgs__msg__Imu
 BatteryState: TypeAlias = ros2_jazzy.sensor_msgs__msg__BatteryState
 GoalStatusArray: TypeAlias = ros2_jazzy.action_msgs__msg__GoalStatusArray
 ActionlibStatusArray: TypeAlias = ros2_jazzy.actionlib_msgs__msg__GoalStatusArray
+Duration: TypeAlias = ros2_jazzy.builtin_interfaces__msg__Duration
+ColorRGBA: TypeAlias = ros2_jazzy.std_msgs__msg__ColorRGBA
+CompressedImage: TypeAlias = ros2_jazzy.sensor_msgs__msg__CompressedImage
+Marker: TypeAlias = ros2_jazzy.visualization_msgs__msg__Marker
+MarkerArray: TypeAlias = ros2_jazzy.visualization_msgs__msg__MarkerArray
+MeshFile: TypeAlias = ros2_jazzy.visualization_msgs__msg__MeshFile
+DiagnosticArray: TypeAlias = ros2_jazzy.diagnostic_msgs__msg__DiagnosticArray
+DiagnosticStatus: TypeAlias = ros2_jazzy.diagnostic_msgs__msg__DiagnosticStatus
+KeyValue: TypeAlias = ros2_jazzy.diagnostic_msgs__msg__KeyValue
 Odometry: TypeAlias = ros2_jazzy.nav_msgs__msg__Odometry
 
 

@@ -163,9 +163,14 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the ROS 2 drivers. `endpoint`: where the bridge or router listens."""
+    """Options of the ROS 2 drivers. `endpoint`: where the bridge or router listens.
+
+    `publish_state`: publish the state of the robot on `swarmd/pose`, `swarmd/markers` and
+    `diagnostics`.
+    """
 
     endpoint: str = DEFAULT_ENDPOINT
+    publish_state: bool = False
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -107,7 +107,7 @@ def odometry_message(odometry: Odometry, child: str = "base_footprint") -> ros.O
     return ros.Odometry(
         header=header(odometry.stamp, "odom"),
         child_frame_id=child,
-        pose=ros.PoseWithCovariance(pose=_pose_message(pose), covariance=_UNKNOWN),
+        pose=ros.PoseWithCovariance(pose=pose_message(pose), covariance=_UNKNOWN),
         twist=ros.TwistWithCovariance(twist=twist_message(twist), covariance=_UNKNOWN),
     )
 
@@ -118,7 +118,8 @@ def header(stamp: float, frame: str) -> ros.Header:
     return ros.Header(stamp=ros.Time(sec=seconds, nanosec=rest), frame_id=frame)
 
 
-def _pose_message(pose: Pose) -> ros.Pose:
+def pose_message(pose: Pose) -> ros.Pose:
+    """A pose on the floor."""
     return ros.Pose(
         position=ros.Point(x=pose.x, y=pose.y, z=0.0),
         orientation=ros.Quaternion(

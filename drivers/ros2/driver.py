@@ -18,7 +18,7 @@ from zenoh.handlers import Callback
 
 from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
-from swarmd.core.messages import Reason
+from swarmd.core.messages import Motion, Reason, ShownPose, Status
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
@@ -44,6 +44,7 @@ from swarmd.drivers.ros2.session import (
     query_kept,
     subscribe_with_history,
 )
+from swarmd.drivers.ros2.state_topics import StateTopics
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
 from swarmd.network.carriers.session import has_subscriber, open_in_thread, undeclare
 
@@ -88,6 +89,7 @@ class RosDriver:
         cdr.warm(
             *options.command_types, *(t.message_type for t in self._subscriptions.topics.values())
         )
+        self._state = StateTopics(scheme, platform, options)
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -110,6 +112,15 @@ class RosDriver:
         if self._session is not None and self._credit.asks(loop.time()):
             ask_hub(self._session, partial(hand_over, loop, self._on_answer))
 
+    @property
+    def shows_state(self) -> bool:
+        """True with the option `publish_state`."""
+        return self._state.is_on
+
+    def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
+        """Keep the newest state of the robot, which the task of `run` publishes."""
+        self._state.show(status, motion, pose)
+
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
         return self._zero_sender
@@ -131,7 +142,7 @@ class RosDriver:
                     self._bridges.is_awaited(self._announcing())
                 ):
                     break
-            return self._report().findings()
+            return (*self._report().findings(), *self._state.findings())
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
@@ -207,13 +218,17 @@ class RosDriver:
             for key in self._zero_by_key:
                 self._publishers[key] = command_publisher(session, key)
             self._listen(session, inbox, loop)
+            if not is_check:
+                self._state.open(session)
             opened = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
                 self._bridges.query(session, self._announcing(), loop)
                 self._watch(sink, session, loop.time(), opened)
+                self._state.publish(loop.time())
         finally:
             inbox.close()
+            self._state.close()
             try:
                 if self._gate.end():
                     self._put(ZERO, frame="")
@@ -461,8 +476,11 @@ class RosDriver:
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, command])
+        shown = self._state.ends
+        tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, *shown, command])
         self._command_token = tokens[-1]
+        told = tokens[-1 - len(shown) : -1]
+        self._state.announced(dict(zip((one.topic for one in shown), told, strict=True)))
         self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
 
     def _close_gate(self, sink: Sink, text: str) -> None:

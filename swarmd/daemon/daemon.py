@@ -50,7 +50,13 @@ from swarmd.daemon.store import CodeFiles, LatchFile
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
-from swarmd.driver_api.driver import Driver, check_protected, gripper_of, message_carrier
+from swarmd.driver_api.driver import (
+    Driver,
+    check_protected,
+    gripper_of,
+    message_carrier,
+    state_display,
+)
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -116,6 +122,8 @@ class Daemon:
             settings = dataclasses.replace(settings, platform=platform)
         self._settings = settings
         self._carrier = message_carrier(driver)
+        self._display = state_display(driver)
+        self._shown_status: Status | None = None  # for the display, with the next motion
         base = base_options(settings.driver_options, f"driver {settings.driver}")
         self._may_rest = may_rest(base, driver)
         self._active_until = -math.inf
@@ -490,6 +498,10 @@ class Daemon:
         self._network.publish("motion", self._motion)
         self._network.publish("pose", self._pose)
         self._network.publish("decision", self._decision)
+        if self._display is not None:
+            status, self._shown_status = self._shown_status, None
+            now = boottime()
+            self._display.show(status, self._robot.motion(now), self._robot.shared_pose(now))
         scan = self._robot.scan
         if scan is not None and scan.seq != self._shown_scan:
             self._shown_scan = scan.seq
@@ -563,6 +575,8 @@ class Daemon:
                 self._carrier.send_message(name, payload)
         if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
+            if self._display is not None:
+                self._shown_status = self._status()
         if actions.failed_code is not None:
             self._code_runs.on_failed(actions.failed_code)
         # A robot that stops, or is reset, must not join again after a restart.

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
-from swarmd.core.messages import Reason
+from swarmd.core.messages import Motion, Reason, ShownPose, Status
 from swarmd.core.values import (
     Detection,
     Neighbor,
@@ -164,6 +164,22 @@ class Gripper(Protocol):
         """
 
 
+@runtime_checkable
+class StateDisplay(Protocol):
+    """What a driver also offers if it can show the state of its robot to others.
+
+    While `shows_state`, the daemon calls `show`; protection and commands do not depend on it.
+    """
+
+    shows_state: bool
+
+    def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
+        """Take the newest state, called on the loop at most 10 times a second: never blocks.
+
+        `status`: on each change and once a second, else None. `motion`, `pose`: None if not known.
+        """
+
+
 def message_carrier(driver: Driver) -> MessageCarrier | None:
     """The driver, or the driver that it wraps, if its base carries messages."""
     bare = _unwrapped(driver)
@@ -174,6 +190,12 @@ def gripper_of(driver: Driver) -> Gripper | None:
     """The driver, or the driver that it wraps, if its base has a gripper."""
     bare = _unwrapped(driver)
     return bare if isinstance(bare, Gripper) else None
+
+
+def state_display(driver: Driver) -> StateDisplay | None:
+    """The driver, or the driver that it wraps, if it is to show the state of its robot."""
+    bare = _unwrapped(driver)
+    return bare if isinstance(bare, StateDisplay) and bare.shows_state else None
 
 
 def _unwrapped(driver: Driver) -> Driver:

@@ -84,6 +84,8 @@ Imu = _message("sensor_msgs/msg/Imu")
 BatteryState = _message("sensor_msgs/msg/BatteryState")
 GoalStatus = _message("action_msgs/msg/GoalStatus")
 GoalStatusArray = _message("action_msgs/msg/GoalStatusArray")
+MarkerArray = _message("visualization_msgs/msg/MarkerArray")
+DiagnosticArray = _message("diagnostic_msgs/msg/DiagnosticArray")
 
 
 @dataclass

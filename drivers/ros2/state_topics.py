@@ -1,0 +1,233 @@
+"""The state of the robot as ROS 2 topics: pose, markers and diagnostics, by the driver's session.
+
+`show` keeps the newest values; the driver's own task publishes them, so that no command waits. A
+message is made only while a node subscribes to its topic.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+
+import numpy as np
+import zenoh
+from zenoh.handlers import Callback
+
+from swarmd.core.finding import Finding
+from swarmd.core.messages import Motion, ShownPose, State, Status
+from swarmd.core.values import Array, Platform, Pose
+from swarmd.drivers.ros import cdr
+from swarmd.drivers.ros import messages as ros
+from swarmd.drivers.ros.options import RosOptions
+from swarmd.drivers.ros.to_ros import header, pose_message
+from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
+from swarmd.network.carriers.session import has_subscriber
+
+POSE, MARKERS, DIAGNOSTICS = "swarmd/pose", "swarmd/markers", "diagnostics"
+ODOMETRY_FRAME = "odom"
+DIAGNOSTICS_PERIOD = 1.0  # s, unless the status changes
+_TYPES: Mapping[str, type] = {
+    POSE: ros.PoseStamped,
+    MARKERS: ros.MarkerArray,
+    DIAGNOSTICS: ros.DiagnosticArray,
+}
+_COLOURS = {
+    State.IDLE: (0.2, 0.4, 0.9),
+    State.RUNNING: (0.1, 0.7, 0.2),
+    State.STOPPED: (0.9, 0.8, 0.1),
+    State.ESTOPPED: (0.7, 0.0, 0.0),
+    State.FAULTED: (0.6, 0.1, 0.7),
+}
+_HELD = (0.95, 0.55, 0.1)
+"""Of a robot that runs and may not move."""
+_NO_DATA = np.empty(0, dtype=np.uint8)
+_LIFETIME = 2  # s after which RViz removes the markers of a robot that is silent
+
+
+class StateTopics:
+    """Publishes the state of one robot; does nothing unless `options.publish_state`."""
+
+    def __init__(self, scheme: KeyScheme, platform: Platform, options: RosOptions) -> None:
+        self.is_on = options.publish_state
+        self._scheme = scheme
+        self._footprint = platform.footprint
+        self._topics = {name: options.topic(name) for name in _TYPES if self.is_on}
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._watched: dict[str, bool] = {}
+        self._unsure: set[str] = set()
+        self._tokens: Mapping[str, str] = {}
+        self._status: Status | None = None
+        self._motion: Motion | None = None
+        self._pose: ShownPose | None = None
+        self._changed: set[str] = set()
+        self._told_at = -math.inf
+        if self.is_on:
+            cdr.warm(*_TYPES.values())
+
+    @property
+    def ends(self) -> list[TopicEnd]:
+        """Its publishers, as a node announces them."""
+        return [
+            TopicEnd(topic, _TYPES[name], is_publisher=True, is_reliable=True, depth=1)
+            for name, topic in self._topics.items()
+        ]
+
+    def findings(self) -> tuple[Finding, ...]:
+        """What `swarmd --check` tells of the option."""
+        if not self.is_on:
+            return ()
+        return (Finding("state topics", True, f"publishes {', '.join(self._topics.values())}"),)
+
+    def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
+        """Keep the newest state of the robot; None: not known, or of the status no newer one."""
+        if status is not None:
+            self._status = status
+            self._changed.add(DIAGNOSTICS)
+        self._motion, self._pose = motion, pose
+        self._changed |= {POSE, MARKERS}
+
+    def open(self, session: zenoh.Session) -> None:
+        """Declare the publishers on a session; those of an earlier session have ended with it."""
+        for name, topic in self._topics.items():
+            self._publishers[name] = publisher = session.declare_publisher(
+                self._scheme.key(topic, _TYPES[name]),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.BACKGROUND,
+                allowed_destination=zenoh.Locality.REMOTE,
+            )
+            on_change = Callback(partial(self._on_subscribers, name), indirect=False)
+            publisher.declare_matching_listener(on_change)
+            self._unsure.add(name)
+
+    def announced(self, tokens: Mapping[str, str]) -> None:
+        """The tokens of its publishers, by topic."""
+        self._tokens = tokens
+
+    def publish(self, now: float) -> None:
+        """Publish what is new and subscribed to; `now` in s. The driver's task calls this."""
+        if now - self._told_at >= DIAGNOSTICS_PERIOD and self._status is not None:
+            self._changed.add(DIAGNOSTICS)
+        changed, self._changed = self._changed, set()
+        for name in changed & self._publishers.keys():
+            if self._is_watched(name) and (message := self._make(name)) is not None:
+                if name == DIAGNOSTICS:
+                    self._told_at = now
+                attachment = self._scheme.attachment(self._tokens.get(self._topics[name], ""))
+                with suppress(zenoh.ZError):  # the session is closing
+                    self._publishers[name].put(cdr.encode(message), attachment=attachment)
+
+    def close(self) -> None:
+        """Forget the session and what it was to publish."""
+        self._publishers.clear()
+        self._changed.clear()
+        self._tokens = {}
+
+    def _on_subscribers(self, name: str, _: zenoh.MatchingStatus) -> None:
+        """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""
+        self._unsure.add(name)
+
+    def _is_watched(self, name: str) -> bool:
+        if name in self._unsure:
+            self._unsure.discard(name)  # before the question: a later change makes it unsure again
+            self._watched[name] = has_subscriber(self._publishers[name])
+        return self._watched[name]
+
+    def _make(self, name: str) -> object | None:
+        status, stamp = self._status, time.time()
+        if name == DIAGNOSTICS:
+            return None if status is None else diagnostics(status, stamp)
+        if self._pose is not None:
+            frame, pose = self._pose.frame, Pose(self._pose.x, self._pose.y, self._pose.yaw)
+        elif self._motion is not None:
+            motion = self._motion
+            frame, pose = ODOMETRY_FRAME, Pose(motion.x, motion.y, motion.yaw)
+        else:
+            return None
+        head = header(stamp, frame)
+        if name == POSE:
+            return ros.PoseStamped(header=head, pose=pose_message(pose))
+        return None if status is None else markers(status, pose, head, self._footprint)
+
+
+def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> ros.MarkerArray:
+    """Outline, heading and text of a robot, in the colour of its state."""
+    is_held = status.state is State.RUNNING and status.reason is not None
+    red, green, blue = _HELD if is_held else _COLOURS[status.state]
+    length = float(abs(footprint[:, 0]).max())
+    outline = [ros.Point(x=float(x), y=float(y), z=0.0) for x, y in (*footprint, footprint[0])]
+    ahead = [ros.Point(x=0.0, y=0.0, z=0.0), ros.Point(x=1.5 * length, y=0.0, z=0.0)]
+    reason = "" if status.reason is None else f"\n{status.reason.value}"
+    text = f"{status.robot}: {status.state.value}{reason}"
+    marker = ros.Marker
+    make: Callable[..., ros.Marker] = partial(
+        marker,
+        header=head,
+        ns=f"swarmd/{status.robot}",
+        action=marker.ADD,
+        pose=pose_message(pose),
+        color=ros.ColorRGBA(r=red, g=green, b=blue, a=1.0),
+        lifetime=ros.Duration(sec=_LIFETIME, nanosec=0),
+        frame_locked=False,
+        colors=[],
+        texture_resource="",
+        texture=ros.CompressedImage(header=head, format="", data=_NO_DATA),
+        uv_coordinates=[],
+        mesh_resource="",
+        mesh_file=ros.MeshFile(filename="", data=_NO_DATA),
+        mesh_use_embedded_materials=False,
+    )
+    return ros.MarkerArray(
+        markers=[
+            make(id=0, type=marker.LINE_STRIP, scale=_scale(0.02), points=outline, text=""),
+            make(id=1, type=marker.ARROW, scale=_scale(0.02, 0.05), points=ahead, text=""),
+            make(id=2, type=marker.TEXT_VIEW_FACING, scale=_scale(0.1), points=[], text=text),
+        ]
+    )
+
+
+def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
+    """State, reason, holds and the limit of protection, as one diagnostic status."""
+    one, reason = status.decision, "" if status.reason is None else status.reason.value
+    is_held = status.state is State.RUNNING and bool(reason)
+    limit = ""
+    if one.rows:
+        nearest = one.rows[0]
+        limit = (
+            f"{nearest.cap:.2f} m/s towards {math.degrees(nearest.bearing):.0f} deg,"
+            f" gap {nearest.gap:.2f} m"
+        )
+    values = {
+        "state": status.state.value,
+        "reason": reason,
+        "detail": status.detail,
+        "pattern": status.pattern or "",
+        "hold": reason if is_held else "",
+        "protection": "active" if one.is_active else "clear",
+        "limit": limit,
+        "speed_share": f"{one.speed_share:.2f}",
+        "scan_rate": f"{status.health.scan_rate:.1f}",
+        "driver": status.health.driver,
+        "findings": "; ".join(status.findings),
+        "emergency_stops": str(len(status.latches)),
+    }
+    kind = ros.DiagnosticStatus
+    level = kind.OK
+    if is_held or status.findings or not status.health.driver_up:
+        level = kind.WARN
+    if status.state in (State.ESTOPPED, State.FAULTED):
+        level = kind.ERROR
+    told = kind(
+        level=level,
+        name=f"swarmd: {status.robot}",
+        message=": ".join(filter(None, (status.state.value, reason, status.detail))),
+        hardware_id=status.robot,
+        values=[ros.KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+    return ros.DiagnosticArray(header=header(stamp, ""), status=[told])
+
+
+def _scale(x: float, y: float | None = None) -> ros.Vector3:
+    return ros.Vector3(x=x, y=x if y is None else y, z=x)
