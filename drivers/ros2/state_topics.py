@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
+from typing import Any
 
 import numpy as np
 import zenoh
@@ -25,6 +26,7 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.to_ros import header, pose_message
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import has_subscriber
+from swarmd.texts.state_colours import colour_of
 
 POSE, MARKERS, DIAGNOSTICS = "swarmd/pose", "swarmd/markers", "diagnostics"
 ODOMETRY_FRAME = "odom"
@@ -34,15 +36,6 @@ _TYPES: Mapping[str, type] = {
     MARKERS: ros.MarkerArray,
     DIAGNOSTICS: ros.DiagnosticArray,
 }
-_COLOURS = {
-    State.IDLE: (0.2, 0.4, 0.9),
-    State.RUNNING: (0.1, 0.7, 0.2),
-    State.STOPPED: (0.9, 0.8, 0.1),
-    State.ESTOPPED: (0.7, 0.0, 0.0),
-    State.FAULTED: (0.6, 0.1, 0.7),
-}
-_HELD = (0.95, 0.55, 0.1)
-"""Of a robot that runs and may not move."""
 _NO_DATA = np.empty(0, dtype=np.uint8)
 _LIFETIME = 2  # s after which RViz removes the markers of a robot that is silent
 
@@ -155,14 +148,14 @@ class StateTopics:
 def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> ros.MarkerArray:
     """Outline, heading and text of a robot, in the colour of its state."""
     is_held = status.state is State.RUNNING and status.reason is not None
-    red, green, blue = _HELD if is_held else _COLOURS[status.state]
+    red, green, blue = colour_of(status.state, is_held=is_held)
     length = float(abs(footprint[:, 0]).max())
     outline = [ros.Point(x=float(x), y=float(y), z=0.0) for x, y in (*footprint, footprint[0])]
     ahead = [ros.Point(x=0.0, y=0.0, z=0.0), ros.Point(x=1.5 * length, y=0.0, z=0.0)]
     reason = "" if status.reason is None else f"\n{status.reason.value}"
     text = f"{status.robot}: {status.state.value}{reason}"
     marker = ros.Marker
-    make: Callable[..., ros.Marker] = partial(
+    make: Callable[..., Any] = partial(
         marker,
         header=head,
         ns=f"swarmd/{status.robot}",

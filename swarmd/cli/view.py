@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli.options import EXISTING, CommonOptions, common_options
-from swarmd.cli.output import need_terminal, warn
+from swarmd.cli.output import need_terminal, signals_end, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.plugins import need, pattern_names
 
@@ -21,19 +22,43 @@ if TYPE_CHECKING:
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
+FOXGLOVE_PORT = 8765
+"""At which Foxglove looks by default."""
+
 
 @click.command()
 @click.argument("files", nargs=-1, metavar="[FILE]...", type=EXISTING)
 @click.option("--web", is_flag=True, help="Serve a web page.")
+@click.option(
+    "--foxglove",
+    type=click.IntRange(0, 65535),
+    is_flag=False,
+    flag_value=FOXGLOVE_PORT,
+    metavar="[PORT]",
+    help=f"Serve Foxglove on this port of loopback [{FOXGLOVE_PORT}]; 0: any.",
+)
 @web_options
 @common_options
-def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOptions) -> None:
+def view(
+    options: CommonOptions,
+    files: tuple[Path, ...],
+    web: bool,
+    foxglove: int | None,
+    page: WebOptions,
+) -> None:
     """Show a living swarm: map, list, details and commands.
 
     On this terminal, where `?` lists the keys; with --web on a page whose address is printed. With
     FILE the page plays recordings instead: a merged one, or those of robots (.mcap), or a folder of
-    them, such as `record fetch` makes.
+    them, such as `record fetch` makes. With --foxglove a Foxglove on this computer shows the swarm.
     """
+    if foxglove is not None:
+        if files or web:
+            what = "--web" if web else f"{files[0]}: Foxglove opens recordings by itself"
+            raise click.UsageError(f"--foxglove shows a living swarm, alone; without {what}")
+        need("foxglove", extra="foxglove")
+        _serve_foxglove(options, foxglove)
+        return
     if not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
@@ -54,16 +79,19 @@ def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOp
 
 @contextmanager
 def _live(
-    options: CommonOptions, reason: str
+    options: CommonOptions, reason: str, *, with_patterns: bool = True
 ) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
-    """The swarm as views show it, and what carries their commands out; latches keep `reason`."""
+    """The swarm as views show it, and what carries their commands out; latches keep `reason`.
+
+    `with_patterns`: a child process describes the patterns, for views that command.
+    """
     from swarmd.cli.known_robots import remember
     from swarmd.cli.plugin_check import describe_patterns
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
     with options.operator() as operator:
-        describe = partial(describe_patterns, (), None)
+        describe = partial(describe_patterns, (), None) if with_patterns else None
         source = LiveSource(operator, sorted(pattern_names(None)), describe)
         commander = LiveCommander(options.operator, source.expected, reason)
         source.start()
@@ -73,6 +101,26 @@ def _live(
             commander.close()
             source.close()
             remember(operator.settings, source.view)
+
+
+def _serve_foxglove(options: CommonOptions, port: int) -> None:
+    """Serve the swarm to Foxglove until Ctrl-C or SIGTERM."""
+    from swarmd.view.foxglove import PERIOD, FoxgloveServer
+
+    host = "127.0.0.1"  # the protocol has no token
+    with (
+        _live(options, "", with_patterns=False) as (source, _, identity),
+        FoxgloveServer(source, host, port) as server,
+        signals_end(),
+        suppress(KeyboardInterrupt),
+    ):
+        click.echo(f"foxglove: ws://{host}:{server.port}")
+        if identity is not None:
+            warn("every user of this computer can read what Foxglove shows: it has no token")
+        warn("Ctrl-C ends it")
+        while True:
+            server.publish()
+            time.sleep(PERIOD)
 
 
 def _show(options: CommonOptions) -> int:

@@ -1,0 +1,223 @@
+"""A living swarm for Foxglove, by its WebSocket protocol: what `view --web` shows, read only.
+
+The SDK of Foxglove owns the server and its threads. `FoxgloveServer.publish` makes messages on the
+caller's thread, of a channel only while a client subscribes to it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from typing import Any, Self
+
+import foxglove
+import numpy as np
+from foxglove import channels, messages
+
+from swarmd.core.errors import NetworkError
+from swarmd.core.values import Array
+from swarmd.texts.state_colours import colour_of
+from swarmd.view.source import ShownRobot, Source, json_of
+
+PERIOD = 0.1
+"""Seconds between two calls of `publish`; Foxglove gets statuses at a tenth of that rate."""
+WORLD = "world"
+"""The frame of all robots. Of robots on a floor it is that of each robot's own odometry."""
+_STATUS_EVERY = 10
+_MAX_NEW_LINES = 50
+_STATUS_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "title": "swarmd.RobotRow",
+    "properties": {
+        "state": {"type": "string"},
+        "why": {"type": "string"},
+        "pattern": {"type": "string"},
+        "presence": {"type": "string"},
+        "protection": {"type": "string"},
+        "near": {"type": "number"},
+        "age": {"type": "number"},
+        "report": {"type": "object"},
+        "readings": {"type": "object"},
+        "requested": {"type": "array", "items": {"type": "number"}},
+        "safe": {"type": "array", "items": {"type": "number"}},
+    },
+}
+
+
+class FoxgloveServer:
+    """Serves a source until `close`; a context manager. `port` is the one that it got.
+
+    Channels: `/tf`, `/robots` (outlines, headings and names in the colours of states), `/events`,
+    and for each robot `/NAME/status` and `/NAME/scan`.
+    """
+
+    def __init__(self, source: Source, host: str, port: int) -> None:
+        """Listen, on any free port for 0. NetworkError if the address cannot be had."""
+        self._source = source
+        self._context = context = foxglove.Context()
+        self._places = channels.FrameTransformsChannel("/tf", context=context)
+        self._scene = channels.SceneUpdateChannel("/robots", context=context)
+        self._events = channels.LogChannel("/events", context=context)
+        self._statuses: dict[str, foxglove.Channel] = {}
+        self._scans: dict[str, channels.PointCloudChannel] = {}
+        self._count = 0
+        self._shown: set[tuple[float, str]] = set()
+        try:
+            self._server = foxglove.start_server(
+                name=f"swarm {source.swarm}", host=host, port=port, context=self._context
+            )
+        except (OSError, RuntimeError) as error:
+            raise NetworkError(
+                f"{host}:{port} cannot be listened at: {error}; choose another port"
+            ) from error
+        self.port = self._server.port
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the server and its connections."""
+        self._server.stop()
+
+    def publish(self) -> None:
+        """Hand the present state to the clients; called each PERIOD."""
+        is_status_due = self._count % _STATUS_EVERY == 0
+        rows = self._source.rows() if is_status_due or self._scene.has_sinks() else {}
+        robots = self._source.robots
+        for robot in robots:
+            if robot.name not in self._statuses:
+                self._add(robot.name)
+        self._source.select([name for name, one in self._scans.items() if one.has_sinks()])
+        _, frame = self._source.frame()
+        placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
+        stamp = messages.Timestamp.now()
+        if self._places.has_sinks():
+            transforms = [_transform(robot, place, stamp) for robot, place in placed]
+            self._places.log(messages.FrameTransforms(transforms=transforms))
+        if self._scene.has_sinks():
+            entities = [_entity(robot, rows.get(robot.name, {}), stamp) for robot, _ in placed]
+            self._scene.log(messages.SceneUpdate(entities=entities))
+        for name, channel in self._scans.items():
+            points = self._source.scan(name) if channel.has_sinks() else None
+            if points is not None:
+                channel.log(_cloud(name, points, stamp))
+        if is_status_due:
+            for name, statuses in self._statuses.items():
+                if statuses.has_sinks() and name in rows:
+                    statuses.log(json_of(rows[name]).encode())
+        self._publish_events()
+        self._count += 1
+
+    def _publish_events(self) -> None:
+        if not self._events.has_sinks():
+            return
+        marks = self._source.marks()
+        new = [mark for mark in marks if mark[:2] not in self._shown]
+        self._shown = {mark[:2] for mark in marks}
+        ago = time.time() - time.monotonic()
+        for at, text, names in new[-_MAX_NEW_LINES:]:
+            self._events.log(
+                messages.Log(
+                    timestamp=messages.Timestamp.from_epoch_secs(at + ago),
+                    level=messages.LogLevel.Info,
+                    message=text,
+                    name=", ".join(names),
+                )
+            )
+
+    def _add(self, name: str) -> None:
+        context = self._context
+        self._statuses[name] = foxglove.Channel(
+            f"/{name}/status", schema=_STATUS_SCHEMA, message_encoding="json", context=context
+        )
+        self._scans[name] = channels.PointCloudChannel(f"/{name}/scan", context=context)
+
+
+def _transform(
+    robot: ShownRobot, place: Array, stamp: messages.Timestamp
+) -> messages.FrameTransform:
+    x, y, yaw = map(float, place)
+    return messages.FrameTransform(
+        timestamp=stamp,
+        parent_frame_id=WORLD,
+        child_frame_id=robot.name,
+        translation=messages.Vector3(x=x, y=y, z=0.0),
+        rotation=messages.Quaternion(x=0.0, y=0.0, z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
+    )
+
+
+def _entity(
+    robot: ShownRobot, row: Mapping[str, Any], stamp: messages.Timestamp
+) -> messages.SceneEntity:
+    """Outline, heading and name of a robot in its own frame, gone 2 s after the last one."""
+    state = str(row.get("state", ""))
+    red, green, blue = colour_of(state, is_held=row.get("stands") == "held")
+    colour = messages.Color(r=red, g=green, b=blue, a=1.0)
+    length = float(np.abs(robot.footprint[:, 0]).max())
+    points = [messages.Point3(x=float(x), y=float(y), z=0.0) for x, y in robot.footprint]
+    why = row.get("why") or row.get("pattern") or ""
+    return messages.SceneEntity(
+        timestamp=stamp,
+        frame_id=robot.name,
+        id=robot.name,
+        lifetime=messages.Duration(2),
+        frame_locked=True,
+        lines=[
+            messages.LinePrimitive(
+                type=messages.LinePrimitiveLineType.LineLoop,
+                pose=_pose(0.0),
+                thickness=0.02,
+                points=points,
+                color=colour,
+            )
+        ],
+        arrows=[
+            messages.ArrowPrimitive(
+                pose=_pose(0.0),
+                shaft_length=length,
+                shaft_diameter=0.02,
+                head_length=0.5 * length,
+                head_diameter=0.05,
+                color=colour,
+            )
+        ],
+        texts=[
+            messages.TextPrimitive(
+                pose=_pose(0.2),
+                billboard=True,
+                font_size=12.0,
+                scale_invariant=True,
+                color=colour,
+                text="\n".join(filter(None, (robot.name, state, why))),
+            )
+        ],
+    )
+
+
+def _cloud(name: str, points: Array, stamp: messages.Timestamp) -> messages.PointCloud:
+    """The returns of a scan, in the frame of the robot."""
+    flat = np.zeros((len(points), 3), dtype="<f4")
+    flat[:, :2] = points
+    kind = messages.PackedElementFieldNumericType.Float32
+    return messages.PointCloud(
+        timestamp=stamp,
+        frame_id=name,
+        pose=_pose(0.0),
+        point_stride=12,
+        fields=[
+            messages.PackedElementField(name=axis, offset=4 * i, type=kind)
+            for i, axis in enumerate("xyz")
+        ],
+        data=flat.tobytes(),
+    )
+
+
+def _pose(z: float) -> messages.Pose:
+    return messages.Pose(
+        position=messages.Vector3(x=0.0, y=0.0, z=z),
+        orientation=messages.Quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
+    )

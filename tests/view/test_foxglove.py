@@ -1,0 +1,154 @@
+"""A swarm for Foxglove, read by a client of its WebSocket protocol."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import struct
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
+
+from swarmd.core.errors import NetworkError
+from swarmd.core.messages import LoggedEvent, State
+from swarmd.network.operator.operator import Operator
+from swarmd.view.foxglove import FoxgloveServer
+from swarmd.view.live import LiveSource
+from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
+from tests.support.processes import CAP
+from tests.support.swarmctl import swarmctl
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+PROTOCOL = Subprotocol("foxglove.sdk.v1")
+DATA = 1  # the kind of a message with data
+
+
+class Client:
+    """A client that knows the channels by topic; it subscribes under the id of the channel."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self.socket = socket
+        self.channels: dict[str, dict[str, Any]] = {}
+
+    def await_topics(self, *topics: str, step: Callable[[], None] = lambda: None) -> None:
+        """Read until these topics are advertised; `step` is called between two messages."""
+        while not set(topics) <= self.channels.keys():
+            step()
+            self.read(step)
+
+    def subscribe(self, *topics: str) -> None:
+        ids = [self.channels[topic]["id"] for topic in topics]
+        wanted = [{"id": one, "channelId": one} for one in ids]
+        self.socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def read(self, step: Callable[[], None] = lambda: None) -> tuple[str, bytes] | None:
+        """The topic and payload of the next message; None of one without data."""
+        while True:
+            try:
+                message = self.socket.recv(timeout=0.05)
+                break
+            except TimeoutError:
+                step()
+        if isinstance(message, str):
+            told = json.loads(message)
+            if told["op"] == "advertise":
+                self.channels |= {one["topic"]: one for one in told["channels"]}
+            return None
+        kind, subscription = struct.unpack_from("<BI", message)
+        assert kind == DATA
+        topic = next(name for name, one in self.channels.items() if one["id"] == subscription)
+        return topic, message[13:]
+
+    def first_of(self, *topics: str, step: Callable[[], None] = lambda: None) -> dict[str, bytes]:
+        """The first message of each of these topics."""
+        found: dict[str, bytes] = {}
+        while not set(topics) <= found.keys():
+            if (one := self.read(step)) is not None:
+                found.setdefault(*one)
+        return found
+
+
+@contextlib.contextmanager
+def client(port: int) -> Iterator[Client]:
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL], open_timeout=CAP) as socket:
+        yield Client(socket)
+
+
+def test_a_client_reads_places_states_scans_and_events() -> None:
+    with FedSwarm(2) as swarm:
+        one, other = swarm.names
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        source.start()
+        with (
+            contextlib.closing(source),
+            FoxgloveServer(source, "127.0.0.1", 0) as server,
+            client(server.port) as reader,
+        ):
+            topics = ("/tf", "/robots", "/events", f"/{one}/status", f"/{one}/scan")
+            reader.await_topics(*topics, f"/{other}/status", step=server.publish)
+            schemas = {topic: reader.channels[topic]["schemaName"] for topic in topics}
+            assert schemas == {
+                "/tf": "foxglove.FrameTransforms",
+                "/robots": "foxglove.SceneUpdate",
+                "/events": "foxglove.Log",
+                f"/{one}/status": "swarmd.RobotRow",
+                f"/{one}/scan": "foxglove.PointCloud",
+            }
+            assert not [key for key in swarm.watched if key[0] == "scan"]
+            reader.subscribe("/tf", "/robots", f"/{one}/status", f"/{one}/scan")
+            found = reader.first_of(
+                "/tf", "/robots", f"/{one}/status", f"/{one}/scan", step=server.publish
+            )
+            assert {key for key in swarm.watched if key[0] == "scan"} == {("scan", one)}
+            for topic in ("/tf", "/robots"):
+                assert all(name.encode() in found[topic] for name in (one, other))
+            assert b"world" in found["/tf"]
+            assert b"running" in found["/robots"]
+            assert one.encode() in found[f"/{one}/scan"]
+            swarm.change(other, State.STOPPED, events=(LoggedEvent(at=98.0, text="cable"),))
+            reader.subscribe("/events")
+            events: list[bytes] = []
+            while not events or b"cable" not in events[-1]:  # after those that were there before
+                events.append(reader.first_of("/events", step=server.publish)["/events"])
+            assert other.encode() in events[-1]
+            assert one.encode() not in events[-1]
+            row = json.loads(found[f"/{one}/status"])
+            assert (row["state"], row["report"]["opinion"]) == ("running", "A")
+
+
+def test_a_port_in_use_is_an_error_in_one_line() -> None:
+    with FedSwarm(1) as swarm:
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        with FoxgloveServer(source, "127.0.0.1", 0) as server:
+            with pytest.raises(NetworkError, match=f"127.0.0.1:{server.port}") as error:
+                FoxgloveServer(source, "127.0.0.1", server.port)
+            assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("words", [("--web",), ("view.py",)])
+def test_it_is_shown_alone(words: tuple[str, ...], tmp_path: Any) -> None:
+    (tmp_path / "view.py").touch()
+    given = [str(tmp_path / one) if one.endswith(".py") else one for one in words]
+    done = swarmctl("view", "--foxglove", "0", *given)
+    assert (done.code, done.out) == (2, "")
+
+
+@pytest.mark.integration
+def test_swarmctl_shows_a_swarm_of_daemons(swarm: Swarm) -> None:
+    swarm.start("tb3-01", swarm.body("tb3-01"))
+    view = swarm.begin("view", "--foxglove", "0")
+    address = next(line for line in view.out if line.startswith("foxglove: "))
+    with client(int(address.rpartition(":")[2])) as reader:
+        reader.await_topics("/tb3-01/status")
+        reader.subscribe("/tb3-01/status", "/tf")
+        found = reader.first_of("/tb3-01/status", "/tf")
+    assert json.loads(found["/tb3-01/status"])["state"] == "idle"
+    assert b"tb3-01" in found["/tf"]
+    view.send_signal(signal.SIGTERM)
+    assert view.finish().code == 128 + signal.SIGTERM
