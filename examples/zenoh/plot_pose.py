@@ -24,7 +24,8 @@ def main() -> None:
     parser.add_argument("--out", default="way.png", help="the picture")
     options = parser.parse_args()
     arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    xs, ys = [], []
+    xs: list[float] = []
+    ys: list[float] = []
     with zenoh.open(zenoh.Config.from_file(options.config)) as session:
         key = f"swarm/{options.swarm}/{options.robot}/state/motion"
         session.declare_subscriber(key, lambda sample: arrived.put(sample.payload.to_bytes()))

@@ -45,11 +45,11 @@ def test_an_endpoint_that_zenoh_refuses_ends_no_look(
 ) -> None:
     """One wrong endpoint among those dialled together costs no other robot its link."""
     robots("a", "b")
-    first, endpoint = [True], operator_sessions._endpoint
+    first, endpoint = [True], operator_sessions.endpoint_of
 
-    def spoil(address: Address) -> str:
-        return "tcp/[a b/c#?]:1" if first and first.pop() else endpoint(address)
+    def spoil(address: Address, interface: str) -> str:
+        return "tcp/[a b/c#?]:1" if first and first.pop() else endpoint(address, interface)
 
-    monkeypatch.setattr(operator_sessions, "_endpoint", spoil)
+    monkeypatch.setattr(operator_sessions, "endpoint_of", spoil)
     with Operator(settings) as operator:
         assert operator.members(timeout=20.0).answered == {"a", "b"}

@@ -161,7 +161,7 @@ def test_a_daemon_shows_the_state_of_its_robot(tmp_path: Path) -> None:
         robot.publish()
         return all(listener.taken.values())
 
-    options = {"driver": "ros2dds", "driver_options": dict(robot.options(ON))}
+    options: dict[str, Any] = {"driver": "ros2dds", "driver_options": dict(robot.options(ON))}
     daemon = DaemonProcess(
         tmp_path, swarm=unique_swarm(), robot="r7", endpoint="", platform="burger", options=options
     )
