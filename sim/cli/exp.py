@@ -19,6 +19,7 @@ import click
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_results import check, export, plot, report, view
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
@@ -487,6 +488,7 @@ def _warn_of_few(counts: Iterable[int]) -> None:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
 
 
+exp.add_command(bench)
 exp.add_command(check)
 exp.add_command(export)
 exp.add_command(report)
