@@ -8,6 +8,7 @@ needs no other file. Every pattern of a task is an experiment in a folder of its
 from __future__ import annotations
 
 import csv
+import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -179,9 +180,13 @@ def load_task(name: str) -> Task:
     return task
 
 
-def schema() -> dict[str, Any]:
-    """The JSON schema of a file of the suite."""
-    return msgspec.json.schema(CompleteTaskFile)
+def schema_text() -> str:
+    """The JSON schema of a file of the suite, a line for each of its structs."""
+    found = msgspec.json.schema(CompleteTaskFile)
+    defs = found.pop("$defs")
+    lines = [f"{json.dumps(name)}: {json.dumps(defs[name])}" for name in sorted(defs)]
+    head = json.dumps(found).rstrip("}")
+    return f'{head}, "$defs": {{\n' + ",\n".join(lines) + "\n}}\n"
 
 
 def _folder() -> Path:

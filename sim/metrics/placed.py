@@ -1,6 +1,6 @@
 """Metrics whose name holds a place or a number, such as `share_in:disc:1.5:0:0.7`.
 
-An area is `disc:x:y:radius` or `box:x:y:length:width` in m, as an arena's text writes boxes. Several
+An area is `disc:x:y:radius` or `box:x:y:length:width` in m, as an arena has boxes in text. Several
 areas follow each other and count together. A file that names such a metric says all that another
 program needs to compute it. Only present robots count, by the position of their axle centres.
 """
