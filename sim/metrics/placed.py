@@ -181,14 +181,17 @@ def _share_until(is_so: NDArray[np.bool_]) -> Array:
     return np.asarray(np.logical_or.accumulate(is_so, axis=0).mean(axis=1))
 
 
-def _mean(series: Series) -> Value:
-    """The series' mean over the whole run."""
+def _whole(series: Series, word: str) -> Value:
+    """One of TIMES of the series of the whole run, for values that depend on its beginning."""
 
     def value(trace: Trace) -> float | None:
         values = series(trace)
-        return None if values is None else over_time(values, trace.t, "mean")
+        return None if values is None else over_time(values, trace.t, word)
 
     return value
+
+
+_mean, _end = partial(_whole, word="mean"), partial(_whole, word="end")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -323,7 +326,7 @@ KINDS: Mapping[str, Placed] = MappingProxyType({
     "box_progress": Placed(
         usage="box_progress:X:Y", unit="share", better="more", source="ours",
         meaning="share of the way to the place that the first movable box has made at the end",
-        read=_read_box, over=at_end),
+        read=_read_box, over=_end),
     "coverage_distance": Placed(
         usage="coverage_distance[:AREA]", unit="m", better="less", source=_CHOCOLATE,
         meaning="mean distance from the floor outside the area to the nearest robot outside it,"
