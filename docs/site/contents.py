@@ -54,6 +54,7 @@ CONTENTS = {
         "docs/watching",
         "docs/recording",
         "docs/experiments",
+        "docs/benchmark_suite",
         "docs/clusters",
         "docs/trace",
         "docs/patterns",

@@ -345,13 +345,16 @@ def list_scenarios(is_json: bool) -> None:
 @exp.command("metrics")
 @output_option
 def list_metrics(is_json: bool) -> None:
-    """List the metrics of every run, and those of installed packages."""
+    """List the metrics of every run, those of installed packages, and those with places."""
     from swarmd.sim.metrics.catalog import METRICS
     from swarmd.sim.metrics.own import installed_metrics
+    from swarmd.sim.metrics.placed import KINDS
 
     keys = ("name", "unit", "better", "meaning", "source")
     known = (*METRICS.values(), *installed_metrics().values())
     listed = [{key: getattr(m, key) for key in keys} for m in known]
+    rest = keys[1:]
+    listed += [{"name": m.usage, **{key: getattr(m, key) for key in rest}} for m in KINDS.values()]
     if is_json:
         print_json("Metrics", {"metrics": listed})
         return
