@@ -22,7 +22,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench bench-suite budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -36,6 +36,7 @@ help:
 	@echo "make reference writes the generated parts of pages again: docs/reference, and reasons in docs/trouble.md"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
+	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; two hours of one core"
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
@@ -113,6 +114,13 @@ format: $(VENV)/tools
 
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+# The candidates of all benchmark tasks over twenty seeds; the same command resumes. ARGS="--seeds 10
+# -j 1" runs less. It writes table, picture and schema of docs/benchmark_suite.md.
+bench-suite: $(VENV)/tools
+	@mkdir -p build
+	@$(BIN)/swarmctl exp bench --out build/bench_suite -o json $(ARGS) > build/bench_suite.json
+	@$(BIN)/python -m studies.benchmark_suite build/bench_suite.json
 
 # Every row of the budgets in two minutes.
 budget: $(VENV)/tools

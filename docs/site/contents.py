@@ -55,6 +55,7 @@ CONTENTS = {
         "docs/recording",
         "docs/keys",
         "docs/experiments",
+        "docs/benchmark_suite",
         "docs/clusters",
         "docs/trace",
         "docs/patterns",

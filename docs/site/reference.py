@@ -51,7 +51,15 @@ from swarmd.settings.platforms import (
     platform_names,
     platform_sources,
 )
+from swarmd.sim.experiments.benchmark import (
+    Candidate,
+    MetricSection,
+    TaskFile,
+    load_task,
+    task_names,
+)
 from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.placed import KINDS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 from swarmd.sim.scenarios.schema import (
     ArenaSection,
@@ -199,7 +207,39 @@ def scenarios() -> Iterator[str]:
 def metrics() -> Iterator[str]:
     """All metrics of a run."""
     rows = [(f"`{m.name}`", m.meaning, m.unit, m.better or "", m.source) for m in METRICS.values()]
-    yield _table(("metric", "meaning", "unit", "better", "source"), rows)
+    heads = ("meaning", "unit", "better", "source")
+    yield _table(("metric", *heads), rows)
+    yield (
+        "Names with a place or a number are computed where they are asked for. AREA is"
+        " `disc:x:y:radius` or `box:x:y:length:width` in m; several areas follow each other."
+    )
+    rows = [(f"`{m.usage}`", m.meaning, m.unit, m.better, m.source) for m in KINDS.values()]
+    yield _table(("name", *heads), rows)
+
+
+def benchmark_tasks() -> Iterator[str]:
+    """The tasks of the benchmark suite."""
+    for task in map(load_task, task_names()):
+        file, metric = task.file, task.file.metric
+        low, high = ("none" if one is None else f"{one:g}" for one in metric.bounds)
+        yield f"### {task.name}"
+        yield prose(" ".join(file.task.split()))
+        about = {
+            "robots": f"{task.robots}, of which `{', '.join(file.groups)}` are judged",
+            "time budget": f"{file.scenario['duration']:g} s",
+            "metric": f"`{metric.name}`: {metric.formula}",
+            "unit, better, bounds": f"{metric.unit}; {metric.better}; {low} to {high}",
+            "source": metric.source,
+            "candidates": ", ".join(f"`{one.pattern}`" for one in file.candidates),
+        }
+        yield _table(("key", "value"), list(about.items()))
+
+
+def benchmark_format() -> Iterator[str]:
+    """The keys of a file of the benchmark suite."""
+    yield from _schema("", TaskFile)
+    yield from _schema("metric", MetricSection)
+    yield from _schema("candidates", Candidate)
 
 
 def commands() -> Iterator[str]:
@@ -402,6 +442,8 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "platforms": platforms,
     "scenarios": scenarios,
     "metrics": metrics,
+    "benchmark_tasks": benchmark_tasks,
+    "benchmark_format": benchmark_format,
     "commands": commands,
     "reasons": reasons,
     "keys": keys,

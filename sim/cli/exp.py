@@ -19,6 +19,7 @@ import click
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_results import check, export, plot, report, view
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
@@ -344,13 +345,16 @@ def list_scenarios(is_json: bool) -> None:
 @exp.command("metrics")
 @output_option
 def list_metrics(is_json: bool) -> None:
-    """List the metrics of every run, and those of installed packages."""
+    """List the metrics of every run, those of installed packages, and those with places."""
     from swarmd.sim.metrics.catalog import METRICS
     from swarmd.sim.metrics.own import installed_metrics
+    from swarmd.sim.metrics.placed import KINDS
 
     keys = ("name", "unit", "better", "meaning", "source")
     known = (*METRICS.values(), *installed_metrics().values())
     listed = [{key: getattr(m, key) for key in keys} for m in known]
+    rest = keys[1:]
+    listed += [{"name": m.usage, **{key: getattr(m, key) for key in rest}} for m in KINDS.values()]
     if is_json:
         print_json("Metrics", {"metrics": listed})
         return
@@ -487,6 +491,7 @@ def _warn_of_few(counts: Iterable[int]) -> None:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
 
 
+exp.add_command(bench)
 exp.add_command(check)
 exp.add_command(export)
 exp.add_command(report)

@@ -1,9 +1,10 @@
 """All metrics by name, with unit, meaning and source, and their values for a trace.
 
-Besides these there are metrics of reports and readings (`reported.py`), and custom ones (`own.py`);
-`metric_of` takes all of them. Names are columns of tables and keys of files. `late` is the last
-60 s of a run, or its last half if that is shorter. A metric is None if the trace lacks the data, or
-if it has no value, such as the time to an event that never happened.
+Besides these there are metrics of reports and readings (`reported.py`), metrics with a place or a
+number in their names (`placed.py`), and custom ones (`own.py`); `metric_of` takes all of them.
+Names are columns of tables and keys of files. `late` is the last 60 s of a run, or its last half if
+that is shorter. A metric is None if the trace lacks the data, or if it has no value, such as the
+time to an event that never happened.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from swarmd.sim.metrics import (
 )
 from swarmd.sim.metrics.metric import Better, Metric
 from swarmd.sim.metrics.own import installed_metrics, metric_of_file
+from swarmd.sim.metrics.placed import KINDS, is_placed, placed_metric
 from swarmd.sim.metrics.reported import PREFIXES, check_reported, reported_metric
 from swarmd.sim.trace import Trace
 
@@ -79,8 +81,8 @@ def series(trace: Trace, name: str | Metric) -> Array | None:
 def metric_of(name: str | Metric) -> Metric:
     """The metric of that name; ConfigError with the nearest name if it is unknown.
 
-    A name is one of METRICS, `report:KEY...`, `reading:KEY...`, `FILE.py:FUNCTION` or that of an
-    installed metric.
+    A name is one of METRICS, `report:KEY...`, `reading:KEY...`, one of `placed.KINDS` with its
+    places, `FILE.py:FUNCTION` or that of an installed metric.
     """
     if isinstance(name, Metric):
         return name
@@ -88,11 +90,13 @@ def metric_of(name: str | Metric) -> Metric:
         return METRICS[name]
     if name.startswith(PREFIXES):
         return reported_metric(name)
+    if is_placed(name):
+        return placed_metric(name)
     if ".py:" in name:
         return metric_of_file(name)
     installed = installed_metrics()
     if name not in installed:
-        raise ConfigError(unknown("metric", name, (*METRICS, *installed)))
+        raise ConfigError(unknown("metric", name, (*METRICS, *KINDS, *installed)))
     return installed[name]
 
 

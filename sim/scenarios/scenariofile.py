@@ -58,9 +58,13 @@ def scenario_of(
     overrides: Mapping[str, Any] | None = None,
     *,
     source: str = SOURCE,
+    home: str = "effective configuration",
 ) -> Scenario:
-    """The scenario whose `effective` configuration this is; otherwise as `load_scenario`."""
-    sources = (("effective configuration", dict(effective)),)
+    """The scenario whose `effective` configuration this is; otherwise as `load_scenario`.
+
+    Errors name its origin `home`.
+    """
+    sources = ((home, dict(effective)),)
     return _overridden(sources, overrides, "scenario", source)
 
 

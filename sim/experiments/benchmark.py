@@ -1,0 +1,373 @@
+"""The public suite of benchmark tasks: its files, the patterns that fit, and the table of results.
+
+A file of `config/benchmark` is a scenario without the pattern that is judged, and a head: what the
+robots shall do, the metric in words, its direction, the seeds, and the patterns that are tried. It
+needs no other file. Every pattern of a task is an experiment in a folder of its own.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+
+import swarmd.config
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.plugins import find_pattern
+from swarmd.settings.layered import Layered
+from swarmd.settings.platforms import PlatformFile
+from swarmd.settings.yamlfile import read, shown
+from swarmd.sim.experiments import statistics
+from swarmd.sim.experiments.plan import MAX_SEED
+from swarmd.sim.metrics.catalog import metric_of
+from swarmd.sim.metrics.metric import Better
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.scenarios.schema import ScenarioFile, Values
+from swarmd.sim.world.scalar_fields import Field
+
+SUITE = 1
+"""The version of the suite: results of different versions do not compare."""
+COLUMNS = ("task", "seed", "value")
+"""The columns of results from elsewhere; a column `name` may name several programs."""
+_STAND_IN = "drive"  # in place of the pattern that is judged, while a file is checked
+
+
+class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is measured. `formula` says it in words, `name` is what swarmd computes.
+
+    - `source`: the publication of the task or the measure.
+    - `better`: which direction is good.
+    - `bounds`: the least and the greatest value that is possible, null where there is no bound.
+    """
+
+    name: str
+    formula: str
+    source: str
+    unit: str
+    better: Better
+    bounds: tuple[float | None, float | None] = (None, None)
+
+
+class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A pattern of swarmd that is tried, with parameters for all groups and `by_group`."""
+
+    pattern: str
+    parameters: Values = {}
+    by_group: dict[str, Values] = {}
+
+
+class TaskFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The keys of a file of the suite.
+
+    - `suite`: the version of the suite.
+    - `task`: what the robots shall do, in words.
+    - `seeds`: their number, from 0 on; a seed decides start poses of layout random, and all noise.
+    - `groups`: those of the scenario whose robots are judged; they have no pattern in the file.
+    - `candidates`: patterns that are tried by default.
+    - `scenario`: the world and the robots, with the keys of a scenario's file. `duration` is the
+      time budget in s. Platforms are complete, with `extends: null`.
+    """
+
+    suite: int
+    title: str
+    task: str
+    metric: MetricSection
+    seeds: Annotated[int, Meta(ge=1, le=1000)] = 20
+    groups: Annotated[list[str], Meta(min_length=1)]
+    candidates: list[Candidate] = []
+    scenario: dict[str, Any]
+
+
+class CompleteScenario(ScenarioFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A scenario that needs no other file: its platforms and fields in full."""
+
+    platforms: dict[str, PlatformFile]  # type: ignore[assignment]
+    fields: tuple[Field, ...] = ()  # type: ignore[assignment]
+
+
+class CompleteTaskFile(TaskFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A file of the suite in full, from which the JSON schema is made."""
+
+    scenario: CompleteScenario  # type: ignore[assignment]  # the same data, read in full
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A task of the suite by its name; `where` is the file as errors show it."""
+
+    name: str
+    where: str
+    file: TaskFile
+
+    @property
+    def robots(self) -> int:
+        """The number of robots of all groups."""
+        groups = self.file.scenario["groups"].values()
+        return sum(one.get("count") or len(one["robots"]) for one in groups)
+
+    def scenario(self, pattern: str, plugin_dir: Path | None = None) -> Scenario:
+        """The scenario in which the judged groups run `pattern`, with its parameters in the file.
+
+        ConfigError if the pattern does not fit: it names the need that the robots do not meet.
+        """
+        declared = next((one for one in self.file.candidates if one.pattern == pattern), None)
+        chosen = declared or Candidate(pattern=pattern)
+        data = dict(self.file.scenario)
+        groups = {name: dict(group) for name, group in data["groups"].items()}
+        for name in self.file.groups:
+            own = {**chosen.parameters, **chosen.by_group.get(name, {})}
+            groups[name] |= {"pattern": pattern, "parameters": own}
+        folder = None if plugin_dir is None else str(plugin_dir)
+        made = {**data, "name": self.name, "description": self.file.title}
+        return scenario_of({**made, "groups": groups, "plugin_dir": folder}, home=self.where)
+
+
+def task_names() -> tuple[str, ...]:
+    """The names of the tasks of the suite."""
+    return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
+
+
+def load_task(name: str) -> Task:
+    """The task of that name, or of that file if it ends in .yaml.
+
+    ConfigError names file, key and what was expected.
+    """
+    path = Path(name).expanduser() if name.endswith(".yaml") else _folder() / f"{name}.yaml"
+    if not name.endswith(".yaml") and name not in task_names():
+        known = unknown("benchmark task", name, task_names())
+        raise ConfigError(f"{known} (or give a path ending in .yaml)")
+    layers = Layered((shown(path), read(path)))
+    task = Task(path.stem, shown(path), layers.build(TaskFile))
+    file = task.file
+    if file.suite != SUITE:
+        text = f"suite is {file.suite}; this swarmd has version {SUITE} of the suite"
+        raise layers.error(("suite",), text)
+    try:
+        msgspec.convert(file.scenario, CompleteScenario)
+    except msgspec.ValidationError as error:
+        text = f"scenario: {error}; a task holds its robots in full, and extends: null"
+        raise layers.error(("scenario",), text) from error
+    groups = file.scenario["groups"]
+    for group in file.groups:
+        if group not in groups:
+            raise layers.error(("groups",), f"groups: {unknown('group', group, groups)}")
+        if "pattern" in groups[group]:
+            text = f"scenario.groups.{group}.pattern: the group is judged; leave its pattern out"
+            raise layers.error(("scenario", "groups", group, "pattern"), text)
+    for platform, section in file.scenario["platforms"].items():
+        if section.get("extends", "") is not None:
+            text = (
+                f"scenario.platforms.{platform}.extends: expected null, so that no file is needed"
+            )
+            raise layers.error(("scenario", "platforms", platform, "extends"), text)
+    try:
+        metric = metric_of(file.metric.name)
+    except ConfigError as error:
+        raise layers.error(("metric", "name"), f"metric.name: {error}") from error
+    if metric.better != file.metric.better or metric.unit != file.metric.unit:
+        text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
+        raise layers.error(("metric",), f"{text}; expected the same unit and direction")
+    task.scenario(_STAND_IN)
+    return task
+
+
+def schema_text() -> str:
+    """The JSON schema of a file of the suite, a line for each of its structs."""
+    found = msgspec.json.schema(CompleteTaskFile)
+    defs = found.pop("$defs")
+    lines = [f"{json.dumps(name)}: {json.dumps(defs[name])}" for name in sorted(defs)]
+    head = json.dumps(found).rstrip("}")
+    return f'{head}, "$defs": {{\n' + ",\n".join(lines) + "\n}}\n"
+
+
+def _folder() -> Path:
+    return Path(swarmd.config.__path__[0]).resolve() / "benchmark"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A pattern in a task, with its complete scenario."""
+
+    task: Task
+    pattern: str
+    scenario: Scenario
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """A pattern that a task does not run, and why in one line."""
+
+    task: str
+    pattern: str
+    why: str
+
+
+def entries_of(
+    tasks: Sequence[Task], patterns: Sequence[str] = (), plugin_dir: Path | None = None
+) -> tuple[list[Entry], list[Misfit]]:
+    """What to run: `patterns` where they fit, or without any the candidates of each task.
+
+    A candidate of a file that does not fit is an error of the file: ConfigError.
+    """
+    for pattern in patterns:
+        find_pattern(pattern, plugin_dir)
+    entries, misfits = [], []
+    for task in tasks:
+        declared = [one.pattern for one in task.file.candidates]
+        for pattern in patterns or declared:
+            try:
+                scenario = task.scenario(pattern, plugin_dir=plugin_dir)
+            except ConfigError as error:
+                if not patterns:
+                    raise
+                misfits.append(Misfit(task.name, pattern, str(error)))
+            else:
+                entries.append(Entry(task, pattern, scenario))
+    return entries, misfits
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """The results of one row in one task: values by seed, NaN without one; `rank` from 1 on.
+
+    None without a median. Rows of equal median share the better rank.
+    """
+
+    values: Mapping[int, float]
+    summary: statistics.Summary
+    rank: int | None = None
+
+
+Table = dict[str, dict[str, Cell]]
+"""Cells by row, then by task."""
+
+
+def table_of(
+    values: Mapping[tuple[str, str], Mapping[int, float]], better: Mapping[str, Better]
+) -> Table:
+    """The table of values by (row, task) and seed; `better` by task.
+
+    Rows in the order of their best rank, then of their number of tasks, then of their name.
+    """
+    cells = {key: Cell(found, _summary(found)) for key, found in values.items()}
+    ranked: Table = {}
+    for (row, task), cell in cells.items():
+        sign = 1.0 if better[task] == "less" else -1.0
+        medians = [one.summary.median for (_, other), one in cells.items() if other == task]
+        own = cell.summary.median
+        rank = None
+        if own is not None:
+            rank = 1 + sum(sign * one < sign * own for one in medians if one is not None)
+        ranked.setdefault(row, {})[task] = Cell(cell.values, cell.summary, rank)
+    return dict(sorted(ranked.items(), key=_order))
+
+
+def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:
+    row, cells = item
+    ranks = [math.inf if cell.rank is None else cell.rank for cell in cells.values()]
+    return (min(ranks, default=math.inf), -len(cells), row)
+
+
+def _summary(values: Mapping[int, float]) -> statistics.Summary:
+    return statistics.summarize(np.array([*values.values()], dtype=np.float64))
+
+
+def cell_text(cell: Cell | None) -> str:
+    """Median, its 95 % interval and the rank, such as `0.71 (0.6 to 0.8) #2`."""
+    if cell is None:
+        return ""
+    median, interval = cell.summary.median, cell.summary.median_interval
+    if median is None:
+        return statistics.NOTHING
+    between = "" if interval is None else f" ({interval.low:.3g} to {interval.high:.3g})"
+    return f"{median:.3g}{between} #{cell.rank}"
+
+
+def read_results(path: Path, tasks: Iterable[str]) -> dict[tuple[str, str], dict[int, float]]:
+    """Values of another program by (row, task) and seed, from a CSV file with COLUMNS.
+
+    An empty value is a run without one. Rows of a column `name` have its name, others the file's.
+    ConfigError with file and line for anything else.
+    """
+    known = tuple(tasks)
+    found: dict[tuple[str, str], dict[int, float]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            lacking = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if lacking:
+                text = f"{path}:1: there is no column {lacking[0]}"
+                raise ConfigError(f"{text}; expected {','.join(COLUMNS)}")
+            for line in reader:
+                where = f"{path}:{reader.line_num}"
+                task, name = line["task"] or "", line.get("name") or path.stem
+                if task not in known:
+                    raise ConfigError(f"{where}: {unknown('benchmark task', task, known)}")
+                seed, value = _seed(where, line["seed"]), _value(where, line["value"])
+                if seed in found.setdefault((name, task), {}):
+                    raise ConfigError(f"{where}: {name} has seed {seed} of {task} twice; keep one")
+                found[name, task][seed] = value
+    except (OSError, UnicodeError, csv.Error) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{path}: cannot be read: {why}") from error
+    return found
+
+
+def _seed(where: str, text: str | None) -> int:
+    if text is None or not text.isdecimal() or int(text) > MAX_SEED:
+        raise ConfigError(f"{where}: seed is {text!r}; expected a whole number 0 to {MAX_SEED}")
+    return int(text)
+
+
+def _value(where: str, text: str | None) -> float:
+    try:
+        value = float(text) if text else math.nan
+    except ValueError:
+        value = math.inf
+    if math.isinf(value):
+        raise ConfigError(f"{where}: value is {text!r}; expected a number, or nothing")
+    return value
+
+
+def document(tasks: Sequence[Task], table: Table, misfits: Sequence[Misfit]) -> dict[str, Any]:
+    """The table as plain values."""
+    return {
+        "suite": SUITE,
+        "level": statistics.LEVEL,
+        "method": statistics.METHOD,
+        "tasks": [
+            {
+                "name": task.name,
+                "title": task.file.title,
+                "metric": msgspec.to_builtins(task.file.metric),
+                "results": [*_results_of(task.name, table)],
+            }
+            for task in tasks
+        ],
+        "misfits": [{"task": one.task, "pattern": one.pattern, "why": one.why} for one in misfits],
+    }
+
+
+def _results_of(task: str, table: Table) -> Iterator[dict[str, Any]]:
+    for row, cells in table.items():
+        if task in cells:
+            one = cells[task]
+            yield {
+                "name": row,
+                "rank": one.rank,
+                "median": one.summary.median,
+                "median_interval": one.summary.median_interval,
+                "mean": one.summary.mean,
+                "mean_interval": one.summary.mean_interval,
+                "runs": one.summary.n,
+                "values": {s: None if math.isnan(v) else v for s, v in one.values.items()},
+            }
