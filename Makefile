@@ -10,10 +10,16 @@ COMPILE = $(BIN)/python -m compileall -q -j 0 swarmd patterns drivers sim config
 LISTED = $(BIN)/python -c 'import functools, sys, tomllib; file = tomllib.load(open("pyproject.toml", "rb")); \
   print(*(one for name in sys.argv[1:] for one in functools.reduce(dict.get, name.split("."), file)), sep="\n")'
 # pip alone compiles one file after the other, and the tests of packages too.
-# $(call install,WORDS,LISTS): one line tells how far pip is.
-install = { { $(LISTED) $(2) | $(PIP_TOLD) install --no-compile --constraint constraints.txt \
-  --requirement /dev/stdin || touch $(VENV)/failed; } | $(BIN)/python .ci/show-install $(1); } && ! rm $(VENV)/failed 2>/dev/null && \
-  { $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; }
+# $(call install,WORDS,LISTS,MORE): one line tells how far pip is.
+install = { { { $(LISTED) $(2); printf '%s\n' $(3); } | $(PIP_TOLD) install --no-compile --constraint constraints.txt \
+  --requirement /dev/stdin || touch $(VENV)/failed; } | $(BIN)/python .ci/show-install $(1); } && ! rm $(VENV)/failed 2>/dev/null
+COMPILE_PACKAGES = { $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; }
+# $(call timed,WORDS,COMMAND): one line tells how long it took.
+timed = began=$$(date +%s); $(2) && echo "  $(1): $$(($$(date +%s) - began)) s"
+# Two makes must not install at the same time, and `make demo` installs in the background.
+LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
+# Not $(MAKE), which `make -n` would run, too.
+REST := env -u MAKEFLAGS make --no-print-directory
 ARGS ?=
 # Test files at a time; six for two cores, since tests wait and compute nothing more than half of the
 # time. 0: one after the other, in this process.
@@ -55,8 +61,18 @@ help:
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
 
-demo: $(VENV)/installed
-	@$(BIN)/swarmctl demo $(ARGS)
+# The first time robots move before the kernels are there: these are compiled meanwhile, in a process
+# group that Ctrl-C ends, too. Processes that start late must not mix interpreted and compiled code.
+demo: $(VENV)/interpreted
+	@if [ $(VENV)/installed -nt $(VENV)/interpreted ]; then exec $(BIN)/swarmctl demo $(ARGS); fi; \
+	  echo "The kernels are compiled while the robots move; the next start uses them."; \
+	  setsid nice -n 19 $(REST) $(VENV)/installed >$(VENV)/rest.log 2>&1 & rest=$$!; \
+	  trap "kill -- -$$rest 2>/dev/null" INT TERM; \
+	  SWARMD_COMPILED=0 $(BIN)/swarmctl demo $(ARGS); status=$$?; \
+	  if [ $$status -gt 128 ]; then kill -- -$$rest 2>/dev/null; exit $$status; fi; \
+	  ! kill -0 $$rest 2>/dev/null || echo "Waiting for the compiler; after Ctrl-C the next make goes on."; \
+	  wait $$rest || echo "the kernels were not installed: see $(VENV)/rest.log; the next make tries again" >&2; \
+	  exit $$status
 
 # After an edit of a file that setup.py names.
 kernels: $(VENV)/tools
@@ -190,19 +206,29 @@ $(VENV)/made:
 	  "$(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
 	@rm -rf $(VENV)
 	@echo "Making $(VENV) with $$($(PYTHON) -V); this happens once."
-	@$(PYTHON) -m venv $(VENV)
+	@$(call timed,environment,$(PYTHON) -m venv $(VENV))
 	@touch $@
 
-# The kernels are compiled while packages are downloaded; then the installation compiles nothing. The
-# shell lets a program in the background ignore Ctrl-C.
-$(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
-	@echo "Installing swarmd into $(VENV): the tools that build it, the packages of the demo, its kernels."
+# What a simulated swarm needs. CPython runs the kernels, and compiles what it imports.
+$(VENV)/interpreted: $(VENV)/made pyproject.toml setup.py constraints.txt
+	@echo "Installing swarmd into $(VENV), with the packages that a simulated swarm needs."
+	@$(call install,packages,project.dependencies project.optional-dependencies.sim,setuptools)
+	@$(call timed,swarmd,SWARMD_COMPILED=0 $(PIP) install --no-compile --no-deps --no-build-isolation --editable .)
+	@touch $@
+
+$(VENV)/installed: $(VENV)/interpreted
+	@$(LOCKED) $(REST) $(VENV)/complete
+	@touch $@
+
+# The kernels are compiled while packages are downloaded. The shell lets a program in the background
+# ignore Ctrl-C.
+$(VENV)/complete: $(VENV)/interpreted
+	@echo "Installing the rest: the kernels, and packages that draw, film, record and serve pages."
 	@$(call install,tools that build it,build-system.requires)
 	@$(BIN)/python setup.py --quiet build_ext --inplace >$(VENV)/kernels.log 2>&1 & trap "kill $$!" INT TERM; \
-	  $(call install,packages of the demo,project.dependencies \
-	  $(addprefix project.optional-dependencies.,sim plot web record film)); status=$$?; \
+	  $(call install,packages that draw and record,$(addprefix project.optional-dependencies.,plot web record film)); \
+	  status=$$?; $(COMPILE_PACKAGES); \
 	  kill -0 $$! 2>/dev/null && echo "  kernels: the compiler is at work"; wait; exit $$status
-	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@$(COMPILE)
 	@touch $@
 
@@ -220,12 +246,12 @@ ros2-router:
 
 $(VENV)/tools: $(VENV)/installed
 	@echo "Installing the tools for tests and checks."
-	@$(call install,tools,dependency-groups.dev)
+	@$(call install,tools,dependency-groups.dev) && $(COMPILE_PACKAGES)
 	@touch $@
 
 $(VENV)/docs: $(VENV)/tools
 	@echo "Installing the tools for the site."
-	@$(call install,tools,dependency-groups.docs)
+	@$(call install,tools,dependency-groups.docs) && $(COMPILE_PACKAGES)
 	@touch $@
 
 # The newest versions that fit, in a fresh environment; run the checks before committing them.

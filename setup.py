@@ -6,14 +6,16 @@ CPython runs the files. The stable ABI of Python 3.11 makes one wheel serve all 
 library holds the digest of its source, which swarmd/core/kernels.py compares before it loads the
 library. Cython's code for views of memory is in one library that all kernels import: a copy in each
 took a quarter of the time of the build.
+
+With SWARMD_COMPILED=0 nothing is compiled and Cython is not needed: `make demo` installs so first,
+and compiles the kernels while robots move.
 """
 
 import hashlib
+import os
 import sys
 from pathlib import Path
 
-import Cython
-from Cython.Build import cythonize
 from setuptools import Extension, setup
 from setuptools.command.build import build
 from setuptools.command.build_ext import build_ext
@@ -78,6 +80,8 @@ def write_digests(source: str) -> str:
     The digests are of the kernel's source, and of Cython's version and directives. A kernel that
     uses the views of another Cython might end the process.
     """
+    import Cython
+
     file = (GENERATED / source).with_suffix(".digest.c")
     views = hashlib.sha256(f"{Cython.__version__} {DIRECTIVES}".encode()).hexdigest()
     text = f'const char views_digest[] = "{views}";\n'
@@ -114,30 +118,37 @@ class BuildKernels(build_ext):
         super().finalize_options()
 
 
-sources = {library(name): path for name, path in KERNELS.items()}
-sources[VIEWS] = VIEWS.replace(".", "/") + ".c"
-digests = {name: write_digests(path) for name, path in sources.items()}
-modules = cythonize(
-    [
-        Extension(
-            name,
-            [path],
-            extra_compile_args=FLAGS,
-            define_macros=[("Py_LIMITED_API", STABLE_ABI)],
-            py_limited_api=True,
-        )
-        for name, path in sources.items()
-    ],
-    compiler_directives=DIRECTIVES,
-    shared_utility_qualified_name=VIEWS,
-    build_dir=str(GENERATED),
-    quiet=True,
-)
-for module in modules:
-    module.sources.append(digests[module.name])
-    module.optional = True  # cythonize drops it from the extensions that it is given
+def kernels() -> list[Extension]:
+    """The libraries to build; their C code is written."""
+    from Cython.Build import cythonize
+
+    sources = {library(name): path for name, path in KERNELS.items()}
+    sources[VIEWS] = VIEWS.replace(".", "/") + ".c"
+    digests = {name: write_digests(path) for name, path in sources.items()}
+    modules = cythonize(
+        [
+            Extension(
+                name,
+                [path],
+                extra_compile_args=FLAGS,
+                define_macros=[("Py_LIMITED_API", STABLE_ABI)],
+                py_limited_api=True,
+            )
+            for name, path in sources.items()
+        ],
+        compiler_directives=DIRECTIVES,
+        shared_utility_qualified_name=VIEWS,
+        build_dir=str(GENERATED),
+        quiet=True,
+    )
+    for module in modules:
+        module.sources.append(digests[module.name])
+        module.optional = True  # cythonize drops it from the extensions that it is given
+    return list(modules)
+
+
 setup(
     cmdclass={"build_ext": BuildKernels},
-    ext_modules=modules,
+    ext_modules=[] if os.environ.get("SWARMD_COMPILED") == "0" else kernels(),
     options={"bdist_wheel": {"py_limited_api": "cp311"}, "build_ext": {"parallel": True}},
 )

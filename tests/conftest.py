@@ -16,6 +16,7 @@ from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 import pytest
 from hypothesis import Phase, settings
 
+from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
 
@@ -53,12 +54,31 @@ def pytest_unconfigure() -> None:
         faulthandler.dump_traceback_later(20.0, exit=True)
 
 
+# The contract of patterns runs on these in `make test`, and in `make evidence` on all: a lidar ahead
+# of the axle whose rays fill the circle, and eight short rays at unequal bearings.
+CONTRACT_PLATFORMS = {"waffle_pi", "epuck2"}
+
+
+def _is_long_contract(item: pytest.Item) -> bool:
+    """Whether a test of PatternContract runs on a platform that is left to `make evidence`.
+
+    A class that names its platforms runs on each of them.
+    """
+    kind, call = getattr(item, "cls", None), getattr(item, "callspec", None)
+    if call is None or kind is None or not issubclass(kind, PatternContract) or kind.platforms:
+        return False
+    return call.id not in CONTRACT_PLATFORMS and "subject" in call.params
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect tests marked `evidence` unless `-m` or a test's id asks for them; long files first.
 
     A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`. Files with
     integration tests and studies start first, so that no worker ends long after the others.
     """
+    for item in items:
+        if _is_long_contract(item):
+            item.add_marker("evidence")
     is_named = any("::" in argument for argument in config.args)
     if "evidence" not in config.option.markexpr and not is_named:
         evidence = [item for item in items if item.get_closest_marker("evidence")]

@@ -44,8 +44,22 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 
 # test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
 ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
-# Four to ten seconds of processor time each; tests/patterns has their rules.
-LONG = {"collective_perception", "cooperative_transport", "cue_aggregation", "response_threshold"}
+# Four to seventeen seconds of processor time each; tests/patterns has their rules, and
+# tests/sim/lockstep/test_matrix.py runs each of them in a swarm.
+LONG = {
+    "collective_perception",
+    "cooperative_transport",
+    "cross_inhibition",
+    "cue_aggregation",
+    "foraging",
+    "levy_walk",
+    "lloyd_coverage",
+    "one_bit_aggregation",
+    "phototaxis",
+    "response_threshold",
+    "source_seeking",
+    "vicsek_alignment",
+}
 
 
 @pytest.mark.parametrize(
