@@ -52,6 +52,8 @@ def view(
     FILE the page plays recordings instead: a merged one, or those of robots (.mcap), or a folder of
     them, such as `record fetch` makes. With --foxglove a Foxglove on this computer shows the swarm.
     """
+    if not web and (page.token or page.viewer_token or page.tls is not None):
+        raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
     if foxglove is not None:
         if files or web:
             what = "--web" if web else f"{files[0]}: Foxglove opens recordings by itself"
@@ -62,8 +64,6 @@ def view(
     if not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
-        if page.token or page.viewer_token or page.tls is not None:
-            raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
         click.get_current_context().exit(_show(options))
     if files:
         need("websockets", "mcap", "rosbags", extra="web,record")

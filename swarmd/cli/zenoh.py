@@ -11,7 +11,7 @@ import click
 from swarmd.cli.options import FILE, CommonOptions, common_options
 from swarmd.cli.output import print_json, warn
 from swarmd.cli.send import known_members, unreachable
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, NetworkError
 
 
 @click.command()
@@ -38,6 +38,8 @@ def zenoh(options: CommonOptions, out: Path | None) -> None:
         if undialled and settings.profile != "routed":
             warn(f"{', '.join(undialled)}: left out: Zenoh dials no IPv6 address by TLS")
             robots = {name: one for name, one in robots.items() if name not in undialled}
+            if not robots:
+                raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
         identity = replace(identity, folder=identity.folder.absolute())
     config = foreign_options(settings, sorted(set(robots.values())), identity)
     text = json.dumps(config, indent=2)

@@ -174,7 +174,7 @@ class StateDisplay(Protocol):
     shows_state: bool
 
     def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
-        """Take the newest state, called on the loop at most 10 times a second: never blocks.
+        """Take the newest state, called on the loop, at most 10 Hz: never blocks, never raises.
 
         `status`: on each change and once a second, else None. `motion`, `pose`: None if not known.
         """

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.carriers.session import (
     connected_sockets,
+    foreign_options,
     open_in_thread,
     open_operator_session,
     open_session,
@@ -68,6 +69,16 @@ def test_an_operator_dials_what_it_found_and_listens_nowhere() -> None:
     options = operator_options(field(listen=("tcp/10.0.0.5:7440",)), found)
     assert (options[MODE], options[LISTEN], options[DIAL]) == ("peer", [], found)
     assert operator_options(ROUTED, found)[DIAL] == ["tcp/10.0.0.1:7447"]
+
+
+def test_another_program_gets_a_file_that_dials_and_does_not_scout() -> None:
+    found = foreign_options(NetworkSettings(swarm="lab"), ["tcp/127.0.0.1:9", "tcp/127.0.0.1:10"])
+    assert found["mode"] == "peer"
+    assert found["connect"]["endpoints"] == ["tcp/127.0.0.1:9", "tcp/127.0.0.1:10"]
+    assert found["scouting"]["multicast"] == found["scouting"]["gossip"] == {"enabled": False}
+    zenoh.Config.from_json5(json.dumps(found))
+    routed = foreign_options(ROUTED, ["tcp/10.0.0.5:7440"])
+    assert (routed["mode"], routed["connect"]["endpoints"]) == ("client", ["tcp/10.0.0.1:7447"])
 
 
 @pytest.mark.parametrize(
