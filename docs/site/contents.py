@@ -67,6 +67,7 @@ CONTENTS = {
         "docs/drivers",
         "docs/ros",
         "docs/trouble",
+        "docs/problems",
     ],
     "Robots": [
         "docs/robots/burger",
