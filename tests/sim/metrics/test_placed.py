@@ -91,7 +91,9 @@ def test_the_way_of_a_box_is_a_share_of_its_way_to_the_place() -> None:
     box = np.array([[[0.0, 0.0, 0.0]], [[1.5, 0.0, 0.0]], [[-1.0, 0.0, 0.0]]])
     shape = np.array([[[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]])
     trace = run(at(*[[(0.0, 1.0)]] * 3), box_pose=box, box_shapes=shape, movable_boxes=("crate",))
-    np.testing.assert_allclose(series(trace, "box_progress:2:0"), [0.0, 0.75, -0.5])
+    found = series(trace, "box_progress:2:0")
+    assert found is not None
+    np.testing.assert_allclose(found, [0.0, 0.75, -0.5])
     assert value(trace, "box_progress:2:0") == pytest.approx(-0.5)
     assert value(run(at([(0.0, 0.0)])), "box_progress:2:0") is None
 
