@@ -117,8 +117,8 @@ def test_the_largest_network_covers_its_discs_once() -> None:
     overlap = 2.0 * 0.25 * math.acos(0.9) - 0.45 * math.sqrt(1.0 - 0.81)  # of two discs
     assert found == pytest.approx(2.0 * disc - overlap, abs=0.04)
     assert value(lone_and_pair, "network_area:0.8:0.5") == pytest.approx(disc, abs=0.03)
-    absent = run(pose, meta={"arena": "20x20"}, present=np.array([[True, True, False]]))
-    assert value(absent, "network_area:1:0.5") == pytest.approx(disc, abs=0.03)
+    absent = run(pose, meta={"arena": "20x20"}, present=np.zeros((1, 3), dtype=bool))
+    assert value(absent, "network_area:1:0.5") == 0.0
     assert found is not None
     walled = placed(pose, "10x20")  # a wall through the middles of the pair
     assert value(walled, "network_area:1:0.5") == pytest.approx(found / 2.0, abs=0.03)
