@@ -1,8 +1,8 @@
-"""The page of the benchmark suite: `python -m studies.benchmark_suite RESULTS.json...`.
+"""The page of the benchmark suite: `python -m studies.benchmark_suite RESULTS...`.
 
-Writes the table of docs/benchmark_suite.md from documents of `swarmctl exp bench -o json` (several
-may hold other seeds of the same suite), the picture of the tasks, and the schema of their files.
-`make bench-suite` runs it.
+Writes the table of docs/benchmark_suite.md from documents of `swarmctl exp bench -o json` and from
+CSV files as of `--with`; several may hold other seeds of the same pattern. Writes the picture of
+the tasks and the schema of their files, too. `make bench-suite` runs it.
 """
 
 from __future__ import annotations
@@ -44,6 +44,10 @@ def table(files: Sequence[str]) -> str:
     """Markdown: a row for each pattern of each task, best first, from the seeds of all files."""
     values: dict[tuple[str, str], dict[int, float]] = {}
     for file in files:
+        if file.endswith(".csv"):
+            for key, found in benchmark.read_results(Path(file), benchmark.task_names()).items():
+                values.setdefault(key, {}).update(found)
+            continue
         for task in json.loads(Path(file).read_text())["tasks"]:
             for one in task["results"]:
                 found = values.setdefault((one["name"], task["name"]), {})

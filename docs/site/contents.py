@@ -68,6 +68,7 @@ CONTENTS = {
         "docs/drivers",
         "docs/ros",
         "docs/trouble",
+        "docs/problems",
     ],
     "Robots": [
         "docs/robots/burger",

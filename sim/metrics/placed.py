@@ -78,7 +78,7 @@ def share_caught(trace: Trace, group: str, reach: float) -> Array | None:
     away = place[:, is_prey, None] - place[:, None, ~is_prey]
     near = np.hypot(away[..., 0], away[..., 1]) <= reach
     near &= is_here[:, is_prey, None] & is_here[:, None, ~is_prey]
-    return _share_until(near.any(axis=2))
+    return _share_until(np.asarray(near.any(axis=2)))
 
 
 def share_reporting(trace: Trace, key: str, number: float) -> Array | None:

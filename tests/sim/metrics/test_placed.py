@@ -91,7 +91,9 @@ def test_the_way_of_a_box_is_a_share_of_its_way_to_the_place() -> None:
     box = np.array([[[0.0, 0.0, 0.0]], [[1.5, 0.0, 0.0]], [[-1.0, 0.0, 0.0]]])
     shape = np.array([[[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]])
     trace = run(at(*[[(0.0, 1.0)]] * 3), box_pose=box, box_shapes=shape, movable_boxes=("crate",))
-    np.testing.assert_allclose(series(trace, "box_progress:2:0"), [0.0, 0.75, -0.5])
+    found = series(trace, "box_progress:2:0")
+    assert found is not None
+    np.testing.assert_allclose(found, [0.0, 0.75, -0.5])
     assert value(trace, "box_progress:2:0") == pytest.approx(-0.5)
     assert value(run(at([(0.0, 0.0)])), "box_progress:2:0") is None
 
@@ -115,6 +117,8 @@ def test_the_largest_network_covers_its_discs_once() -> None:
     overlap = 2.0 * 0.25 * math.acos(0.9) - 0.45 * math.sqrt(1.0 - 0.81)  # of two discs
     assert found == pytest.approx(2.0 * disc - overlap, abs=0.04)
     assert value(lone_and_pair, "network_area:0.8:0.5") == pytest.approx(disc, abs=0.03)
+    absent = run(pose, meta={"arena": "20x20"}, present=np.zeros((1, 3), dtype=bool))
+    assert value(absent, "network_area:1:0.5") == 0.0
     assert found is not None
     walled = placed(pose, "10x20")  # a wall through the middles of the pair
     assert value(walled, "network_area:1:0.5") == pytest.approx(found / 2.0, abs=0.03)

@@ -1,0 +1,25 @@
+"""The table of docs/benchmark_suite.md: its place in the page, and its rows."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from studies import benchmark_suite
+
+
+def test_files_of_other_seeds_make_one_row_for_each_pattern(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.csv", tmp_path / "b.json"
+    first.write_text("task,seed,value,name\nshelter,0,0.25,walk\nshelter,0,0.5,light\n")
+    results = [{"name": "walk", "values": {"1": 0.75, "2": None}}]
+    second.write_text(json.dumps({"tasks": [{"name": "shelter", "results": results}]}))
+    _, _, *rows = benchmark_suite.table([str(first), str(second)]).splitlines()
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert cells == [
+        ["`shelter`", "1", "`light`", "0.50", "-", "share", "1"],
+        ["`shelter`", "1", "`walk`", "0.50", "0.25 to 0.75", "share", "2"],
+    ]
+
+
+def test_the_page_has_one_place_for_the_table() -> None:
+    assert len(benchmark_suite._PART.findall(benchmark_suite.PAGE.read_text())) == 1
