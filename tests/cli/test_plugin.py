@@ -24,6 +24,7 @@ from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.pattern_host.plugin_inspector import IMPORTS, LOADING, MIRRORED, readable_beside
 from swarmd.plugins import pattern_names
+from swarmd.settings.platforms import platform_names
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.processes import wait_until
 
@@ -100,8 +101,9 @@ def test_a_new_plugin_of_each_kind_passes_as_it_is(
         assert f"my_{kind}" in pattern_names(folder, {})
     files = {f"{before}my_{kind}.py" for before in ("", "test_") for kind in kinds}
     assert {path.name for path in folder.iterdir()} == files
+    others = " or ".join({*platform_names()} - {"waffle_pi"})
     for command in (
-        ["pytest", "-q", "-p", "no:cacheprovider"],
+        ["pytest", "-q", "-p", "no:cacheprovider", "-k", f"not ({others})"],
         ["ruff", "check", "--isolated", "--select", "E,F,I"],
     ):
         done = subprocess.run(

@@ -93,6 +93,7 @@ def shell(tmp_path: Path) -> Iterator[Shell]:
         yield made
 
 
+@pytest.mark.evidence
 def test_ten_commands_lead_to_a_secured_swarm(shell: Shell) -> None:
     assert len(COMMANDS) == 10
     *install, bases, first, second, members, run, estop = COMMANDS

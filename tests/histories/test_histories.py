@@ -18,7 +18,7 @@ from tests.histories import swarm
 from tests.histories.history import draw, fault_of, replay, script, shrink, step
 
 BLOCK = 50
-IN_SUITE, IN_EVIDENCE = range(0, 200, BLOCK), range(200, 10200, BLOCK)
+IN_SUITE, IN_EVIDENCE = range(0, 100, BLOCK), range(100, 10200, BLOCK)
 
 
 def check(seed: int) -> None:

@@ -39,6 +39,7 @@ def test_a_laptop_without_keys_finds_nothing(swarm: FieldSwarm) -> None:
     assert swarm.states(NEAR) == dict.fromkeys(ROBOTS, "running")
 
 
+@pytest.mark.evidence
 @pytest.mark.skipif(FAKETIME is None, reason="libfaketime is not installed")
 def test_a_clock_of_1970_has_links_and_one_beyond_the_certificates_stops_alone(
     swarm: FieldSwarm,

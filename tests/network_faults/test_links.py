@@ -87,6 +87,7 @@ def test_a_link_that_is_cut_is_shown_in_its_direction_alone(swarm: FieldSwarm) -
     check_all_alive(swarm)
 
 
+@pytest.mark.evidence
 def test_wait_sees_robots_that_a_slow_link_shows_late(swarm: FieldSwarm) -> None:
     """A look over this link takes longer than 2 s."""
     radio = (*ROBOTS, FAR)

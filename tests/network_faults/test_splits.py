@@ -101,7 +101,8 @@ def test_operators_on_two_sides_of_a_split_get_one_goal_when_it_heals(swarm: Fie
     }
 
 
-@pytest.mark.parametrize("seconds", [8.0, pytest.param(120.0, marks=pytest.mark.evidence)])
+@pytest.mark.evidence
+@pytest.mark.parametrize("seconds", [8.0, 120.0])
 def test_answers_are_true_while_the_radio_flaps(swarm: FieldSwarm, seconds: float) -> None:
     """Two seconds of connection, two of none, between both halves."""
     prepare(swarm, "running")

@@ -32,6 +32,7 @@ def check_survivors(swarm: FieldSwarm, verb: str, staying: set[str]) -> None:
     assert judged.named == set(swarm.robots) - staying, judged
 
 
+@pytest.mark.evidence
 def test_most_of_a_swarm_is_killed(swarm: FieldSwarm) -> None:
     staying = swarm.robots[: len(swarm.robots) // 4]
     vanishing = swarm.robots[len(staying) :]

@@ -364,7 +364,7 @@ def random_run(kind: str, seed: int, share: float, seconds: float) -> FilterRun:
     return sim.run(twists(platform, rng), seconds)
 
 
-@pytest.mark.parametrize("seed", part([0, 1], [2, 3, 4]))
+@pytest.mark.parametrize("seed", part([0], [1, 2, 3, 4]))
 @pytest.mark.parametrize("kind", KINDS)
 def test_standing_obstacles_are_never_touched(kind: str, seed: int) -> None:
     done = random_run(kind, seed, 0.0, 10.0)

@@ -78,6 +78,7 @@ def test_a_broken_file_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> N
     assert "bold.py" in found["zoe"]["why"]
 
 
+@pytest.mark.evidence
 @pytest.mark.integration
 def test_what_breaks_in_the_run_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> None:
     (tmp_path / "anna").mkdir()

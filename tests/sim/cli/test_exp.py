@@ -137,6 +137,7 @@ def test_a_hanging_run_fails_and_the_others_go_on(
         assert "only 1 run" in one.stderr
 
 
+@pytest.mark.evidence
 @pytest.mark.integration
 def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
     tmp_path: Path, x: Path, swept: tuple[Path, str], swarmctl: Swarmctl

@@ -8,7 +8,6 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest, ttest_ind
 
 from swarmd.core.values import Array
 from swarmd.sim.experiments import statistics
@@ -165,6 +164,8 @@ def test_the_p_of_a_difference_is_that_of_the_exact_permutations() -> None:
 
 
 def test_the_p_of_a_difference_is_near_that_of_the_t_test_for_normal_values() -> None:
+    from scipy.stats import ttest_ind
+
     rng = np.random.default_rng(5)
     a, b = rng.normal(0.0, 1.0, 30), rng.normal(0.6, 1.0, 30)
     found = difference_p(a, b, is_paired=False)
@@ -182,6 +183,8 @@ def test_the_log_rank_test_is_that_of_its_definition() -> None:
         observed += float(t in a)
         expected += at_risk_a / at_risk
         variance += at_risk_a * (at_risk - at_risk_a) / at_risk**2
+    from scipy.stats import chi2
+
     p = chi2.sf((observed - expected) ** 2 / variance, 1)
     assert logrank_p(a, b, 60.0, 60.0) == pytest.approx(p)
     assert logrank_p(np.full(3, np.nan), np.full(3, np.nan), 60.0, 60.0) is None
@@ -227,6 +230,8 @@ def test_the_effect_of_a_seed_is_no_scatter() -> None:
 
 
 def test_without_interaction_each_p_is_as_likely() -> None:
+    from scipy.stats import kstest
+
     rng = np.random.default_rng(4)
     found = [interaction_p(rng.normal(0.0, 1.0, (2, 3, 6)), has_blocks=True) for _ in range(400)]
     assert kstest(found, "uniform").pvalue > 0.01

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scipy.stats import chisquare
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.world.geometry import gaps, transform
@@ -118,6 +117,8 @@ def test_no_robot_has_a_better_place_by_its_name(
     load: Load, count: int, start: dict[str, Any]
 ) -> None:
     """Each is nearest to the middle equally often, though the second finds the first in its way."""
+    from scipy.stats import chisquare
+
     own = {**start, "center": [-1.5, 0.0]}
     starts = load(
         {"groups.red.count": count, RED: own, BLUE: {"poses": [[3, 0, 0], [3, 1, 0]]}}

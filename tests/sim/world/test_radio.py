@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor
@@ -81,6 +80,8 @@ def test_a_delay_of_whole_steps_ends_with_its_step_despite_rounding() -> None:
 
 def test_simultaneous_arrivals_come_in_a_random_order_of_senders() -> None:
     """Each of the two others is the first to be heard equally often; each says two words."""
+    from scipy.stats import binomtest
+
     air, first = radio(delay=0.1), []
     for second in range(300):
         for sender in (0, 1):

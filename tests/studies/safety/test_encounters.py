@@ -38,6 +38,7 @@ def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
     assert "0 of 1 runs" in text
 
 
+@pytest.mark.evidence
 def test_with_true_places_robots_that_meet_pass_each_other() -> None:
     found = perform("two that meet", "orca_true", 3)
     assert (found.arrived, found.touches) == (2, 0)
