@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from swarmd.cli.options import DEFAULT_SWARM, CommonOptions, VerbGroup
+from swarmd.cli.options import CommonOptions, VerbGroup
 from swarmd.cli.output import print_section, warn
+from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need

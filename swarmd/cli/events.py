@@ -18,9 +18,9 @@ from swarmd.core.messages import MAX_EVENTS, Status
 from swarmd.texts.values import printable, seconds
 
 if TYPE_CHECKING:
+    from swarmd.client.event_feed import EventFeed, EventLine
     from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
-    from swarmd.view.event_feed import EventFeed, EventLine
 
 PERIOD = 0.5
 NAME_WIDTH = 10
@@ -37,7 +37,7 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
     Each robot keeps its last 10 events. With -f also holds as they begin and end, and robots that
     fall silent and return; with -o json then one document a line.
     """
-    from swarmd.view.event_feed import EventFeed
+    from swarmd.client.event_feed import EventFeed
 
     feed = EventFeed(float("inf") if since is None else since)
     with options.operator() as operator:
@@ -72,7 +72,7 @@ def _of_look(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[E
 
 def _follow(operator: Operator, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:
     """Print events until a signal; those before the first look in the order of time."""
-    from swarmd.view.swarm_watch import SwarmWatch
+    from swarmd.client.swarm_watch import SwarmWatch
 
     news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
     watch = SwarmWatch(operator, on_status=news.put, on_view=news.put)
@@ -121,7 +121,7 @@ def _lines_of(feed: EventFeed, one: Status | MembersView | None, now: float) -> 
 
 
 def _print(lines: Iterable[EventLine]) -> None:
-    from swarmd.view.event_feed import together
+    from swarmd.client.event_feed import together
 
     for line, robots in together(lines):
         at = _time(line)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import click
 from msgspec.structs import replace
 
-from swarmd.cli.known_robots import remember
 from swarmd.cli.options import Failure
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.targets import (
@@ -27,6 +26,7 @@ from swarmd.cli.targets import (
     targets_of,
     unlabelled,
 )
+from swarmd.client.known_robots import remember
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Code, Refusal
 from swarmd.network.exit_codes import UNREACHABLE, code_of_answers

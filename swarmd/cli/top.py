@@ -28,8 +28,8 @@ from swarmd.texts.why import lost_base
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from swarmd.client.swarm_watch import SwarmWatch
     from swarmd.network.operator.members_view import MembersView
-    from swarmd.view.swarm_watch import SwarmWatch
 
 HEADER = (
     *("NAME", "STATE", "CPU", "P-CPU", "MEM", "P-MEM", "LOOP99", "SCAN", "DELAY", "DROPS"),
@@ -67,7 +67,7 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
             click.get_current_context().exit(exit_code_of(view, names))
     if not options.is_json:
         need_terminal("top", "add --once or -o json")
-    from swarmd.view.swarm_watch import SwarmWatch
+    from swarmd.client.swarm_watch import SwarmWatch
 
     with options.operator() as operator, signals_end():
         chosen = named_now(options, operator, targets)

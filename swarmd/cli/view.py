@@ -57,8 +57,8 @@ def _live(
     options: CommonOptions, reason: str
 ) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
     """The swarm as views show it, and what carries their commands out; latches keep `reason`."""
-    from swarmd.cli.known_robots import remember
     from swarmd.cli.plugin_check import describe_patterns
+    from swarmd.client.known_robots import remember
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 

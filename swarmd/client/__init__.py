@@ -1,1 +1,1 @@
-"""What an operator asks of a swarm: for `swarmctl`, the page and Python, without click and print."""
+"""What an operator asks of a swarm, for `swarmctl`, the page and Python: no click, no printing."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import threading
 
+from swarmd.client.swarm_watch import LOOKING
 from swarmd.network.spread.roster_follower import CLOSING
 from swarmd.view.commander import COMMANDING
-from swarmd.view.swarm_watch import LOOKING
 
 
 def is_closing() -> bool:
