@@ -10,16 +10,15 @@ import click
 from msgspec import to_builtins
 
 from swarmd.cli import completion
-from swarmd.cli.options import CommonOptions, Failure, VerbGroup, common_options
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_section, print_table, terminal_width
-from swarmd.cli.send import exit_code_of, known_members, report, time_left
-from swarmd.cli.targets import check_known
+from swarmd.cli.send import exit_code_of, known_members, report, session_of
+from swarmd.client.changes import forget as remove
+from swarmd.client.targets import check_known
 from swarmd.core import codec
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Presence, State, Status
-from swarmd.core.verbs import ForgetRequest
-from swarmd.network.exit_codes import REFUSED
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.status import sections
@@ -74,11 +73,7 @@ def forget(options: CommonOptions, name: str) -> None:
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)
         check_known(name, view.members)
-        if view.members[name].presence is Presence.ALIVE:
-            text = f"{name} is alive; only robots that failed or left can be forgotten"
-            raise Failure(text, REFUSED)
-        epochs, wait = view.epochs(view.alive), time_left(options, view)
-        report(options, operator.request(ForgetRequest, epochs, timeout=wait, name=name))
+        report(options, remove(session_of(options, operator), view, name))
 
 
 def _secured(identity: Identity | None) -> Iterator[str]:

@@ -29,6 +29,7 @@ class Hanging:
     def __init__(self) -> None:
         self.go_on = threading.Event()
         self.sent = 0
+        self.notices: list[str] = []
 
     def __call__(self) -> AbstractContextManager[Operator]:
         return nullcontext(cast("Operator", self))
@@ -40,6 +41,8 @@ class Hanging:
 
     def members(self, **_: Any) -> MembersView:
         return MembersView({})
+
+    seen = members
 
     def request(self, kind: type, targets: Mapping[str, Any], **_: Any) -> Outcome:
         self.sent += 1
@@ -109,7 +112,9 @@ class Noting(Hanging):
         members = {name: make_member(name, labels=("red",)) for name in ("r1", "r2")}
         return MembersView(members, goal_generation=4)
 
-    def request(self, kind: type, targets: Mapping[str, Any], **fields: Any) -> Outcome:
+    def request(
+        self, kind: type, targets: Mapping[str, Any], *, timeout: None = None, **fields: Any
+    ) -> Outcome:
         self.requests.append((tuple(targets), fields))
         return APPLIED
 
