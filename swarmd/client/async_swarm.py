@@ -7,7 +7,7 @@ import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from functools import partial, wraps
 from types import TracebackType
-from typing import Concatenate, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 from swarmd.client.hand_over import begin, in_thread
 from swarmd.client.swarm import Swarm
@@ -114,7 +114,8 @@ async def _from_thread(
     try:
         while True:
             taking = asyncio.ensure_future(items.get())
-            await asyncio.wait({taking, done}, return_when=asyncio.FIRST_COMPLETED)
+            both: set[asyncio.Future[Any]] = {taking, done}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
             if not taking.done():
                 taking.cancel()
                 while not items.empty():

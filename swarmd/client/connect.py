@@ -18,14 +18,19 @@ import logging
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING, get_args
 
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
 from swarmd.client.swarm import Swarm
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.network.settings import Profile
 
-TYPE_CHECKING = False
 if TYPE_CHECKING:
     from swarmd.client.async_swarm import AsyncSwarm
+    from swarmd.network.operator.operator import Operator
+
+Tell = Callable[[str], object]
 
 
 class Connection:
@@ -33,12 +38,12 @@ class Connection:
 
     def __init__(
         self,
-        options: NetworkOptions,
+        make: Callable[[Tell], Operator],
         *,
         timeout: float | None = None,
-        tell: Callable[[str], object] | None = None,
+        tell: Tell | None = None,
     ) -> None:
-        self._options, self._timeout = options, timeout
+        self._make, self._timeout = make, timeout
         self._tell = logging.getLogger("swarmd.client").warning if tell is None else tell
         self._opened: Swarm | AsyncSwarm | None = None
 
@@ -47,8 +52,8 @@ class Connection:
 
         ConfigError for a wrong option or file, NetworkError if the network cannot be used.
         """
-        options, tell = self._options, self._tell
-        pool = OperatorPool(lambda: options.operator(tell))
+        make, tell = self._make, self._tell
+        pool = OperatorPool(lambda: make(tell))
         with pool.lend():  # errors of options come now
             pass
         return Swarm(pool, timeout=self._timeout, tell=tell)
@@ -79,7 +84,8 @@ class Connection:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        assert self._opened is not None and not isinstance(self._opened, Swarm)
+        assert self._opened is not None
+        assert not isinstance(self._opened, Swarm)
         await self._opened.close()
 
 
@@ -94,19 +100,24 @@ def connect(
     identity: str | Path | None = None,
     insecure: bool = False,
     timeout: float | None = None,
-    tell: Callable[[str], object] | None = None,
+    tell: Tell | None = None,
 ) -> Connection:
     """A connection to a swarm: `with connect(...)` gives a `Swarm`, `async with` an `AsyncSwarm`.
 
     The options are those of swarmctl, with its defaults: `$SWARM`, `$SWARM_CONFIG` and the context
     in use (`context` names another one), else swarm `default` of robots on this machine. `config`:
-    a swarm file. `profile`: dev, field or routed. `identity`: the folder of your identity; by
+    a swarm file. `profile`: dev, field or
+    routed. `identity`: the folder of your identity; by
     default that of this user or machine for the swarm. `timeout` in s bounds each method that
     states none. `tell` takes lines for the user, such as robots that did not answer; by default
     they are warnings of the logger `swarmd.client`.
 
     Nothing is opened before the block begins; ConfigError and NetworkError come there.
     """
+    if profile is not None and profile not in get_args(Profile):
+        raise ConfigError(unknown("profile", profile, get_args(Profile)))
+    if config is None and context is None:
+        config = NetworkOptions.of_environment().config
     given = NetworkOptions(
         swarm=swarm,
         config=None if config is None else Path(config),
@@ -117,8 +128,4 @@ def connect(
         identity=None if identity is None else Path(identity),
         insecure=insecure,
     )
-    if config is None and context is None:
-        from dataclasses import replace
-
-        given = replace(given, config=NetworkOptions.of_environment().config)
-    return Connection(given, timeout=timeout, tell=tell)
+    return Connection(given.operator, timeout=timeout, tell=tell)

@@ -67,6 +67,7 @@ class Members(Mapping[str, SeenMember]):
     def rows(self) -> list[dict[str, Any]]:
         """A row for each robot, as `swarmctl members` prints it, for tables."""
         heads = [head.lower() for head in HEADER]
+        rows: list[dict[str, Any]]
         rows = [dict(zip(heads, row(one), strict=True)) for one in self.values()]
         for one in rows:
             x, y, yaw = self.poses.get(one["name"], (math.nan,) * 3)
@@ -123,9 +124,7 @@ def map_of(members: Members) -> str:
     return f"<svg {size}>{frame}{''.join(shapes)}{label}</svg>"
 
 
-def _arrow(
-    members: Members, name: str, pose: Pose, left: float, top: float, scale: float
-) -> str:
+def _arrow(members: Members, name: str, pose: Pose, left: float, top: float, scale: float) -> str:
     x, y, yaw = pose
     member = members.get(name)
     state = "" if member is None or member.status is None else member.status.state.value

@@ -19,7 +19,10 @@ DEFAULT_SWARM = "default"
 
 @dataclass(frozen=True, slots=True)
 class NetworkOptions:
-    """The options of the network; None or empty if not given."""
+    """The options of the network; None or empty if not given.
+
+    `context`: another context of the user than the one in use.
+    """
 
     swarm: str | None = None
     config: Path | None = None
@@ -28,6 +31,7 @@ class NetworkOptions:
     seeds: tuple[str, ...] = ()
     identity: Path | None = None
     insecure: bool = False
+    context: str | None = None
 
     @classmethod
     def of_environment(cls) -> Self:
@@ -43,9 +47,10 @@ class NetworkOptions:
         """
         import msgspec
 
-        from swarmd.settings.contexts import context_in_use
+        from swarmd.settings.contexts import ENVIRONMENT, context_in_use
 
-        chosen = context_in_use() if self.config is None else None
+        environ = os.environ if self.context is None else {**os.environ, ENVIRONMENT: self.context}
+        chosen = context_in_use(environ) if self.config is None else None
         if chosen is None:
             return self
         swarm = self.swarm or os.environ.get("SWARM")

@@ -239,7 +239,7 @@ class Swarm:
         }
         targets = _targets(robots, labels, exclude)
         with ExitStack() as opened:
-            session = opened.enter_context(self._session(timeout, is_request=True))
+            session = opened.enter_context(self._session(timeout, is_request=lease is None))
             targeted = session.target(targets, needs_status=canary is not None)
             goal = runs.make_goal(targeted, runs.goal_targets(targets, targeted.names), **fields)
             if lease is not None:
@@ -367,9 +367,7 @@ class Swarm:
         with self._session(timeout, is_request=True) as session:
             targeted = session.target(targets, needs_status=True)
             wait, names = targeted.time_left, targeted.names
-            return targeted.counted(
-                resume_on(session.operator, targeted.view, names, timeout=wait)
-            )
+            return targeted.counted(resume_on(session.operator, targeted.view, names, timeout=wait))
 
     def undo(self, *, timeout: float | None = None) -> Outcome:
         """Set the goal before the present one again; robots run it at once."""

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from swarmd.client.changes import change_labels, reset, set_params
 from swarmd.client.hand_over import in_thread
+from swarmd.client.operator_pool import MAX_REQUESTS
 from swarmd.client.runs import make_goal, start
 from swarmd.client.session import Session, TargetedView
 from swarmd.client.stops import send_stop
@@ -23,8 +24,6 @@ from swarmd.view.source import CommandProgress
 
 Tell = Callable[[CommandProgress], None]
 
-MAX_REQUESTS = 8
-"""Requests under way at a time: a request that waits for others would start motion late."""
 MAX_STOPS = 16
 """Stops under way at a time; more wait. An emergency stop never waits."""
 

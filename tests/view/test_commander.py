@@ -10,11 +10,12 @@ from typing import Any, cast
 
 import pytest
 
+from swarmd.client.operator_pool import MAX_REQUESTS
 from swarmd.core.messages import Code, Reply
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
-from swarmd.view.commander import MAX_REQUESTS, LiveCommander
+from swarmd.view.commander import LiveCommander
 from swarmd.view.source import CommandProgress
 from tests.support.operator_threads import is_closing
 from tests.support.processes import wait_until
