@@ -27,6 +27,7 @@ from swarmd.core.errors import ConfigError, SwarmError
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.sim.live.fleet import Fleet, FleetSpec
+    from swarmd.sim.live.link import WorldView
 
 
 class SimulatedSwarm:
@@ -40,6 +41,7 @@ class SimulatedSwarm:
         self._make_spec = make_spec
         self._left = ExitStack()
         self._fleet: Fleet | None = None
+        self._world: WorldView | None = None
 
     def __enter__(self) -> Self:
         return self.start()
@@ -64,6 +66,7 @@ class SimulatedSwarm:
         some 2 s. SwarmError, with the path of its log, if a process ends; no process is left then.
         """
         from swarmd.sim.live.fleet import Fleet
+        from swarmd.sim.live.link import WorldView
         from swarmd.sim.live.starting import await_robots
 
         if self._fleet is not None:
@@ -73,20 +76,29 @@ class SimulatedSwarm:
             operator = opened.enter_context(self._operator())
             check_free(operator, spec, "demo(swarm=NAME)")
             fleet = opened.enter_context(Fleet(spec))
+            world = opened.enter_context(WorldView(self.name, fleet.endpoint))
             await_robots(operator, fleet)
+            self._world = world
             self._fleet, self._left = fleet, opened.pop_all()
         return self
 
     def close(self) -> None:
         """End all processes, within 4 s."""
-        self._fleet = None
+        self._fleet = self._world = None
         self._left.close()
 
     def connect(
         self, *, timeout: float | None = None, tell: Callable[[str], object] | None = None
     ) -> Connection:
-        """A connection to this swarm; see `swarmd.connect`."""
-        return Connection(lambda _: self._operator(), timeout=timeout, tell=tell)
+        """A connection to this swarm; see `swarmd.connect`. Its maps show true positions."""
+        return Connection(lambda _: self._operator(), timeout=timeout, tell=tell, places=self.poses)
+
+    def poses(self) -> dict[str, tuple[float, float, float]]:
+        """The true pose of each robot in the world: x and y in m, yaw in rad."""
+        if self._world is None:
+            raise SwarmError("the demo has not started, or has ended")
+        state = self._world.ask("poses").state
+        return dict(zip(state.ids, state.poses, strict=True))
 
     def _operator(self) -> Operator:
         from swarmd.network.operator.operator import Operator

@@ -22,15 +22,13 @@ from typing import TYPE_CHECKING, get_args
 
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
-from swarmd.client.swarm import Swarm
+from swarmd.client.swarm import Places, Swarm, Tell
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.network.settings import Profile
 
 if TYPE_CHECKING:
     from swarmd.client.async_swarm import AsyncSwarm
     from swarmd.network.operator.operator import Operator
-
-Tell = Callable[[str], object]
 
 
 class Connection:
@@ -42,8 +40,9 @@ class Connection:
         *,
         timeout: float | None = None,
         tell: Tell | None = None,
+        places: Places | None = None,
     ) -> None:
-        self._make, self._timeout = make, timeout
+        self._make, self._timeout, self._places = make, timeout, places
         self._tell = logging.getLogger("swarmd.client").warning if tell is None else tell
         self._opened: Swarm | AsyncSwarm | None = None
 
@@ -56,7 +55,7 @@ class Connection:
         pool = OperatorPool(lambda: make(tell))
         with pool.lend():  # errors of options come now
             pass
-        return Swarm(pool, timeout=self._timeout, tell=tell)
+        return Swarm(pool, timeout=self._timeout, tell=tell, places=self._places)
 
     def __enter__(self) -> Swarm:
         self._opened = swarm = self.open()

@@ -23,10 +23,11 @@ _SIDE = 320  # px of the map
 
 @dataclass(frozen=True, eq=False)
 class Members(Mapping[str, SeenMember]):
-    """The robots by name. `poses`: where each is, by its own odometry, if they were asked for."""
+    """The robots by name. `poses`: where each is, if that was asked for; `frame`: by what."""
 
     view: MembersView
     poses: Mapping[str, Pose] = field(default_factory=dict)
+    frame: str = "each by its own odometry"
 
     def __getitem__(self, name: str) -> SeenMember:
         return self.view.members[name]
@@ -119,7 +120,7 @@ def map_of(members: Members) -> str:
     scale = _SIDE / side
     shapes = [_arrow(members, name, poses[name], left, top, scale) for name in sorted(poses)]
     frame = f'<rect width="{_SIDE}" height="{_SIDE}" fill="none" stroke="#999"/>'
-    label = f'<text x="4" y="{_SIDE - 4}" font-size="10">{side:.1f} m, by odometry</text>'
+    label = f'<text x="4" y="{_SIDE - 4}" font-size="10">{side:.1f} m, {members.frame}</text>'
     size = f'width="{_SIDE}" height="{_SIDE}" viewBox="0 0 {_SIDE} {_SIDE}"'
     return f"<svg {size}>{frame}{''.join(shapes)}{label}</svg>"
 

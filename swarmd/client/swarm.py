@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
 
 from swarmd.client.members import Description, Members
 from swarmd.client.session import Session
-from swarmd.client.states import RobotState
+from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.keys import is_id
@@ -29,6 +29,9 @@ Words: TypeAlias = str | Iterable[str]
 """One word, or several."""
 
 Tell: TypeAlias = Callable[[str], object]
+
+Places: TypeAlias = Callable[[], Mapping[str, Pose]]
+"""Where robots are in one frame, if something outside of them knows it."""
 
 
 class Swarm:
@@ -52,10 +55,11 @@ class Swarm:
         *,
         timeout: float | None = None,
         tell: Tell = lambda text: None,
+        places: Places | None = None,
         cancelled: threading.Event | None = None,
         leases: ExitStack | None = None,
     ) -> None:
-        self._pool, self._timeout, self._tell = pool, timeout, tell
+        self._pool, self._timeout, self._tell, self._places = pool, timeout, tell, places
         self._cancelled = cancelled or threading.Event()
         self._leases = leases or ExitStack()
         self._parents: tuple[threading.Event, ...] = ()
@@ -86,12 +90,11 @@ class Swarm:
         """
         with self._session(timeout) as session:
             view = session.look()
-            found = {}
-            if poses:
-                from swarmd.client.states import read_poses
-
-                found = read_poses(session.operator, view.answered)
-            return Members(view, found)
+            if not poses:
+                return Members(view)
+            if self._places is not None:
+                return Members(view, self._places(), "true positions")
+            return Members(view, read_poses(session.operator, view.answered))
 
     def describe(self, robot: str, *, timeout: float | None = None) -> Description:
         """One robot in detail, and why it does not move."""
@@ -424,6 +427,7 @@ class Swarm:
             self._pool,
             timeout=self._timeout,
             tell=self._tell,
+            places=self._places,
             cancelled=cancelled,
             leases=self._leases,
         )
