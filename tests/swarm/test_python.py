@@ -159,15 +159,12 @@ async def test_two_clients_in_one_program(name: str) -> None:
 
 async def test_events_tell_what_others_do(name: str) -> None:
     async with swarmd.connect(name) as swarm:
-        told = []
-        events = swarm.events("r1")
-        asking = asyncio.ensure_future(anext(events))
         await swarm.run("drive")
-        await swarm.stop()
-        told.append(await asking)
-        while "stopped" not in told[-1].text:
-            told.append(await anext(events))
-        assert {one.robot for one in told} == {"r1"}
+        goal = (await swarm.goal("r1"))[0].goal
+        assert goal is not None
+        events = swarm.events("r1", since=30.0)
+        while f"goal {goal.generation} " not in (told := await anext(events)).text:
+            assert told.robot == "r1"
         states = [one async for one in swarm.states(seconds=1.2)]
         assert {one.robot for one in states} == set(BOTH)
     assert {one.robot async for one in events} <= {"r1"}  # it ends with the connection
