@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
 from functools import partial, wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -21,7 +21,7 @@ MAX_WAITING = 1000
 
 def _awaited(
     method: Callable[Concatenate[Swarm, P], R],
-) -> Callable[Concatenate[AsyncSwarm, P], Awaitable[R]]:
+) -> Callable[Concatenate[AsyncSwarm, P], Coroutine[Any, Any, R]]:
     @wraps(method)
     async def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> R:
         cancelled = threading.Event()
@@ -37,9 +37,9 @@ def _awaited(
 
 def _iterated(
     method: Callable[Concatenate[Swarm, P], Iterator[R]],
-) -> Callable[Concatenate[AsyncSwarm, P], AsyncIterator[R]]:
+) -> Callable[Concatenate[AsyncSwarm, P], AsyncGenerator[R, None]]:
     @wraps(method)
-    def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> AsyncIterator[R]:
+    def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> AsyncGenerator[R, None]:
         cancelled = threading.Event()
         swarm = self._swarm._cancellable(cancelled)
         return _from_thread(partial(method, swarm, *args, **kwargs), cancelled)
@@ -95,7 +95,7 @@ class AsyncSwarm:
 
 async def _from_thread(
     make: Callable[[], Iterator[R]], cancelled: threading.Event
-) -> AsyncIterator[R]:
+) -> AsyncGenerator[R, None]:
     """The items of an iterator that runs on a thread; an error of it is raised at its place."""
     loop = asyncio.get_running_loop()
     items: asyncio.Queue[R] = asyncio.Queue()

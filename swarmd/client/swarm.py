@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from numbers import Integral, Real
 from types import TracebackType
@@ -142,7 +142,7 @@ class Swarm:
         labels: Words = (),
         exclude: Words = (),
         since: float = 0.0,
-    ) -> Iterator[EventLine]:
+    ) -> Generator[EventLine, None, None]:
         """What happens to robots, as it comes, until the iterator is closed.
 
         `since`: also what happened in the last so many s; each robot keeps its last 10 events.
@@ -164,7 +164,7 @@ class Swarm:
         exclude: Words = (),
         seconds: float | None = None,
         poses: bool = False,
-    ) -> Iterator[RobotState]:
+    ) -> Generator[RobotState, None, None]:
         """How robots are: a state on each change and each second, with `poses` ten times a second.
 
         It ends after `seconds`, or when the iterator is closed.

@@ -109,7 +109,8 @@ def test_a_robot_without_an_answer_is_named(
 
 
 def test_mistakes_are_refused_before_a_robot_moves(swarm: Client) -> None:
-    for robots in ("r9", []):
+    nobody: list[str] = []
+    for robots in ("r9", nobody):
         with pytest.raises(RequestError) as caught:
             swarm.run("drive", robots)
         assert caught.value.exit_code == NO_TARGET
