@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import runpy
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,7 @@ def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     for key in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_CACHE_HOME"):
         monkeypatch.setenv(key, str(tmp_path))
     monkeypatch.setenv(MARK, path.stem)
-    notebook: Any = nbformat.from_dict(json.loads(path.read_text()))
+    notebook: Any = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") for cell in notebook.cells)  # they are committed without
     NotebookClient(notebook, timeout=CELL_TIME, kernel_name="python3").execute()
     wait_until(lambda: not marked(path.stem), "the kernel, the world and the daemons have ended")
