@@ -13,7 +13,6 @@ from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_section, print_table, terminal_width
 from swarmd.cli.send import exit_code_of, known_members, report, session_of
-from swarmd.client.changes import forget as remove
 from swarmd.client.targets import check_known
 from swarmd.core.clock import FIRST_WALL
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
@@ -61,6 +60,8 @@ def members(options: CommonOptions, wide: bool) -> None:
 @common_options
 def forget(options: CommonOptions, name: str) -> None:
     """Remove a robot that failed or left from the lists of all robots."""
+    from swarmd.client.changes import forget as remove  # looks do without
+
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)
         check_known(name, view.members)

@@ -9,8 +9,6 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import asking, report, session_of
 from swarmd.cli.targets import takes_targets
-from swarmd.client.changes import findings_of
-from swarmd.client.changes import reset as clear
 from swarmd.client.stops import send_stop
 from swarmd.client.targets import Targets
 
@@ -68,6 +66,9 @@ def reset(
     Clears only the emergency stops that swarmctl sees now; a later one stays. --findings ends only
     the findings that swarmctl sees now.
     """
+    from swarmd.client.changes import findings_of  # a stop does without
+    from swarmd.client.changes import reset as clear
+
     with asking(options, targets, needs_status=True) as asked:
         names, latches = asked.names, asked.view.latches(asked.names)
         for latch_id, latch in latches.items():

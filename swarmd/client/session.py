@@ -11,7 +11,6 @@ from msgspec.structs import replace
 from swarmd.client.known_robots import remember
 from swarmd.client.targets import Targets, named, targets_of, unlabelled
 from swarmd.core.errors import NetworkError
-from swarmd.texts.why import absence
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import AnyRequest
@@ -146,4 +145,6 @@ def where(operator: Operator) -> str:
 
 def gap(view: MembersView, name: str) -> str:
     """What is known of a robot that did not answer."""
+    from swarmd.texts.why import absence  # most looks lack no robot
+
     return f"{name} {absence(view.members.get(name))}"
