@@ -178,6 +178,7 @@ async def test_a_stop_overtakes_a_request_that_waits(
         await swarm.members()
         daemons["r2"].freeze()
         waiting = asyncio.create_task(swarm.run("drive", "r2", timeout=8.0))
+        await asyncio.to_thread(wait_until, is_handed_over, "the request is under way")
         stopped = await swarm.stop("r1")
         assert stopped.applied == ("r1",)
         assert not waiting.done()
