@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -17,6 +19,7 @@ from swarmd.core.errors import ConfigError, NetworkError, RequestError, SwarmErr
 from swarmd.core.messages import Reason, Refusal, State
 from swarmd.network.exit_codes import NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.secured_swarm import SecuredSwarm
 
 if TYPE_CHECKING:
     from swarmd.client.swarm import Swarm as Client
@@ -219,3 +222,22 @@ def test_closing_ends_what_another_thread_waits_for(name: str) -> None:
 
 def is_handed_over() -> bool:
     return any(thread.name == HAND_OVER for thread in threading.enumerate())
+
+
+def test_keys_are_those_of_swarmctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for key in ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.setenv(key, str(tmp_path))
+    with contextlib.ExitStack() as left:
+        secured = SecuredSwarm(tmp_path, left).start()
+        keys = secured.keys
+        with swarmd.connect(secured.name, identity=keys.folder_of("anna")) as swarm:
+            assert swarm.stop().applied == BOTH
+        with swarmd.connect(secured.name, identity=keys.folder_of("class")) as viewer:
+            assert viewer.members().alive == BOTH
+            with pytest.raises(ConfigError, match="may only look"):
+                viewer.stop()
+        with (
+            swarmd.connect(secured.name, insecure=True, timeout=1.0) as stranger,
+            pytest.raises(NetworkError, match="no keys"),
+        ):
+            stranger.members()
