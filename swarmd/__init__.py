@@ -1,1 +1,32 @@
-"""swarmd: a runtime for robot swarms."""
+"""swarmd: a runtime for robot swarms.
+
+`import swarmd` imports none of its public names before they are used: the daemon and each verb of
+swarmctl pass here.
+"""
+
+from typing import TYPE_CHECKING
+
+# Each public name, and the module that has it.
+_PUBLIC = {
+    "connect": "swarmd.client.connect",
+    "demo": "swarmd.sim.live.simulated_swarm",
+    "load_results": "swarmd.sim.experiments.results",
+    "simulate": "swarmd.sim.experiments.simulate",
+}
+
+if TYPE_CHECKING:  # the same names, for type checkers
+    from swarmd.client.connect import connect as connect
+    from swarmd.sim.experiments.results import load_results as load_results
+    from swarmd.sim.experiments.simulate import simulate as simulate
+    from swarmd.sim.live.simulated_swarm import demo as demo
+else:
+
+    def __getattr__(name: str) -> object:
+        from importlib import import_module
+
+        if name not in _PUBLIC:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_PUBLIC[name]), name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_PUBLIC})

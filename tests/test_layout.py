@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+import swarmd
 from studies import kernel_mutants
 from swarmd.core import kernels
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
@@ -35,6 +36,8 @@ FORBIDDEN = {
 EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for viewers of real-time mode",
 }
+# The public names, which are imported when they are used, and where type checkers find them.
+SURFACE = "swarmd/__init__.py"
 # Packages that take the time as an argument, and read no clock.
 PURE = ("robot", "protection", "kit", "mission", "sensing", "calibration")
 CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
@@ -50,7 +53,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("recording",),
     ("settings", "robot"),
     ("mission", "calibration"),
-    ("pattern_host",),
+    ("pattern_host", "client"),
     ("daemon", "replay", "view"),
     ("cli",),
     ("testing",),
@@ -103,6 +106,7 @@ def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
         for line, module in imports(path)
         if any(is_within(module, package) for package in forbidden)
         and (name_of(path), module) not in EXCEPTIONS
+        and name_of(path) != SURFACE
     ]
 
 
@@ -223,12 +227,31 @@ def test_every_package_has_an_init_that_only_reexports() -> None:
     busy = [
         name_of(path)
         for path in sources(*CODE)
-        if path.name == "__init__.py" and name_of(path) != "swarmd/cli/__init__.py"
+        if path.name == "__init__.py" and name_of(path) not in ("swarmd/cli/__init__.py", SURFACE)
         for node in tree_of(path).body
         if not isinstance(node, ast.Import | ast.ImportFrom | ast.Expr | ast.Assign)
     ]
     assert missing == []
     assert busy == []
+
+
+def test_public_names_are_imported_when_they_are_used() -> None:
+    names = set(swarmd._PUBLIC)
+    typed = {
+        alias.asname
+        for node in ast.walk(tree_of(ROOT / SURFACE))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname
+    }
+    code = "import sys, swarmd; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name for name in done.stdout.split() if name.startswith("swarmd")}
+    assert loaded == {"swarmd"}
+    assert names == typed == {name for name in names if callable(getattr(swarmd, name))}
+    assert names <= set(dir(swarmd))
+    with pytest.raises(AttributeError, match="conect"):
+        swarmd.conect  # type: ignore[attr-defined]  # noqa: B018  # a name that is misspelt
 
 
 def test_entry_points_lead_to_names() -> None:

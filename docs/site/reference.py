@@ -436,6 +436,18 @@ def experiments() -> Iterator[str]:
     yield from module("swarmd.sim.metrics.metric", ["Metric"])
 
 
+def python() -> Iterator[str]:
+    """The live client."""
+    yield from module("swarmd.client.connect", ["connect", "Connection"])
+    yield from module("swarmd.client.swarm", ["Swarm"])
+    yield from module("swarmd.client.async_swarm", ["AsyncSwarm"])
+    yield from module("swarmd.client.members", ["Members", "Description"])
+    yield from module("swarmd.client.states", ["RobotState"])
+    yield from module("swarmd.client.event_feed", ["EventLine"])
+    yield from module("swarmd.network.operator.outcome", ["Outcome"])
+    yield from module("swarmd.sim.live.simulated_swarm", ["demo", "SimulatedSwarm"])
+
+
 PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
     "comparison": comparison,
@@ -450,6 +462,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "api": api,
     "testing": testing,
     "experiments": experiments,
+    "python": python,
 }
 """The parts by the name in their comments."""
 

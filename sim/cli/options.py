@@ -14,19 +14,16 @@ from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, PluginError
-from swarmd.core.keys import is_id
+from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from swarmd.core.values import Platform
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.metrics.metric import Metric
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 R = TypeVar("R")
-
-MAX_ROBOTS = 50
 
 _OPTIONS = (
     click.option(
@@ -144,86 +141,18 @@ def fleet_for(
     *,
     scenario: str | None,
     sets: tuple[str, ...],
-    count: int,
-    platform: str,
-    arena: str | None,
-    layout: str | None,
-    emulator: str | None,
     **others: Any,
 ) -> FleetSpec:
-    """The fleet of the values of `fleet_options`; ConfigError if one is wrong or there is no room.
-
-    PluginError if the emulator is unknown or lacks a library. The default arena is 1.8 times as
-    wide as the range of the lidar, so that a robot detects some of the others but not all, and has
-    at least (3 protection thresholds)^2 of room for each robot.
-    """
+    """The fleet of the values of `fleet_options`; see `plain_fleet` and `scenario_fleet`."""
     if scenario is not None:
-        seed = others["seed"]
-        return scenario_fleet(swarm, folder, scenario, sets, seed=seed, emulator=emulator)
+        from swarmd.sim.experiments.plan import parse_sets
+
+        _check_options()
+        given = {"seed": others["seed"], "emulator": others["emulator"]}
+        return scenario_fleet(swarm, folder, scenario, parse_sets(sets), **given, tell=warn)
     if sets:
         raise ConfigError(f"--set {sets[0]}: there is no SCENARIO whose values it could override")
-    from swarmd.sim.live.fleet import FleetSpec
-    from swarmd.sim.world.arena import parse_arena
-    from swarmd.sim.world.layouts import parse_layout
-
-    _check_emulator(emulator, others["radio_range"])
-    kind, ids = _platform_and_ids(platform, count)
-    threshold = float(kind.protection.get("threshold", 0.5))
-    side = round(max(1.8 * kind.scan.range_max, 3.0 * threshold * count**0.5), 1)
-    arena = arena or f"{side:g}x{side:g}"
-    layout = layout or f"random:{0.6 * threshold:.2f}"
-    parse_layout(layout, [kind.footprint] * count, parse_arena(arena), seed=others["seed"])
-    if count > 1:
-        _warn_of_peers(kind, ids[0], others["lidar_visibility"])
-    return FleetSpec(
-        swarm=swarm,
-        robots=dict.fromkeys(ids, platform),
-        folder=folder,
-        arena=arena,
-        layout=layout,
-        emulator=emulator,
-        **others,
-    )
-
-
-def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, ...]]:
-    """The platform of that name or file, and the ids of its robots; ConfigError if it has none."""
-    from swarmd.settings.platforms import load_platform
-    from swarmd.sim.live.fleet import robot_ids
-
-    kind = load_platform(platform)
-    ids = robot_ids(kind.name, count)
-    if not all(map(is_id, ids)):
-        raise ConfigError(
-            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
-            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
-        )
-    return kind, ids
-
-
-def _warn_of_peers(kind: Platform, robot: str, visibility: str) -> None:
-    """What a robot of this platform would find about another one."""
-    from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
-
-    own = body_of(kind)
-    for found in findings(own, assumed_speed(kind), robot, own, ACCEPTS_NONE):
-        is_seen = found.kind == "unseen" and visibility == "body"
-        if not is_seen:
-            warn(f"note: {found.text}")
-
-
-def _check_emulator(emulator: str | None, radio_range: float | None = None) -> None:
-    """PluginError if the emulator is unknown or lacks a library, ConfigError with a radio range."""
-    if emulator is None:
-        return
-    from swarmd.plugins import load_emulator
-
-    load_emulator(emulator)
-    if radio_range is not None:
-        raise ConfigError(
-            f"--radio-range and --emulate {emulator}: emulated robots do not report which"
-            " robots they receive; leave one of the two out"
-        )
+    return plain_fleet(swarm, folder, tell=warn, **others)
 
 
 _OF_PLAIN_RUNS = {
@@ -242,18 +171,8 @@ _OF_PLAIN_RUNS = {
 """Options that a scenario replaces, each with its key."""
 
 
-def scenario_fleet(
-    swarm: str, folder: Path, scenario: str, sets: Iterable[str], *, seed: int, emulator: str | None
-) -> FleetSpec:
-    """The fleet of a scenario, a name of `exp list` or a YAML file; ConfigError names the key.
-
-    Raises ConfigError for options that a scenario replaces, too.
-    """
-    from swarmd.sim.experiments.plan import parse_sets
-    from swarmd.sim.live.fleet import FleetSpec
-    from swarmd.sim.live.live_scenario import LiveScenario, check_live
-    from swarmd.sim.scenarios.scenariofile import load_scenario
-
+def _check_options() -> None:
+    """ConfigError for options that a scenario replaces."""
     ctx = click.get_current_context()
     for option in ctx.command.params:
         key = _OF_PLAIN_RUNS.get(option.name or "")
@@ -263,23 +182,6 @@ def scenario_fleet(
         if key is not None and given:
             text = f"{option.opts[0]} does not go with a scenario"
             raise ConfigError(f"{text}; change the value in the file, or with --set {key}=VALUE")
-    loaded = load_scenario(scenario, parse_sets(sets))
-    _check_emulator(emulator)
-    check_live(loaded, MAX_ROBOTS, emulator)
-    loaded.starts(seed)  # raises without room
-    for note in loaded.notes:
-        warn(f"note: {note}")
-    return FleetSpec(
-        swarm=swarm,
-        robots={robot: platform.name for robot, platform in loaded.robots.items()},
-        folder=folder,
-        arena=loaded.arena.text,
-        layout=loaded.name,
-        seed=seed,
-        emulator=emulator,
-        plugin_dir=loaded.plugin_dir,
-        scenario=LiveScenario(loaded),
-    )
 
 
 def need(*modules: str, extra: str = "sim,plot") -> None:

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shutil
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from swarmd.cli.options import DEFAULT_SWARM, CommonOptions, VerbGroup
+from swarmd.cli.options import CommonOptions, VerbGroup
 from swarmd.cli.output import print_section, warn
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
+from swarmd.sim.live.simulated_swarm import check_free, kept_folder
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
@@ -97,12 +95,7 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
 
     end_on_signals()
     with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
-        taken = sorted(set(operator.members().alive) & set(spec.robots))
-        if taken:
-            raise ConfigError(
-                f"swarm {spec.swarm!r} already has {', '.join(taken)};"
-                " end those, or use another swarm: swarmctl sim up --swarm NAME"
-            )
+        check_free(operator, spec, "swarmctl sim up --swarm NAME")
         with Fleet(spec) as fleet, world_page(fleet, page):
             up = statuses_of(await_robots(operator, fleet))
             for robot in spec.robots:
@@ -184,21 +177,3 @@ def _targets(robots: tuple[str, ...], spec: FleetSpec) -> str:
     if {robot for robot in spec.robots if robot.startswith(stem)} == set(robots):
         return f"'{stem}*'"
     return " ".join(robots)
-
-
-@contextmanager
-def kept_folder(keep: Path | None) -> Iterator[Path]:
-    """The folder for logs and state: `keep`, or a temporary one that stays only after a failure."""
-    if keep is not None:
-        yield keep
-        return
-    folder = Path(tempfile.mkdtemp(prefix="swarmd-sim-"))
-    is_wanted = False
-    try:
-        yield folder
-    except SwarmError:
-        is_wanted = any(folder.iterdir())  # there are logs to read
-        raise
-    finally:
-        if not is_wanted:
-            shutil.rmtree(folder, ignore_errors=True)

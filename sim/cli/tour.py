@@ -13,7 +13,7 @@ import click
 
 from swarmd.cli.output import warn
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
-from swarmd.sim.cli.sim import kept_folder
+from swarmd.sim.live.simulated_swarm import kept_folder
 
 if TYPE_CHECKING:
     from pathlib import Path

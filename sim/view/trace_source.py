@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from swarmd.client.event_feed import EventLine, together
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array, Platform
 from swarmd.settings.layered import Layered
@@ -26,7 +27,6 @@ from swarmd.sim.trace import Trace, load_trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field
-from swarmd.view.event_feed import EventLine, together
 from swarmd.view.playback import Playback
 from swarmd.view.source import ShownArena, ShownRobot, points_of, standing_of
 

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from swarmd.cli.consent import need_consent
-from swarmd.cli.goal import resume_on
 from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json, print_table, warn
-from swarmd.cli.run_start import send_goal
 from swarmd.cli.send import known_members, show
+from swarmd.client.goals import resume_on
+from swarmd.client.runs import send_goal
 from swarmd.core.verbs import LabelRequest, ParamRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.operator.outcome import Outcome, joined

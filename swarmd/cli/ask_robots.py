@@ -1,39 +1,24 @@
-"""What several robots tell: answers to questions that change nothing, and statuses as they come."""
+"""Questions of verbs to several robots, which change nothing; answers that lack are warned of."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from msgspec import Struct
 
 from swarmd.cli.output import warn
-from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError
-from swarmd.core.messages import Status
+from swarmd.cli.send import session_of
+from swarmd.client import ask_robots as client
 from swarmd.network.exit_codes import code_of_answers
 
 if TYPE_CHECKING:
-    from queue import SimpleQueue
-
     from swarmd.cli.options import CommonOptions
     from swarmd.core.verbs import Verb
-    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
-ASK_TIME = 5.0  # s for an answer, without --timeout
-MAX_ANSWER = 512 * 1024
-
-
-class _Answer(Protocol):
-    @property
-    def robot(self) -> str: ...
-
-
-T = TypeVar("T", bound=_Answer)
-_status = Decoder(Status)
+T = TypeVar("T", bound=client.Answer)
 
 
 def ask_robots(
@@ -44,55 +29,7 @@ def ask_robots(
     question: Struct | None = None,
 ) -> dict[str, T]:
     """The answers to a question, by robot; warns of an answer that cannot be read."""
-    decode = Decoder(verb.answer, MAX_ANSWER)
-    answers = {}
-    payload = b"" if question is None else encode(question)
-    found = operator.ask_all(robots, verb.name, payload, timeout=options.timeout or ASK_TIME)
-    for robot, answer in sorted(found.items()):
-        try:
-            read = decode(answer)
-        except CodecError as error:
-            warn(f"{robot}: its answer cannot be read: {error}")
-            continue
-        if read.robot != robot:
-            warn(f"{robot}: its answer is in the name of {read.robot}, and is left out")
-            continue
-        answers[robot] = read
-    return answers
-
-
-@contextmanager
-def statuses_of(operator: Operator) -> Iterator[SimpleQueue[Status]]:
-    """The statuses that robots of the swarm send in the block; see `next_status`."""
-    from queue import SimpleQueue
-
-    news: SimpleQueue[Status] = SimpleQueue()
-
-    def on_status(robot: str, payload: bytes) -> None:
-        status = _status(payload)
-        if status.robot == robot:
-            news.put(status)
-
-    operator.watch("status", on_status)
-    try:
-        yield news
-    finally:
-        operator.unwatch("status")
-
-
-def next_status(news: SimpleQueue[Status], seconds: float) -> Status | None:
-    """The next status; None if none comes within so many seconds."""
-    from queue import Empty
-
-    try:
-        return news.get(timeout=seconds)
-    except Empty:
-        return None
-
-
-def in_reach(view: MembersView, robots: Iterable[str]) -> tuple[str, ...]:
-    """The robots of a look that can be asked: others are not waited for."""
-    return tuple(robot for robot in robots if view.is_in_reach(robot))
+    return client.ask_robots(session_of(options, operator), robots, verb, question)
 
 
 def end(robots: Collection[str], answered: Collection[str]) -> None:

@@ -19,7 +19,7 @@ from swarmd.cli.consent import need_consent
 from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
-from swarmd.cli.targets import check_known
+from swarmd.client.targets import check_known
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.exit_codes import FAILED, REFUSED, TIMEOUT

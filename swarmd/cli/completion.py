@@ -42,7 +42,7 @@ def completion(shell: str) -> None:
 
 def robots(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The robots of the swarm that the line names, less those that it has already."""
-    from swarmd.cli.known_robots import known_names
+    from swarmd.client.known_robots import known_names
 
     given = ctx.params.get(param.name or "") or ()
     with _options(ctx).operator() as operator:
@@ -52,7 +52,7 @@ def robots(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 def labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The labels of robots that the last looks at the swarm have found."""
-    from swarmd.cli.known_robots import known_labels
+    from swarmd.client.known_robots import known_labels
 
     given = ctx.params.get(param.name or "") or ()
     with _options(ctx).operator() as operator:
@@ -62,7 +62,7 @@ def labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 def swarms(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The swarms that were looked at on this machine."""
-    from swarmd.cli.known_robots import cache_folder
+    from swarmd.client.known_robots import cache_folder
 
     files = cache_folder().glob("members-*.json")
     names = {path.stem.split("-", 2)[2] for path in files}

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import click
 
-from swarmd.cli.ask_robots import ASK_TIME, MAX_ANSWER, in_reach
-from swarmd.cli.known_robots import remember
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table
-from swarmd.cli.targets import Targets, robots_of, takes_targets
+from swarmd.cli.targets import takes_targets
+from swarmd.client.ask_robots import ASK_TIME, MAX_ANSWER, in_reach
+from swarmd.client.known_robots import remember
+from swarmd.client.targets import Targets, robots_of
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.core.finding import Finding, Level, warning

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import queue
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
@@ -12,15 +11,15 @@ import click
 
 from swarmd.cli.options import CommonOptions, Duration, common_options
 from swarmd.cli.output import print_json, print_line, signals_end, warn
-from swarmd.cli.send import exit_code_of, known_members, named_now
-from swarmd.cli.targets import Targets, robots_of, takes_targets
-from swarmd.core.messages import MAX_EVENTS, Status
+from swarmd.cli.send import exit_code_of, known_members, session_of
+from swarmd.cli.targets import takes_targets
+from swarmd.client.targets import Targets, robots_of
+from swarmd.core.messages import MAX_EVENTS
 from swarmd.texts.values import printable, seconds
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.members_view import MembersView
-    from swarmd.network.operator.operator import Operator
-    from swarmd.view.event_feed import EventFeed, EventLine
+    from swarmd.client.event_feed import EventFeed, EventLine
+    from swarmd.client.session import Session
 
 PERIOD = 0.5
 NAME_WIDTH = 10
@@ -37,17 +36,19 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
     Each robot keeps its last 10 events. With -f also holds as they begin and end, and robots that
     fall silent and return; with -o json then one document a line.
     """
-    from swarmd.view.event_feed import EventFeed
+    from swarmd.client.event_feed import EventFeed
+    from swarmd.client.events import events_of
 
     feed = EventFeed(float("inf") if since is None else since)
     with options.operator() as operator:
         if follow:
-            chosen = named_now(options, operator, targets)
+            session = session_of(options, operator)
+            chosen = session.named_now(targets)
             with signals_end():
-                _follow(operator, feed, chosen, is_json=options.is_json)
+                _follow(session, feed, chosen, is_json=options.is_json)
         view = known_members(options, operator)
         names = robots_of(view, targets)
-        lines = _of_look(feed, view, names)
+        lines = events_of(feed, view, names)
         if options.is_json:
             found = [_record(line) for line in lines]
             missing = [name for name in view.missing if name in names]
@@ -60,68 +61,27 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
         click.get_current_context().exit(exit_code_of(view, names))
 
 
-def _of_look(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[EventLine]:
-    """The lines of one look, in the order of time."""
-    now, lines = time.monotonic(), []
-    for name in names:
-        member = view.members.get(name)
-        if member is not None and member.status is not None:
-            lines += feed.on_status(member.status, now - member.age)
-    return sorted([*lines, *feed.on_view(view, now)])
+def _follow(session: Session, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:
+    """Print events until a signal."""
+    from swarmd.client.events import follow_events
 
-
-def _follow(operator: Operator, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:
-    """Print events until a signal; those before the first look in the order of time."""
-    from swarmd.view.swarm_watch import SwarmWatch
-
-    news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
-    watch = SwarmWatch(operator, on_status=news.put, on_view=news.put)
-    watch.start()
-    early: list[EventLine] | None = []
     held: list[EventLine] = []
     due = 0.0
-    try:
-        while True:
-            one = _next(news)
-            now = time.monotonic()
-            lines = _lines_of(feed, one, now) + feed.advance(now)
-            if early is not None:
-                early += lines
-                if one is None or isinstance(one, Status):
-                    continue
-                if not one.members:
-                    warn("no robot is heard yet")
-                lines, early = sorted(early), None
-            lines = [line for line in lines if targets.matching([line.robot])]
-            if is_json:
-                for line in lines:
-                    print_line("Event", _record(line))
-                continue
-            due = due if held else now + PERIOD  # what others tell of the same comes meanwhile
-            held += lines
-            if now >= due:
-                _print(held)
-                held = []
-    finally:
-        watch.close()
-
-
-def _next(news: queue.SimpleQueue[Status | MembersView]) -> Status | MembersView | None:
-    """The next status or look; None if none came within the period."""
-    try:
-        return news.get(timeout=PERIOD)
-    except queue.Empty:
-        return None
-
-
-def _lines_of(feed: EventFeed, one: Status | MembersView | None, now: float) -> list[EventLine]:
-    if one is None:
-        return []
-    return feed.on_status(one, now) if isinstance(one, Status) else feed.on_view(one, now)
+    for lines in follow_events(session, feed, targets):
+        if is_json:
+            for line in lines:
+                print_line("Event", _record(line))
+            continue
+        now = time.monotonic()
+        due = due if held else now + PERIOD  # what others tell of the same comes meanwhile
+        held += lines
+        if now >= due:
+            _print(held)
+            held = []
 
 
 def _print(lines: Iterable[EventLine]) -> None:
-    from swarmd.view.event_feed import together
+    from swarmd.client.event_feed import together
 
     for line, robots in together(lines):
         at = _time(line)

@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.options import CommonOptions, Failure, common_options
-from swarmd.cli.output import fields, print_json, print_table, warn
-from swarmd.cli.run_start import send_goal
-from swarmd.cli.send import asking, known_members, report, stop_names, time_left
-from swarmd.cli.targets import Targets, robots_of, takes_targets
-from swarmd.core.verbs import ResumeRequest
-from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
-from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.operator_goals import next_goal, signed_goals
-from swarmd.texts.goal import (
-    Difference,
-    content_of,
-    describe_goal,
-    differences,
-    goals_of,
-    present_goals,
-    set_apart,
-)
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import fields, print_json, print_table
+from swarmd.cli.send import asking, known_members, report, session_of
+from swarmd.cli.targets import takes_targets
+from swarmd.client.goals import resume_on
+from swarmd.client.goals import undo as set_before
+from swarmd.client.targets import Targets, robots_of
+from swarmd.network.exit_codes import APPLIED, PARTIAL, TIMEOUT
+from swarmd.network.spread.operator_goals import signed_goals
+from swarmd.texts.goal import Difference, describe_goal, differences, goals_of
 from swarmd.texts.values import NOTHING, printable, seconds
 
 if TYPE_CHECKING:
-    from swarmd.core.messages import Epoch
     from swarmd.network.operator.members_view import MembersView
-    from swarmd.network.operator.operator import Operator
 
 
 @click.command()
@@ -65,7 +54,7 @@ def resume(options: CommonOptions, targets: Targets) -> None:
     `--lease` whose operator is not heard.
     """
     with asking(options, targets, needs_status=True) as asked:
-        wait = time_left(options, asked.view)
+        wait = asked.targeted.time_left
         asked.report(resume_on(asked.operator, asked.view, asked.names, timeout=wait))
 
 
@@ -78,40 +67,7 @@ def undo(options: CommonOptions) -> None:
     the first one back. A run with `--lease` is not set again.
     """
     with options.operator() as operator:
-        look = known_members(options, operator, is_request_next=True)
-        view = signed_goals(look, operator.identity)
-        present, before = present_goals(view)
-        if present is None or before is None:
-            what = "no goal is set" if present is None else f"no goal precedes {present.text}"
-            raise Failure(f"nothing to undo: {what}", NO_TARGET)
-        if before.lease is not None:
-            text = f"nothing to undo: {before.text} had a run lease, which undo cannot renew"
-            raise Failure(text, NO_TARGET)
-        goal = next_goal(operator, view, **content_of(before), undoes=present.id)
-        run, stand = set_apart(view, present, before)
-        warn(f"sends {describe_goal(goal)}, in place of {present.text}")
-        outcomes = []
-        if stand:
-            outcomes.append(stop_names(operator, stand))
-        if run:
-            wait = time_left(options, view)
-            outcomes.append(send_goal(operator, view.epochs(run), goal, timeout=wait))
-        report(options, joined(outcomes))
-
-
-def resume_on(
-    operator: Operator, view: MembersView, names: tuple[str, ...], *, timeout: float | None
-) -> Outcome:
-    """Ask robots to run their own goals, as `view` shows them."""
-    by_digest: dict[str, dict[str, Epoch | None]] = defaultdict(dict)
-    for name, epoch in view.epochs(names).items():
-        status = view.members[name].status if name in view.members else None
-        own = status.goal.own if status is not None and status.goal is not None else None
-        by_digest[own.digest if own is not None else ""][name] = epoch
-    return joined(
-        operator.request(ResumeRequest, epochs, timeout=timeout, digest=digest)
-        for digest, epochs in by_digest.items()
-    )
+        report(options, set_before(session_of(options, operator)))
 
 
 def _counted(view: MembersView, found: list[Difference]) -> list[Difference]:

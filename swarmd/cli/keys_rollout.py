@@ -12,7 +12,7 @@ import click
 from swarmd.cli.authority_folder import configuration, days_option, open_authority
 from swarmd.cli.options import CommonOptions, Failure, common_options
 from swarmd.cli.output import warn
-from swarmd.cli.send import report, time_left
+from swarmd.cli.send import report, session_of
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.messages import Reply
 from swarmd.core.names import expand_names, select_names
@@ -221,7 +221,7 @@ def _sent(
                 outcome = operator.request(
                     RosterRequest,
                     view.epochs(batch),
-                    timeout=time_left(options, view),
+                    timeout=session_of(options, operator).time_left(view),
                     roster=authority.signed_roster,
                     secret=authority.secret,
                     certificates={name: issued[name].certificate for name in batch if issued},

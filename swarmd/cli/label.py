@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from typing import Any
-
 import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, Failure, common_options
 from swarmd.cli.send import asking
-from swarmd.cli.targets import Targets, labels_of, takes_targets
+from swarmd.cli.targets import takes_targets
+from swarmd.client.changes import change_labels
+from swarmd.client.targets import Targets, labels_of
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest
 from swarmd.network.exit_codes import TIMEOUT
 from swarmd.network.operator.outcome import joined
-from swarmd.texts.labels import changed, read_changes
+from swarmd.texts.labels import read_changes
 
 
 class LabelCommand(click.Command):
@@ -72,8 +71,6 @@ def label(
         if unseen and not reset:
             text = f"the labels of {', '.join(unseen)} are not known; nothing was sent"
             raise Failure(text, TIMEOUT)
-        wanted: dict[Any, list[str]] = defaultdict(list)
-        for name in asked.names:
-            wanted[None if reset else changed(known[name], added, removed)].append(name)
-        requests = wanted.items()
-        asked.report(joined(asked.request(LabelRequest, some, labels=to) for to, some in requests))
+        if reset:
+            asked.report(joined([asked.targeted.request(LabelRequest, labels=None)]))
+        asked.report(change_labels(asked.targeted, added, removed))

@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 
 import click
 
-from swarmd.cli.ask_robots import ask_robots, end, in_reach
+from swarmd.cli.ask_robots import ask_robots, end
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import known_members
-from swarmd.cli.targets import Targets, robots_of, takes_targets
+from swarmd.cli.targets import takes_targets
+from swarmd.client.ask_robots import in_reach
+from swarmd.client.targets import Targets, robots_of
 from swarmd.core.verbs import LINKS, LinkReport, LinksQuery, LinksReply
 from swarmd.texts.values import NOTHING, printable, seconds
 

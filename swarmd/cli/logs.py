@@ -12,11 +12,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from swarmd.cli.ask_robots import MAX_ANSWER, ask_robots, end, in_reach
+from swarmd.cli.ask_robots import ask_robots, end
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import has_colour, print_json, print_line, signals_end, warn
-from swarmd.cli.send import gap, known_members
-from swarmd.cli.targets import Targets, robots_of, takes_targets
+from swarmd.cli.send import known_members
+from swarmd.cli.targets import takes_targets
+from swarmd.client.ask_robots import MAX_ANSWER, in_reach
+from swarmd.client.session import gap
+from swarmd.client.targets import Targets, robots_of
 from swarmd.core.codec import Decoder
 from swarmd.core.log_ring import matching
 from swarmd.core.verbs import LOG_PAGE, LOGS, LogBatch, LogRecord, LogsQuery

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import functools
-import os
 import re
-import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib import import_module
 from itertools import groupby
@@ -17,19 +15,17 @@ from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeV
 import click
 
 from swarmd.cli import completion
+from swarmd.client.network_options import NetworkOptions
 from swarmd.core.errors import unknown
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
     from swarmd.network.operator.operator import Operator
-    from swarmd.network.settings import NetworkSettings
-    from swarmd.security.identity import Identity
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-DEFAULT_SWARM = "default"
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 EXISTING = click.Path(exists=True, path_type=Path)
@@ -215,16 +211,9 @@ class LazyGroup(VerbGroup):
 
 
 @dataclass(frozen=True, slots=True)
-class CommonOptions:
+class CommonOptions(NetworkOptions):
     """The options of every verb; None or empty if not given."""
 
-    swarm: str | None = None
-    config: Path | None = None
-    profile: str | None = None
-    interface: str | None = None
-    seeds: tuple[str, ...] = ()
-    identity: Path | None = None
-    insecure: bool = False
     output: str | None = None
     timeout: float | None = None
 
@@ -233,79 +222,11 @@ class CommonOptions:
         """True if the answer is wanted as JSON."""
         return self.output == "json"
 
-    def in_context(self) -> CommonOptions:
-        """These options, and those of the context in use where neither they nor $SWARM set any.
+    def operator(self, tell: Callable[[str], object] | None = None) -> Operator:
+        """A session in the swarm's network; lines for the user are warnings unless `tell`."""
+        from swarmd.cli.output import warn
 
-        A swarm file that the line or $SWARM_CONFIG names takes the place of the context. A context
-        of one swarm is not used for another swarm. ConfigError if the context does not exist.
-        """
-        import msgspec
-
-        from swarmd.settings.contexts import context_in_use
-
-        chosen = context_in_use() if self.config is None else None
-        if chosen is None:
-            return self
-        swarm = self.swarm or os.environ.get("SWARM")
-        if swarm and chosen[1].swarm not in (None, swarm):
-            return self
-        given = msgspec.structs.asdict(chosen[1])
-        given["swarm"] = swarm or chosen[1].swarm
-        for name in ("config", "identity"):
-            given[name] = Path(given[name]) if given[name] else None
-        return replace(self, **{key: one for key, one in given.items() if not getattr(self, key)})
-
-    def operator(self) -> Operator:
-        """A session in the swarm's network, a context manager.
-
-        ConfigError for a wrong file or option, NetworkError if there is no session.
-        """
-        from swarmd.network.operator.operator import Operator
-
-        settings, roster, identity = self.network()
-        if identity is not None:
-            from swarmd.cli.output import warn
-            from swarmd.texts.keys import own_end
-
-            if text := own_end(identity.name, identity.info.expires, time.time()):
-                warn(text)
-        return Operator(settings, roster=roster, identity=identity)
-
-    def network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
-        """The settings of the network, the robots that they name, and the identity.
-
-        ConfigError for a wrong file or option.
-        """
-        return self.in_context()._network()
-
-    def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
-        from swarmd.network.settings import NetworkSettings, Profile
-        from swarmd.security.identity import check_asker, choose_identity
-
-        if self.config is not None:
-            from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
-
-            overrides = {
-                "swarm": self.swarm,
-                "profile": self.profile,
-                "interface": self.interface,
-                "seeds": list(self.seeds) or None,
-                "identity": None if self.identity is None else str(self.identity),
-                "insecure": self.insecure or None,
-            }
-            file, identity = load_swarm(self.config, overrides, os.environ)
-            check_asker(identity)
-            return file, list(file.robots), identity
-        settings = NetworkSettings(
-            swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
-            profile=cast(Profile, self.profile or "dev"),
-            interface=self.interface,
-            seeds=self.seeds,
-        )
-        settings.check()
-        identity = choose_identity(settings.swarm, self.identity, insecure=self.insecure)
-        check_asker(identity)
-        return settings, [], identity
+        return NetworkOptions.operator(self, tell or warn)
 
 
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
@@ -325,10 +246,9 @@ def _with_options(
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
-        ctx, config = click.get_current_context(), os.environ.get("SWARM_CONFIG")
-        above = ctx.find_object(CommonOptions)
-        defaults = above or CommonOptions(config=Path(config) if config else None)
-        given = {name: kwargs.pop(name, None) for name in CommonOptions.__slots__}
+        ctx = click.get_current_context()
+        defaults = ctx.find_object(CommonOptions) or CommonOptions.of_environment()
+        given = {one.name: kwargs.pop(one.name, None) for one in fields(CommonOptions)}
         ctx.obj = replace(defaults, **{name: value for name, value in given.items() if value})
         return function(ctx.obj, *args, **kwargs)
 

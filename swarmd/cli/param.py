@@ -8,11 +8,13 @@ import click
 
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table
-from swarmd.cli.send import exit_code_of, known_members, send_to
-from swarmd.cli.targets import Targets, read_targets, robots_of, takes_targets, target_options
+from swarmd.cli.send import asking, exit_code_of, known_members
+from swarmd.cli.targets import read_targets, takes_targets, target_options
+from swarmd.client.changes import params_of
+from swarmd.client.changes import set_params as change
+from swarmd.client.targets import Targets, robots_of
 from swarmd.core.errors import unknown
-from swarmd.core.messages import Member, Param
-from swarmd.core.verbs import ParamRequest
+from swarmd.core.messages import Member
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import NOTHING, number
 
@@ -40,7 +42,7 @@ def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
     """Print the parameters, and end with the exit code of the look."""
-    found = {name: _params(view.members[name]) for name in robots_of(view, targets, view.members)}
+    found = {name: params_of(view.members[name]) for name in robots_of(view, targets, view.members)}
     known = {key for params in found.values() for key in params}
     for key in keys:
         if key not in known:
@@ -91,11 +93,8 @@ def set_params(
         raise click.UsageError("param set needs values; add KEY=VALUE, such as speed=0.15")
     values = read_assignments(words)
     targets = read_targets("param set", robots, is_all, exclude, labels, is_required=True)
-    send_to(options, ParamRequest, targets, params=values)
-
-
-def _params(member: Member) -> dict[str, Param]:
-    return member.status.params if member.status is not None else {}
+    with asking(options, targets, needs_status=False) as asked:
+        asked.report(change(asked.targeted, values))
 
 
 def _pattern(member: Member) -> str:

@@ -24,7 +24,8 @@ from swarmd.cli.options import (
 from swarmd.cli.output import print_json
 from swarmd.cli.plugin_push import list_pushed, push, remove
 from swarmd.cli.send import send_to
-from swarmd.cli.targets import Targets, takes_targets
+from swarmd.cli.targets import takes_targets
+from swarmd.client.targets import Targets
 from swarmd.core.errors import PluginError
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest

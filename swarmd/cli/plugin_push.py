@@ -13,13 +13,16 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
 import click
 from msgspec.structs import replace as with_fields
 
-from swarmd.cli.ask_robots import ask_robots, in_reach
+from swarmd.cli.ask_robots import ask_robots
 from swarmd.cli.canary import canaries_of, read_canary
 from swarmd.cli.options import EXISTING_FILE, CommonOptions, Duration, Failure, common_options
 from swarmd.cli.output import fields, print_json, print_table, warn
-from swarmd.cli.run_start import goal_targets
-from swarmd.cli.send import Asked, asking, gap, known_members
-from swarmd.cli.targets import Targets, takes_targets, targets_of
+from swarmd.cli.send import Asked, asking, known_members
+from swarmd.cli.targets import takes_targets
+from swarmd.client.ask_robots import in_reach
+from swarmd.client.runs import goal_targets
+from swarmd.client.session import gap
+from swarmd.client.targets import Targets, targets_of
 from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, read_entry
 from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.ask_robots import ASK_TIME
 from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import fields, print_json, print_table, rewrite, warn
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to
-from swarmd.cli.targets import Targets, takes_targets, targets_of
+from swarmd.cli.targets import takes_targets
+from swarmd.client.ask_robots import ASK_TIME
+from swarmd.client.targets import Targets, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import RecordRequest
 from swarmd.network.exit_codes import PARTIAL, TIMEOUT

@@ -7,17 +7,25 @@ from typing import Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.canary import CANARY_TIME, canaries_of, read_canary
+from swarmd.cli.canary import canaries_of, read_canary
 from swarmd.cli.options import CommonOptions, Duration, common_options
-from swarmd.cli.run_start import goal_targets, run_with_canary, start, start_at
 from swarmd.cli.send import asking
-from swarmd.cli.targets import Targets, takes_targets
+from swarmd.cli.targets import takes_targets
+from swarmd.client.canary import CANARY_TIME
+from swarmd.client.runs import (
+    check_run,
+    goal_targets,
+    make_goal,
+    run_with_canary,
+    start,
+    start_at,
+)
+from swarmd.client.targets import Targets
+from swarmd.core.errors import ConfigError
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import MAX_AHEAD
-from swarmd.network.spread.operator_goals import next_goal
 from swarmd.texts.assignments import read_assignments
-
-_MIN_LEASE = 1.0
+from swarmd.texts.values import seconds
 
 
 class _Ahead(Duration):
@@ -105,49 +113,41 @@ def run(
         "valid": valid,
         "lease": lease,
     }
-    _check(**fields, at=at, canary=canary, canary_time=canary_time)
+    _check(
+        until,
+        on_join=on_join or "offer",
+        valid=valid,
+        lease=lease,
+        at=at,
+        canary=canary,
+        canary_time=canary_time,
+    )
     read_canary(canary)
     with asking(options, targets, needs_status=canary is not None) as asked:
-        chosen = goal_targets(targets, asked.names)
-        goal = next_goal(asked.operator, asked.view, targets=chosen, **fields)
+        targeted = asked.targeted
+        goal = make_goal(targeted, goal_targets(targets, asked.names), **fields)
         if canary is not None:
             first = canaries_of(canary, asked.names)
-            run_with_canary(asked, goal, first, canary_time or CANARY_TIME)
+            asked.report(*run_with_canary(targeted, goal, first, canary_time or CANARY_TIME))
         elif lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
             run_while_here(asked, goal, lease)
         elif at is not None:
-            start_at(asked, goal, at)
+            if (wait := targeted.time_left) is not None and wait <= at:
+                raise click.UsageError(f"--timeout is too short for a start in {seconds(at)}")
+            asked.report(*start_at(targeted, goal, at))
         else:
-            asked.report(start(asked, goal))
+            asked.report(start(targeted, goal))
 
 
-def _check(
-    *,
-    conditions: tuple[str, ...],
-    on_join: str,
-    valid: float | None,
-    lease: float | None,
-    at: float | None,
-    canary: str | None,
-    canary_time: float | None,
-    **_: Any,
-) -> None:
-    """UsageError for conditions and options that cannot be, before a robot is asked."""
+def _check(conditions: tuple[str, ...], **values: Any) -> None:
+    """Errors of conditions and options that cannot be, before a robot is asked."""
     if conditions:
         from swarmd.kit.conditions import parse_conditions
 
         parse_conditions(conditions)
-    if on_join == "run" and valid is None:
-        raise click.UsageError(
-            "--on-join run needs --valid: how long robots that join may start by themselves"
-        )
-    if valid is not None and on_join != "run":
-        raise click.UsageError("--valid is how long robots that join run it: add --on-join run")
-    if lease is not None and lease < _MIN_LEASE:
-        raise click.UsageError(f"--lease: expected at least {_MIN_LEASE:.0f}s")
-    if canary is None and canary_time is not None:
-        raise click.UsageError("--canary-time: expected --canary, too")
-    if sum(one is not None for one in (at, canary, lease)) > 1:
-        raise click.UsageError("--at, --canary and --lease do not go together; take one of them")
+    try:
+        check_run(**values, option=lambda name: f"--{name.replace('_', '-')}")
+    except ConfigError as error:
+        raise click.UsageError(str(error)) from error

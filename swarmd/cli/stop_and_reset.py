@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import click
 
 from swarmd.cli.consent import need_consent
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
-from swarmd.cli.send import asking, send_stop
-from swarmd.cli.targets import Targets, takes_targets
-from swarmd.core.verbs import ResetRequest
-from swarmd.network.operator.members_view import MembersView
+from swarmd.cli.send import asking, report, session_of
+from swarmd.cli.targets import takes_targets
+from swarmd.client.stops import send_stop
+from swarmd.client.targets import Targets
 
 
 @click.command()
@@ -20,7 +18,8 @@ from swarmd.network.operator.members_view import MembersView
 @common_options
 def stop(options: CommonOptions, targets: Targets) -> None:
     """Stop TARGETS, or all robots; they need a `run` to move again."""
-    send_stop(options, "stop", targets)
+    with options.operator() as operator:
+        report(options, send_stop(session_of(options, operator), "stop", targets))
 
 
 @click.command()
@@ -38,7 +37,9 @@ def estop(options: CommonOptions, targets: Targets, reason: str, until_all: bool
     The stop is latched: it survives restarts, and robots that join adopt a stop of the whole
     swarm, until `swarmctl reset`.
     """
-    send_stop(options, "estop", targets, reason, until_all=until_all)
+    with options.operator() as operator:
+        session = session_of(options, operator)
+        report(options, send_stop(session, "estop", targets, reason, until_all=until_all))
 
 
 @click.command()
@@ -65,24 +66,20 @@ def reset(
     Clears only the emergency stops that swarmctl sees now; a later one stays. --findings ends only
     the findings that swarmctl sees now.
     """
+    from swarmd.client.changes import findings_of  # a stop does without
+    from swarmd.client.changes import reset as clear
+
     with asking(options, targets, needs_status=True) as asked:
         names, latches = asked.names, asked.view.latches(asked.names)
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
             of = "all robots" if latch.scope == "swarm" else "named robots"
             warn(f"clears emergency stop {latch_id} of {latch.issuer} for {of}{text}")
-        found = _findings(asked.view, names)
+        found = findings_of(asked.view, names)
         for robot, text in found:
             warn(f"{robot}: {'ends' if findings else 'keeps (--findings ends it)'}: {text}")
         if len(names) > 1 and not yes:
             question, to_check = f"Reset {', '.join(names)}?", "all of them may move again"
             need_consent(f"reset of {len(names)} robots", to_check, question)
-        ids = tuple(sorted(latches))
-        ended = tuple(dict.fromkeys(text for _, text in found)) if findings else ()
-        asked.report(asked.request(ResetRequest, ids=ids, findings=ended, reason=reason))
-
-
-def _findings(view: MembersView, names: Iterable[str]) -> list[tuple[str, str]]:
-    """The findings of the assumption monitors, each with its robot."""
-    statuses = ((name, view.members[name].status) for name in names if name in view.members)
-    return [(name, text) for name, status in statuses if status for text in status.findings]
+        outcome = clear(asked.targeted, reason=reason, findings=findings)
+        asked.report(outcome)

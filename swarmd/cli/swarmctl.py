@@ -17,7 +17,13 @@ import click
 from swarmd.cli.options import CommonOptions, LazyGroup, LazyVerb, common_options, output_option
 from swarmd.cli.output import print_json, warn
 from swarmd.core import verbs
-from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
+from swarmd.core.errors import (
+    ConfigError,
+    NetworkError,
+    PluginError,
+    RequestError,
+    SwarmError,
+)
 from swarmd.network.exit_codes import EXIT_CODES_HELP
 
 LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
@@ -215,7 +221,9 @@ def run_cli(
 
 
 def exit_code_of(error: SwarmError) -> int:
-    """2 for a wrong option or file, 6 for a network that cannot be used, else 1."""
+    """2 for a wrong option or file, 6 for a network that cannot be used, else that of the error."""
+    if isinstance(error, RequestError):
+        return error.exit_code
     if isinstance(error, ConfigError | PluginError):
         return 2
     return 6 if isinstance(error, NetworkError) else 1

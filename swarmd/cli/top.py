@@ -19,8 +19,10 @@ from swarmd.cli.output import (
     signals_end,
     table_lines,
 )
-from swarmd.cli.send import exit_code_of, gap, known_members, named_now
-from swarmd.cli.targets import Targets, robots_of, takes_targets
+from swarmd.cli.send import exit_code_of, known_members, session_of
+from swarmd.cli.targets import takes_targets
+from swarmd.client.session import gap
+from swarmd.client.targets import Targets, robots_of
 from swarmd.core.messages import STATUS_SILENCE, Presence, ProcessUsage, Status
 from swarmd.texts.values import NOTHING, megabytes, seconds
 from swarmd.texts.why import lost_base
@@ -28,8 +30,8 @@ from swarmd.texts.why import lost_base
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from swarmd.client.swarm_watch import SwarmWatch
     from swarmd.network.operator.members_view import MembersView
-    from swarmd.view.swarm_watch import SwarmWatch
 
 HEADER = (
     *("NAME", "STATE", "CPU", "P-CPU", "MEM", "P-MEM", "LOOP99", "SCAN", "DELAY", "DROPS"),
@@ -67,10 +69,10 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
             click.get_current_context().exit(exit_code_of(view, names))
     if not options.is_json:
         need_terminal("top", "add --once or -o json")
-    from swarmd.view.swarm_watch import SwarmWatch
+    from swarmd.client.swarm_watch import SwarmWatch
 
     with options.operator() as operator, signals_end():
-        chosen = named_now(options, operator, targets)
+        chosen = session_of(options, operator).named_now(targets)
         watch = SwarmWatch(operator)
         watch.start()
         try:

@@ -85,8 +85,8 @@ def _live(
 
     `with_patterns`: a child process describes the patterns, for views that command.
     """
-    from swarmd.cli.known_robots import remember
     from swarmd.cli.plugin_check import describe_patterns
+    from swarmd.client.known_robots import remember
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 

@@ -11,8 +11,9 @@
     │   ├── UnknownPatternError  no pattern has this name
     │   └── MissingSensorError   the platform lacks what a pattern or condition needs
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
-    └── NetworkError     no session, no peers, no answer
-        └── IdHeldError  the robot's id belongs to another daemon of the swarm
+    ├── NetworkError     no session, no peers, no answer
+    │   └── IdHeldError  the robot's id belongs to another daemon of the swarm
+    └── RequestError     a request or a look of an operator that failed as a whole
 
 Every message names what is wrong, where, what was expected and what to do, in one line.
 
@@ -76,6 +77,17 @@ class NetworkError(SwarmError):
 
 class IdHeldError(NetworkError):
     """The robot's id belongs to another daemon of this swarm."""
+
+
+class RequestError(SwarmError):
+    """A request or a look that failed as a whole; what single robots answer is an `Outcome`.
+
+    `exit_code`: that of swarmctl, see `swarmd.network.exit_codes`.
+    """
+
+    def __init__(self, text: str, exit_code: int) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code
 
 
 class CoreFault(BaseException):

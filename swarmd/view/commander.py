@@ -5,29 +5,27 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import Future
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
+from swarmd.client.changes import change_labels, reset, set_params
+from swarmd.client.hand_over import in_thread
+from swarmd.client.operator_pool import MAX_REQUESTS
+from swarmd.client.runs import make_goal, start
+from swarmd.client.session import Session, TargetedView
+from swarmd.client.stops import send_stop
+from swarmd.client.targets import Targets
 from swarmd.core.errors import SwarmError
 from swarmd.core.keys import is_id
-from swarmd.core.verbs import LabelRequest, ParamRequest, ResetRequest, RunRequest
-from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
-from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.operator_goals import next_goal
+from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.assignments import read_assignments
-from swarmd.texts.labels import changed, read_changes
+from swarmd.texts.labels import read_changes
 from swarmd.view.source import CommandProgress
 
 Tell = Callable[[CommandProgress], None]
 
-MAX_REQUESTS = 8
-"""Requests under way at a time: a request that waits for others would start motion late."""
 MAX_STOPS = 16
 """Stops under way at a time; more wait. An emergency stop never waits."""
-COMMANDING = "swarmd-commanding"
-"""The name of the daemon threads that carry commands out."""
-R = TypeVar("R")
 
 
 class LiveCommander:
@@ -70,10 +68,10 @@ class LiveCommander:
             if verb == "estop":
                 self.end_estop()
                 self._ending = ending
-                answer = await _in_thread(work)
+                answer = await in_thread(work)
             elif verb == "stop":
                 async with self._stops:
-                    answer = await _in_thread(work)
+                    answer = await in_thread(work)
             else:
                 answer = await self._in_turn(work)
             tell(answer)
@@ -90,7 +88,7 @@ class LiveCommander:
             )
         self._requests += 1
         try:
-            return await _in_thread(work)
+            return await in_thread(work)
         finally:
             self._requests -= 1
 
@@ -123,14 +121,13 @@ class LiveCommander:
 
         with self._make() as operator:
             operator.expect(self._known())
-            outcome = operator.send_stop(
+            outcome = send_stop(
+                Session(operator, is_cancelled=ending.is_set),
                 verb,
-                select=None if names is None else lambda found: tuple(set(found) & set(names)),
-                names=names or (),
-                reason=self._reason if verb == "estop" else "",
+                Targets(names or ()),
+                self._reason if verb == "estop" else "",
                 until_all=verb == "estop",
                 on_progress=on_progress,
-                is_ended=ending.is_set,
             )
         return _answer(verb, outcome)
 
@@ -141,41 +138,22 @@ class LiveCommander:
         pattern = str(fields.get("pattern"))
         if verb == "run" and not is_id(pattern):
             raise ValueError(f"{pattern!r} is no pattern name")
-        if verb == "label":
-            read_changes(str(fields.get("labels") or "").split())
+        words = str(fields.get("labels") or "").split()
+        added, removed = read_changes(words) if verb == "label" else ((), ())
         with self._make() as operator:
             view = operator.members(timeout=3.0, needs_status=verb in ("reset", "label"))
-            epochs = view.epochs(names)
+            targeted = TargetedView(Session(operator), view, names)
             if verb == "reset":
-                ids = tuple(sorted(view.latches(names)))
-                outcome = operator.request(ResetRequest, epochs, ids=ids, reason=self._reason)
+                outcome = reset(targeted, reason=self._reason)
             elif verb == "param":
-                outcome = operator.request(ParamRequest, epochs, params=params)
+                outcome = set_params(targeted, params)
             elif verb == "label":
-                outcome = _label(operator, view, names, str(fields.get("labels")))
+                outcome = change_labels(targeted, added, removed)
             else:
                 is_all = bool(view.expected) and view.expected <= set(names)
-                targets = () if is_all else names
-                goal = next_goal(operator, view, targets=targets, pattern=pattern, params=params)
-                outcome = operator.request(
-                    RunRequest, epochs, pattern=pattern, params=params, goal=goal
-                )
+                goal = make_goal(targeted, () if is_all else names, pattern=pattern, params=params)
+                outcome = start(targeted, goal)
         return _answer(verb, outcome)
-
-
-def _label(operator: Operator, view: MembersView, names: tuple[str, ...], words: str) -> Outcome:
-    """Change the labels of robots; those whose labels are not known count as missing."""
-    added, removed = read_changes(words.split())
-    known = {name: one.status for name, one in view.members.items() if name in names}
-    unseen = tuple(name for name in names if known.get(name) is None)
-    outcomes = [
-        operator.request(
-            LabelRequest, view.epochs([name]), labels=changed(status.labels, added, removed)
-        )
-        for name, status in sorted(known.items())
-        if status is not None
-    ]
-    return joined([*outcomes, Outcome({}, missing=unseen)])
 
 
 def _answer(verb: str, outcome: Outcome) -> CommandProgress:
@@ -187,18 +165,3 @@ def _answer(verb: str, outcome: Outcome) -> CommandProgress:
         is_good=outcome.exit_code == 0,
         is_final=True,
     )
-
-
-async def _in_thread(work: Callable[[], R]) -> R:
-    """The result of `work`, which a daemon thread does: the program may end before it."""
-    result: Future[R] = Future()
-    result.set_running_or_notify_cancel()
-
-    def run() -> None:
-        try:
-            result.set_result(work())
-        except BaseException as error:
-            result.set_exception(error)
-
-    threading.Thread(target=run, name=COMMANDING, daemon=True).start()
-    return await asyncio.wrap_future(result)

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from msgspec.structs import astuple, replace
 
+from swarmd.client.event_feed import EventFeed, EventLine, together
+from swarmd.client.swarm_watch import SwarmWatch
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.keys import is_id
@@ -24,10 +26,8 @@ from swarmd.network.operator.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.texts.status import sections
 from swarmd.texts.why import absence, why
-from swarmd.view.event_feed import EventFeed, EventLine, together
 from swarmd.view.history import SPAN
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
-from swarmd.view.swarm_watch import SwarmWatch
 
 PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 """The footprint of a robot whose platform is not known here, in m."""

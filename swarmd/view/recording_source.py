@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from swarmd.client.event_feed import EventLine, together
 from swarmd.core.messages import Member, Presence, Reason
 from swarmd.core.values import Array, Twist
 from swarmd.recording import messages
 from swarmd.texts.status import sections
 from swarmd.texts.why import protection_word
-from swarmd.view.event_feed import EventLine, together
 from swarmd.view.playback import Playback
 from swarmd.view.source import ShownArena, ShownRobot, link_of, points_of, row_of, standing_of
 from swarmd.view.timeline import Track, read_timeline

@@ -6,8 +6,9 @@ import click
 import pytest
 from msgspec.structs import replace
 
-from swarmd.cli.canary import MIN_DECISIONS, canaries_of, fault_of, read_canary
-from swarmd.cli.options import Failure
+from swarmd.cli.canary import canaries_of, read_canary
+from swarmd.client.canary import MIN_DECISIONS, fault_of
+from swarmd.core.errors import RequestError
 from swarmd.core.messages import DecisionSummary, Health, Reason, State, Status
 from tests.support.statuses import RUNNING
 
@@ -24,7 +25,7 @@ def test_a_number_or_a_name_chooses_canaries(text: str, chosen: tuple[str, ...])
 
 
 def test_a_canary_must_be_a_target_and_leave_another_one() -> None:
-    with pytest.raises(Failure, match="r4 is not among the targets: r1"):
+    with pytest.raises(RequestError, match="r4 is not among the targets: r1"):
         canaries_of("r4", NAMES)
     for text, names in (("3", NAMES), ("r1", ("r1",))):
         with pytest.raises(click.UsageError):

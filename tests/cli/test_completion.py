@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.cli.known_robots import EMPTY_AGE, MAX_AGE, MAX_SWARMS, known_names, remember
+from swarmd.client.known_robots import EMPTY_AGE, MAX_AGE, MAX_SWARMS, known_names, remember
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import unique_swarm, wait_until

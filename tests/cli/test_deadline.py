@@ -8,8 +8,8 @@ from typing import Any, Self
 import pytest
 
 from swarmd.cli.options import CommonOptions
-from swarmd.cli.send import LEAST_REQUEST_TIME
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.client.session import LEAST_REQUEST_TIME
 from swarmd.core.messages import Presence
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.network.operator.outcome import Outcome

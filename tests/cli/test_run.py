@@ -6,9 +6,9 @@ import click
 import pytest
 
 from swarmd.cli.label import label
-from swarmd.cli.run_start import goal_targets
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
-from swarmd.cli.targets import Targets
+from swarmd.client.runs import goal_targets
+from swarmd.client.targets import Targets
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,9 @@ from typing import cast
 
 import pytest
 
-from swarmd.cli.run_lease import follow_runs
+from swarmd.cli.output import warn
+from swarmd.client.run_lease import follow_runs
+from swarmd.client.session import Session
 from swarmd.core.codec import encode
 from swarmd.core.messages import Epoch, State, Status
 from swarmd.network.operator.operator import Operator
@@ -43,6 +45,6 @@ def test_a_run_whose_daemon_ended_is_not_waited_for(
     epoch: Epoch | None, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     told_of = () if epoch is None else (status("r1", state=State.IDLE, epoch=epoch),)
-    operator = cast("Operator", StatusesOnly(*told_of))
-    follow_runs(operator, make_goal(7), 0.1, {"r1": OLD})
+    session = Session(cast("Operator", StatusesOnly(*told_of)), tell=warn)
+    follow_runs(session, make_goal(7), 0.1, {"r1": OLD})
     assert capsys.readouterr().err.startswith(told)

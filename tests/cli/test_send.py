@@ -10,7 +10,9 @@ import click
 import pytest
 
 from swarmd.cli.options import CommonOptions
-from swarmd.cli.send import show, unreachable
+from swarmd.cli.send import show
+from swarmd.cli.swarmctl import exit_code_of
+from swarmd.client.session import unreachable
 from swarmd.core.messages import Code, Refusal, Reply
 from swarmd.network.exit_codes import UNREACHABLE
 from swarmd.network.operator.outcome import Outcome
@@ -61,4 +63,4 @@ def test_where_no_swarm_answers_sim_up_is_named(found: tuple[str, ...], is_named
     settings = NetworkSettings(swarm="meadow")
     operator = SimpleNamespace(settings=settings, identity=None, swarms=lambda: found)
     error = unreachable(cast(Any, operator))
-    assert ("`swarmctl sim up`" in error.message, error.exit_code) == (is_named, UNREACHABLE)
+    assert ("`swarmctl sim up`" in str(error), exit_code_of(error)) == (is_named, UNREACHABLE)

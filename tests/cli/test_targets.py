@@ -5,8 +5,9 @@ from __future__ import annotations
 import click
 import pytest
 
-from swarmd.cli.options import Failure
-from swarmd.cli.targets import Targets, named, read_targets, robots_of, stopped, unlabelled
+from swarmd.cli.targets import read_targets
+from swarmd.client.targets import Targets, named, robots_of, stopped, unlabelled
+from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
@@ -43,7 +44,7 @@ def test_a_robot_with_any_of_the_labels_is_a_target(
 
 def test_a_label_without_robots_is_refused_with_the_nearest() -> None:
     for resolve in (named, stopped):
-        with pytest.raises(Failure, match="'red'") as found:
+        with pytest.raises(RequestError, match="'red'") as found:
             resolve(view(), Targets(labels=("rde",)))
         assert found.value.exit_code == NO_TARGET
 
@@ -74,7 +75,7 @@ def test_names_alone_do_not_show_labels() -> None:
     targets = Targets(labels=("red",))
     assert not targets.is_whole_swarm
     assert targets.matching(LABELS) == ()
-    with pytest.raises(Failure):
+    with pytest.raises(RequestError):
         targets.select(LABELS)
 
 
@@ -133,7 +134,7 @@ def test_selects_by_names_and_globs(
 def test_a_name_that_matches_no_robot_is_an_error(
     names: tuple[str, ...], exclude: tuple[str, ...], subject: str
 ) -> None:
-    with pytest.raises(Failure, match=subject) as caught:
+    with pytest.raises(RequestError, match=subject) as caught:
         words(*names, exclude=exclude).select(KNOWN)
     assert caught.value.exit_code == 4
 

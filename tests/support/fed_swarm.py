@@ -172,6 +172,7 @@ class FedOperator:
 
     def __init__(self, swarm: FedSwarm) -> None:
         self.settings = NetworkSettings(swarm="fed")
+        self.notices: list[str] = []
         self._swarm = swarm
 
     def __enter__(self) -> Self:
@@ -188,6 +189,12 @@ class FedOperator:
 
     def expect(self, names: Collection[str]) -> None:
         """All are known."""
+
+    def update_roster(self) -> bool:
+        return False
+
+    def seen(self) -> MembersView:
+        return self.members()
 
     def links(self) -> frozenset[tuple[str, str]]:
         """Each robot hears the next one."""

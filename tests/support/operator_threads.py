@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 
+from swarmd.client.hand_over import HAND_OVER
+from swarmd.client.swarm_watch import LOOKING
 from swarmd.network.spread.roster_follower import CLOSING
-from swarmd.view.commander import COMMANDING
-from swarmd.view.swarm_watch import LOOKING
 
 
 def is_closing() -> bool:
     """True while a session that was closed, a command or a look of a view has not ended."""
-    names = (CLOSING, COMMANDING, LOOKING)
+    names = (CLOSING, HAND_OVER, LOOKING)
     return any(thread.name in names for thread in threading.enumerate())

@@ -10,11 +10,12 @@ from typing import Any, cast
 
 import pytest
 
+from swarmd.client.operator_pool import MAX_REQUESTS
 from swarmd.core.messages import Code, Reply
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
-from swarmd.view.commander import MAX_REQUESTS, LiveCommander
+from swarmd.view.commander import LiveCommander
 from swarmd.view.source import CommandProgress
 from tests.support.operator_threads import is_closing
 from tests.support.processes import wait_until
@@ -29,6 +30,7 @@ class Hanging:
     def __init__(self) -> None:
         self.go_on = threading.Event()
         self.sent = 0
+        self.notices: list[str] = []
 
     def __call__(self) -> AbstractContextManager[Operator]:
         return nullcontext(cast("Operator", self))
@@ -40,6 +42,8 @@ class Hanging:
 
     def members(self, **_: Any) -> MembersView:
         return MembersView({})
+
+    seen = members
 
     def request(self, kind: type, targets: Mapping[str, Any], **_: Any) -> Outcome:
         self.sent += 1
@@ -109,7 +113,9 @@ class Noting(Hanging):
         members = {name: make_member(name, labels=("red",)) for name in ("r1", "r2")}
         return MembersView(members, goal_generation=4)
 
-    def request(self, kind: type, targets: Mapping[str, Any], **fields: Any) -> Outcome:
+    def request(
+        self, kind: type, targets: Mapping[str, Any], *, timeout: None = None, **fields: Any
+    ) -> Outcome:
         self.requests.append((tuple(targets), fields))
         return APPLIED
 

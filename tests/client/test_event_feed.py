@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from swarmd.client.event_feed import BURST, EventFeed, EventLine, together
 from swarmd.core.messages import (
     MAX_EVENTS,
     STATUS_SILENCE,
@@ -16,7 +17,6 @@ from swarmd.core.messages import (
     Status,
 )
 from swarmd.network.operator.members_view import MembersView
-from swarmd.view.event_feed import BURST, EventFeed, EventLine, together
 from tests.support.statuses import make_member, status
 
 START = 1000.0

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.cli.members import HEADER, WIDE, health, row, wide_cells
 from swarmd.cli.output import print_table, terminal_width
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
+from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
 from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import make_member
 

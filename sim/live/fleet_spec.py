@@ -1,0 +1,137 @@
+"""The fleet of a plain world, or of a scenario, from the values that a user gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.keys import is_id
+
+if TYPE_CHECKING:
+    from swarmd.core.values import Platform
+    from swarmd.sim.live.fleet import FleetSpec
+
+Tell = Callable[[str], object]
+
+MAX_ROBOTS = 50
+
+
+def plain_fleet(
+    swarm: str,
+    folder: Path,
+    *,
+    count: int,
+    platform: str,
+    arena: str | None,
+    layout: str | None,
+    emulator: str | None,
+    tell: Tell,
+    **others: Any,
+) -> FleetSpec:
+    """The fleet of these values; ConfigError if one is wrong or there is no room.
+
+    PluginError if the emulator is unknown or lacks a library. The default arena is 1.8 times as
+    wide as the range of the lidar, so that a robot detects some of the others but not all, and has
+    at least (3 protection thresholds)^2 of room for each robot.
+    """
+    from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.sim.world.arena import parse_arena
+    from swarmd.sim.world.layouts import parse_layout
+
+    check_emulator(emulator, others["radio_range"])
+    kind, ids = _platform_and_ids(platform, count)
+    threshold = float(kind.protection.get("threshold", 0.5))
+    side = round(max(1.8 * kind.scan.range_max, 3.0 * threshold * count**0.5), 1)
+    arena = arena or f"{side:g}x{side:g}"
+    layout = layout or f"random:{0.6 * threshold:.2f}"
+    parse_layout(layout, [kind.footprint] * count, parse_arena(arena), seed=others["seed"])
+    if count > 1:
+        _tell_of_peers(kind, ids[0], others["lidar_visibility"], tell)
+    return FleetSpec(
+        swarm=swarm,
+        robots=dict.fromkeys(ids, platform),
+        folder=folder,
+        arena=arena,
+        layout=layout,
+        emulator=emulator,
+        **others,
+    )
+
+
+def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, ...]]:
+    """The platform of that name or file, and the ids of its robots; ConfigError if it has none."""
+    from swarmd.settings.platforms import load_platform
+    from swarmd.sim.live.fleet import robot_ids
+
+    kind = load_platform(platform)
+    ids = robot_ids(kind.name, count)
+    if not all(map(is_id, ids)):
+        raise ConfigError(
+            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
+            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
+        )
+    return kind, ids
+
+
+def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> None:
+    """What a robot of this platform would find about another one."""
+    from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
+
+    own = body_of(kind)
+    for found in findings(own, assumed_speed(kind), robot, own, ACCEPTS_NONE):
+        is_seen = found.kind == "unseen" and visibility == "body"
+        if not is_seen:
+            tell(f"note: {found.text}")
+
+
+def check_emulator(emulator: str | None, radio_range: float | None = None) -> None:
+    """PluginError if the emulator is unknown or lacks a library, ConfigError with a radio range."""
+    if emulator is None:
+        return
+    from swarmd.plugins import load_emulator
+
+    load_emulator(emulator)
+    if radio_range is not None:
+        raise ConfigError(
+            f"--radio-range and --emulate {emulator}: emulated robots do not report which"
+            " robots they receive; leave one of the two out"
+        )
+
+
+def scenario_fleet(
+    swarm: str,
+    folder: Path,
+    scenario: str,
+    overrides: Mapping[str, Any],
+    *,
+    seed: int,
+    emulator: str | None,
+    tell: Tell,
+) -> FleetSpec:
+    """The fleet of a scenario, a name of `exp list` or a YAML file, with values by dotted key.
+
+    ConfigError names the key.
+    """
+    from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.sim.live.live_scenario import LiveScenario, check_live
+    from swarmd.sim.scenarios.scenariofile import load_scenario
+
+    loaded = load_scenario(scenario, overrides)
+    check_emulator(emulator)
+    check_live(loaded, MAX_ROBOTS, emulator)
+    loaded.starts(seed)  # raises without room
+    for note in loaded.notes:
+        tell(f"note: {note}")
+    return FleetSpec(
+        swarm=swarm,
+        robots={robot: platform.name for robot, platform in loaded.robots.items()},
+        folder=folder,
+        arena=loaded.arena.text,
+        layout=loaded.name,
+        seed=seed,
+        emulator=emulator,
+        plugin_dir=loaded.plugin_dir,
+        scenario=LiveScenario(loaded),
+    )

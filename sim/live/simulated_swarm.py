@@ -1,0 +1,194 @@
+"""A simulated swarm that a Python program starts: a world and a daemon for each robot.
+
+::
+
+    import swarmd
+
+    with swarmd.demo(robots=5) as demo, demo.connect() as swarm:
+        swarm.run("attraction", seconds=10)
+        swarm.wait("state=idle")
+"""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from swarmd.client.connect import Connection
+from swarmd.core.errors import ConfigError, SwarmError
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.operator import Operator
+    from swarmd.sim.live.fleet import Fleet, FleetSpec
+    from swarmd.sim.live.link import WorldView
+
+
+class SimulatedSwarm:
+    """What `demo` gives: its processes run in a `with` block, or from `start` to `close`.
+
+    `name` is that of the swarm: `swarmctl --swarm NAME` commands it, too.
+    """
+
+    def __init__(self, make_spec: Callable[[Path], FleetSpec], name: str) -> None:
+        self.name = name
+        self._make_spec = make_spec
+        self._left = ExitStack()
+        self._fleet: Fleet | None = None
+        self._world: WorldView | None = None
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots whose daemons were started."""
+        return () if self._fleet is None else self._fleet.robots
+
+    def start(self) -> Self:
+        """Start the world and the daemons; return once all robots are up.
+
+        Call it from the main thread: the processes end with the thread that started them. It takes
+        some 2 s. SwarmError, with the path of its log, if a process ends; no process is left then.
+        """
+        from swarmd.sim.live.fleet import Fleet
+        from swarmd.sim.live.link import WorldView
+        from swarmd.sim.live.starting import await_robots
+
+        if self._fleet is not None:
+            raise ConfigError(f"the demo {self.name!r} runs already")
+        with ExitStack() as opened:
+            spec = self._make_spec(opened.enter_context(kept_folder(None)))
+            operator = opened.enter_context(self._operator())
+            check_free(operator, spec, "demo(swarm=NAME)")
+            fleet = opened.enter_context(Fleet(spec))
+            world = opened.enter_context(WorldView(self.name, fleet.endpoint))
+            await_robots(operator, fleet)
+            self._world = world
+            self._fleet, self._left = fleet, opened.pop_all()
+        return self
+
+    def close(self) -> None:
+        """End all processes, within 4 s."""
+        self._fleet = self._world = None
+        self._left.close()
+
+    def connect(
+        self, *, timeout: float | None = None, tell: Callable[[str], object] | None = None
+    ) -> Connection:
+        """A connection to this swarm; see `swarmd.connect`. Its maps show true positions."""
+        return Connection(lambda _: self._operator(), timeout=timeout, tell=tell, places=self.poses)
+
+    def poses(self) -> dict[str, tuple[float, float, float]]:
+        """The true pose of each robot in the world: x and y in m, yaw in rad."""
+        if self._world is None:
+            raise SwarmError("the demo has not started, or has ended")
+        state = self._world.ask("poses").state
+        return dict(zip(state.ids, state.poses, strict=True))
+
+    def _operator(self) -> Operator:
+        from swarmd.network.operator.operator import Operator
+        from swarmd.network.settings import NetworkSettings
+
+        return Operator(NetworkSettings(swarm=self.name))
+
+
+def demo(
+    scenario: str | Path | None = None,
+    *,
+    robots: int = 7,
+    platform: str = "waffle_pi",
+    arena: str | None = None,
+    layout: str | None = None,
+    seed: int = 0,
+    realism: Literal["realistic", "ideal"] = "realistic",
+    lidar_visibility: Literal["body", "real"] = "body",
+    radio_range: float | None = None,
+    plugin_dir: str | Path | None = None,
+    set: Mapping[str, Any] | None = None,
+    swarm: str | None = None,
+) -> SimulatedSwarm:
+    """A simulated swarm on this machine, as `swarmctl sim up` starts it, for a `with` block.
+
+    The parameters are its options. `scenario`, a name of `swarmctl exp list` or a YAML file, with
+    values of it in `set`, replaces those from `robots` to `plugin_dir`, but the seed. The robots
+    start idle. `swarm`: its name, by default a new one. ConfigError for a wrong value when it
+    starts; PluginError without MuJoCo (`pip install 'swarmd[sim]'`).
+    """
+    from swarmd.core.keys import check_id
+    from swarmd.plugins import need
+    from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
+
+    need("mujoco", extra="sim")
+    name = check_id(f"demo-{secrets.token_hex(3)}" if swarm is None else swarm, "swarm")
+    tell = logging.getLogger("swarmd.client").info
+    if not 1 <= robots <= MAX_ROBOTS:
+        raise ConfigError(f"robots is {robots}; expected 1 to {MAX_ROBOTS}")
+
+    def make(folder: Path) -> FleetSpec:
+        if scenario is not None:
+            overrides = dict(set or {})
+            return scenario_fleet(
+                name, folder, str(scenario), overrides, seed=seed, emulator=None, tell=tell
+            )
+        if set:
+            raise ConfigError(f"set has {next(iter(set))}: there is no scenario that it changes")
+        return plain_fleet(
+            name,
+            folder,
+            count=robots,
+            platform=platform,
+            arena=arena,
+            layout=layout,
+            emulator=None,
+            tell=tell,
+            seed=seed,
+            realism=realism,
+            lidar_visibility=lidar_visibility,
+            radio_range=radio_range,
+            plugin_dir=None if plugin_dir is None else Path(plugin_dir),
+        )
+
+    return SimulatedSwarm(make, name)
+
+
+def check_free(operator: Operator, spec: FleetSpec, how: str) -> None:
+    """ConfigError if the swarm has robots of these names; `how` starts another swarm."""
+    taken = sorted(frozenset(operator.members().alive) & frozenset(spec.robots))
+    if taken:
+        raise ConfigError(
+            f"swarm {spec.swarm!r} already has {', '.join(taken)};"
+            f" end those, or use another swarm: {how}"
+        )
+
+
+@contextmanager
+def kept_folder(keep: Path | None) -> Iterator[Path]:
+    """The folder for logs and state: `keep`, or a temporary one that stays only after a failure."""
+    if keep is not None:
+        yield keep
+        return
+    folder = Path(tempfile.mkdtemp(prefix="swarmd-sim-"))
+    is_wanted = False
+    try:
+        yield folder
+    except SwarmError:
+        is_wanted = any(folder.iterdir())  # there are logs to read
+        raise
+    finally:
+        if not is_wanted:
+            shutil.rmtree(folder, ignore_errors=True)

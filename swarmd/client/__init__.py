@@ -1,0 +1,1 @@
+"""What an operator asks of a swarm, for `swarmctl`, the page and Python: no click, no printing."""

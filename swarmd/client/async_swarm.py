@@ -1,0 +1,128 @@
+"""A swarm from asyncio: the methods of `Swarm`, each carried out on a thread."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
+from functools import partial, wraps
+from types import TracebackType
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+
+from swarmd.client.hand_over import begin, in_thread
+from swarmd.client.swarm import Swarm
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+MAX_WAITING = 1000
+"""Items of an iterator that wait for the loop; its thread waits then."""
+
+
+def _awaited(
+    method: Callable[Concatenate[Swarm, P], R],
+) -> Callable[Concatenate[AsyncSwarm, P], Coroutine[Any, Any, R]]:
+    @wraps(method)
+    async def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        cancelled = threading.Event()
+        swarm = self._swarm._cancellable(cancelled)
+        try:
+            return await in_thread(partial(method, swarm, *args, **kwargs))
+        except asyncio.CancelledError:
+            cancelled.set()
+            raise
+
+    return call
+
+
+def _iterated(
+    method: Callable[Concatenate[Swarm, P], Iterator[R]],
+) -> Callable[Concatenate[AsyncSwarm, P], AsyncGenerator[R, None]]:
+    @wraps(method)
+    def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> AsyncGenerator[R, None]:
+        cancelled = threading.Event()
+        swarm = self._swarm._cancellable(cancelled)
+        return _from_thread(partial(method, swarm, *args, **kwargs), cancelled)
+
+    return call
+
+
+class AsyncSwarm:
+    """A swarm, as `swarmd.connect` gives it in an `async with` block.
+
+    It has the methods of `Swarm`, with the same parameters and results: `events` and `states` are
+    async iterators, all others are awaited. The loop does not wait for robots: each method runs on
+    a thread of its own, and a stop waits for no other method. SwarmError if 8 requests are under
+    way. A task that is cancelled waits no more; its request may have been applied all the same. A
+    `wait` and a canary end then, and canaries are stopped.
+    """
+
+    def __init__(self, swarm: Swarm) -> None:
+        self._swarm = swarm
+
+    members = _awaited(Swarm.members)
+    describe = _awaited(Swarm.describe)
+    goal = _awaited(Swarm.goal)
+    params = _awaited(Swarm.params)
+    frame = _awaited(Swarm.frame)
+    run = _awaited(Swarm.run)
+    stop = _awaited(Swarm.stop)
+    estop = _awaited(Swarm.estop)
+    reset = _awaited(Swarm.reset)
+    param = _awaited(Swarm.param)
+    label = _awaited(Swarm.label)
+    resume = _awaited(Swarm.resume)
+    undo = _awaited(Swarm.undo)
+    wait = _awaited(Swarm.wait)
+    events = _iterated(Swarm.events)
+    states = _iterated(Swarm.states)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Leave the network; see `Swarm.close`."""
+        await asyncio.shield(in_thread(self._swarm.close))
+
+
+async def _from_thread(
+    make: Callable[[], Iterator[R]], cancelled: threading.Event
+) -> AsyncGenerator[R, None]:
+    """The items of an iterator that runs on a thread; an error of it is raised at its place."""
+    loop = asyncio.get_running_loop()
+    items: asyncio.Queue[R] = asyncio.Queue()
+    room = threading.Semaphore(MAX_WAITING)
+
+    def work() -> None:
+        for item in make():
+            while not room.acquire(timeout=0.2):
+                if cancelled.is_set():
+                    return
+            if cancelled.is_set():
+                return
+            loop.call_soon_threadsafe(items.put_nowait, item)
+
+    done = asyncio.wrap_future(begin(work))
+    try:
+        while True:
+            taking = asyncio.ensure_future(items.get())
+            both: set[asyncio.Future[Any]] = {taking, done}
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+            if not taking.done():
+                taking.cancel()
+                while not items.empty():
+                    yield items.get_nowait()
+                done.result()
+                return
+            room.release()
+            yield taking.result()
+    finally:
+        cancelled.set()

@@ -1,0 +1,130 @@
+"""A connection to a swarm from Python, for `with` and for `async with`.
+
+::
+
+    import swarmd
+
+    with swarmd.connect("meadow") as swarm:
+        print(swarm.members())
+        swarm.run("attraction", seconds=60)
+
+    async with swarmd.connect("meadow") as swarm:
+        await swarm.run("attraction", seconds=60)
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, get_args
+
+from swarmd.client.network_options import NetworkOptions
+from swarmd.client.operator_pool import OperatorPool
+from swarmd.client.swarm import Places, Swarm, Tell
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.network.settings import Profile
+
+if TYPE_CHECKING:
+    from swarmd.client.async_swarm import AsyncSwarm
+    from swarmd.network.operator.operator import Operator
+
+
+class Connection:
+    """What `connect` gives: the swarm of a `with` block, of an `async with` block, or of `open`."""
+
+    def __init__(
+        self,
+        make: Callable[[Tell], Operator],
+        *,
+        timeout: float | None = None,
+        tell: Tell | None = None,
+        places: Places | None = None,
+    ) -> None:
+        self._make, self._timeout, self._places = make, timeout, places
+        self._tell = logging.getLogger("swarmd.client").warning if tell is None else tell
+        self._opened: Swarm | AsyncSwarm | None = None
+
+    def open(self) -> Swarm:
+        """The swarm, for notebooks whose cells share it; end it with `close`.
+
+        ConfigError for a wrong option or file, NetworkError if the network cannot be used.
+        """
+        make, tell = self._make, self._tell
+        pool = OperatorPool(lambda: make(tell))
+        with pool.lend():  # errors of options come now
+            pass
+        return Swarm(pool, timeout=self._timeout, tell=tell, places=self._places)
+
+    def __enter__(self) -> Swarm:
+        self._opened = swarm = self.open()
+        return swarm
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        assert isinstance(self._opened, Swarm)
+        self._opened.close()
+
+    async def __aenter__(self) -> AsyncSwarm:
+        from swarmd.client.async_swarm import AsyncSwarm
+        from swarmd.client.hand_over import in_thread
+
+        self._opened = swarm = AsyncSwarm(await in_thread(self.open))
+        return swarm
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        assert self._opened is not None
+        assert not isinstance(self._opened, Swarm)
+        await self._opened.close()
+
+
+def connect(
+    swarm: str | None = None,
+    *,
+    config: str | Path | None = None,
+    context: str | None = None,
+    profile: str | None = None,
+    interface: str | None = None,
+    seeds: Iterable[str] = (),
+    identity: str | Path | None = None,
+    insecure: bool = False,
+    timeout: float | None = None,
+    tell: Tell | None = None,
+) -> Connection:
+    """A connection to a swarm: `with connect(...)` gives a `Swarm`, `async with` an `AsyncSwarm`.
+
+    The options are those of swarmctl, with its defaults: `$SWARM`, `$SWARM_CONFIG` and the context
+    in use (`context` names another one), else swarm `default` of robots on this machine. `config`:
+    a swarm file. `profile`: dev, field or
+    routed. `identity`: the folder of your identity; by
+    default that of this user or machine for the swarm. `timeout` in s bounds each method that
+    states none. `tell` takes lines for the user, such as robots that did not answer; by default
+    they are warnings of the logger `swarmd.client`.
+
+    Nothing is opened before the block begins; ConfigError and NetworkError come there.
+    """
+    if profile is not None and profile not in get_args(Profile):
+        raise ConfigError(unknown("profile", profile, get_args(Profile)))
+    if config is None and context is None:
+        config = NetworkOptions.of_environment().config
+    given = NetworkOptions(
+        swarm=swarm,
+        config=None if config is None else Path(config),
+        context=context,
+        profile=profile,
+        interface=interface,
+        seeds=(seeds,) if isinstance(seeds, str) else tuple(seeds),
+        identity=None if identity is None else Path(identity),
+        insecure=insecure,
+    )
+    return Connection(given.operator, timeout=timeout, tell=tell)

@@ -1,0 +1,70 @@
+"""What happened to robots, by one look, and what happens, as it comes."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from swarmd.client.event_feed import EventFeed, EventLine
+from swarmd.client.swarm_watch import SwarmWatch
+from swarmd.core.messages import Status
+
+if TYPE_CHECKING:
+    from swarmd.client.session import Session
+    from swarmd.client.targets import Targets
+    from swarmd.network.operator.members_view import MembersView
+
+PERIOD = 0.5  # s after which a wait for news is interrupted
+
+
+def events_of(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[EventLine]:
+    """The events that one look shows, in the order of time."""
+    now, lines = time.monotonic(), []
+    for name in names:
+        member = view.members.get(name)
+        if member is not None and member.status is not None:
+            lines += feed.on_status(member.status, now - member.age)
+    return sorted([*lines, *feed.on_view(view, now)])
+
+
+def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterator[list[EventLine]]:
+    """Events as they come, until the session is cancelled or the iterator is closed.
+
+    Those before the first look come at once, in the order of time. An empty list comes each 0.5 s
+    in which nothing happens.
+    """
+    news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
+    watch = SwarmWatch(session.operator, on_status=news.put, on_view=news.put)
+    watch.start()
+    early: list[EventLine] | None = []
+    try:
+        while not session.is_cancelled():
+            one = _next(news)
+            now = time.monotonic()
+            lines = _lines_of(feed, one, now) + feed.advance(now)
+            if early is not None:
+                early += lines
+                if one is None or isinstance(one, Status):
+                    continue
+                if not one.members:
+                    session.tell("no robot is heard yet")
+                lines, early = sorted(early), None
+            yield [line for line in lines if targets.matching([line.robot])]
+    finally:
+        watch.close()
+
+
+def _next(news: queue.SimpleQueue[Status | MembersView]) -> Status | MembersView | None:
+    """The next status or look; None if none came within the period."""
+    try:
+        return news.get(timeout=PERIOD)
+    except queue.Empty:
+        return None
+
+
+def _lines_of(feed: EventFeed, one: Status | MembersView | None, now: float) -> list[EventLine]:
+    if one is None:
+        return []
+    return feed.on_status(one, now) if isinstance(one, Status) else feed.on_view(one, now)

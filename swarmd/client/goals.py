@@ -1,0 +1,62 @@
+"""The goal of a swarm: what robots are to do beside what they do; resumed, and set again."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import TYPE_CHECKING
+
+from swarmd.client.runs import send_goal
+from swarmd.client.stops import stop_names
+from swarmd.core.errors import RequestError
+from swarmd.core.verbs import ResumeRequest
+from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.outcome import Outcome, joined
+from swarmd.network.spread.operator_goals import next_goal, signed_goals
+from swarmd.texts.goal import content_of, describe_goal, present_goals, set_apart
+
+if TYPE_CHECKING:
+    from swarmd.client.session import Session
+    from swarmd.core.messages import Epoch
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
+
+
+def resume_on(
+    operator: Operator, view: MembersView, names: tuple[str, ...], *, timeout: float | None
+) -> Outcome:
+    """Ask robots to run their own goals, as `view` shows them."""
+    by_digest: dict[str, dict[str, Epoch | None]] = defaultdict(dict)
+    for name, epoch in view.epochs(names).items():
+        status = view.members[name].status if name in view.members else None
+        own = status.goal.own if status is not None and status.goal is not None else None
+        by_digest[own.digest if own is not None else ""][name] = epoch
+    return joined(
+        operator.request(ResumeRequest, epochs, timeout=timeout, digest=digest)
+        for digest, epochs in by_digest.items()
+    )
+
+
+def undo(session: Session) -> Outcome:
+    """Set the goal before the present one again; robots that only the present one is for stop.
+
+    RequestError if there is none, or if it had a run lease.
+    """
+    operator = session.operator
+    view = signed_goals(session.look(is_request_next=True), operator.identity)
+    present, before = present_goals(view)
+    if present is None or before is None:
+        what = "no goal is set" if present is None else f"no goal precedes {present.text}"
+        raise RequestError(f"nothing to undo: {what}", NO_TARGET)
+    if before.lease is not None:
+        text = f"nothing to undo: {before.text} had a run lease, which undo cannot renew"
+        raise RequestError(text, NO_TARGET)
+    goal = next_goal(operator, view, **content_of(before), undoes=present.id)
+    run, stand = set_apart(view, present, before)
+    session.tell(f"sends {describe_goal(goal)}, in place of {present.text}")
+    outcomes = []
+    if stand:
+        outcomes.append(stop_names(operator, stand))
+    if run:
+        wait = session.time_left(view)
+        outcomes.append(send_goal(operator, view.epochs(run), goal, timeout=wait))
+    return joined(outcomes)

@@ -1,0 +1,115 @@
+"""Which swarm an operator asks, and as whom: options, environment, context and swarm file."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Self, cast
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.settings import NetworkSettings
+    from swarmd.security.identity import Identity
+
+DEFAULT_SWARM = "default"
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOptions:
+    """The options of the network; None or empty if not given.
+
+    `context`: another context of the user than the one in use.
+    """
+
+    swarm: str | None = None
+    config: Path | None = None
+    profile: str | None = None
+    interface: str | None = None
+    seeds: tuple[str, ...] = ()
+    identity: Path | None = None
+    insecure: bool = False
+    context: str | None = None
+
+    @classmethod
+    def of_environment(cls) -> Self:
+        """The swarm file that $SWARM_CONFIG names, if it is set."""
+        config = os.environ.get("SWARM_CONFIG")
+        return cls(config=Path(config) if config else None)
+
+    def in_context(self) -> Self:
+        """These options, and those of the context in use where neither they nor $SWARM set any.
+
+        A swarm file that the options or $SWARM_CONFIG name takes the place of the context. A
+        context of one swarm is not used for another swarm. ConfigError if it does not exist.
+        """
+        import msgspec
+
+        from swarmd.settings.contexts import ENVIRONMENT, context_in_use
+
+        environ = os.environ if self.context is None else {**os.environ, ENVIRONMENT: self.context}
+        chosen = context_in_use(environ) if self.config is None else None
+        if chosen is None:
+            return self
+        swarm = self.swarm or os.environ.get("SWARM")
+        if swarm and chosen[1].swarm not in (None, swarm):
+            return self
+        given = msgspec.structs.asdict(chosen[1])
+        given["swarm"] = swarm or chosen[1].swarm
+        for name in ("config", "identity"):
+            given[name] = Path(given[name]) if given[name] else None
+        return replace(self, **{key: one for key, one in given.items() if not getattr(self, key)})
+
+    def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
+        """A session in the swarm's network, a context manager.
+
+        `tell` takes a line if the own certificate ends soon. ConfigError for a wrong file or
+        option, NetworkError if there is no session.
+        """
+        from swarmd.network.operator.operator import Operator
+
+        settings, roster, identity = self.network()
+        if identity is not None:
+            from swarmd.texts.keys import own_end
+
+            if text := own_end(identity.name, identity.info.expires, time.time()):
+                tell(text)
+        return Operator(settings, roster=roster, identity=identity)
+
+    def network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
+        """The settings of the network, the robots that they name, and the identity.
+
+        ConfigError for a wrong file or option.
+        """
+        return self.in_context()._network()
+
+    def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
+        from swarmd.network.settings import NetworkSettings, Profile
+        from swarmd.security.identity import check_asker, choose_identity
+
+        if self.config is not None:
+            from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
+
+            overrides = {
+                "swarm": self.swarm,
+                "profile": self.profile,
+                "interface": self.interface,
+                "seeds": list(self.seeds) or None,
+                "identity": None if self.identity is None else str(self.identity),
+                "insecure": self.insecure or None,
+            }
+            file, identity = load_swarm(self.config, overrides, os.environ)
+            check_asker(identity)
+            return file, list(file.robots), identity
+        settings = NetworkSettings(
+            swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
+            profile=cast(Profile, self.profile or "dev"),
+            interface=self.interface,
+            seeds=self.seeds,
+        )
+        settings.check()
+        identity = choose_identity(settings.swarm, self.identity, insecure=self.insecure)
+        check_asker(identity)
+        return settings, [], identity

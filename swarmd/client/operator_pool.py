@@ -1,0 +1,76 @@
+"""Operators of one program, of which each carries out one verb at a time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from swarmd.core.errors import SwarmError
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.operator import Operator
+
+MAX_REQUESTS = 8
+"""Requests under way at a time: a request that waits for others would start motion late."""
+MAX_IDLE = 2
+"""Operators that are kept open for the next verb; each has sockets of its own."""
+
+
+class OperatorPool:
+    """Lends operators that `make` makes: an idle one, else a new one, so that no verb waits."""
+
+    def __init__(self, make: Callable[[], Operator]) -> None:
+        self._make = make
+        self._lock = threading.Lock()
+        self._idle: list[Operator] = []
+        self._requests = 0
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Close idle operators, within 0.2 s each; one that is in use closes when it is given back.
+
+        Nothing is lent afterwards.
+        """
+        with self._lock:
+            self._is_closed = True
+            idle, self._idle = self._idle, []
+        for operator in idle:
+            operator.close()
+
+    @contextmanager
+    def lend(self) -> Iterator[Operator]:
+        """An operator for one verb; one that failed is closed. SwarmError after `close`."""
+        with self._lock:
+            if self._is_closed:
+                raise SwarmError("the connection to the swarm is closed; connect again")
+            operator = self._idle.pop() if self._idle else None
+        operator = operator or self._make()
+        is_kept = False
+        try:
+            yield operator
+            with self._lock:
+                is_kept = not self._is_closed and len(self._idle) < MAX_IDLE
+                if is_kept:
+                    self._idle.append(operator)
+        finally:
+            if not is_kept:
+                operator.close()
+
+    @contextmanager
+    def lend_for_request(self) -> Iterator[Operator]:
+        """The same for a request that is no stop; SwarmError if too many are under way."""
+        with self._lock:
+            if self._requests >= MAX_REQUESTS:
+                raise SwarmError(
+                    f"not sent: {self._requests} requests wait for answers; repeat it when they"
+                    " ended"
+                )
+            self._requests += 1
+        try:
+            with self.lend() as operator:
+                yield operator
+        finally:
+            with self._lock:
+                self._requests -= 1

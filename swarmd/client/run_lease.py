@@ -1,0 +1,90 @@
+"""Runs under a lease: they end when the operator who renews it is not heard any more."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection
+from functools import partial
+from typing import TYPE_CHECKING
+
+from swarmd.client.ask_robots import next_status, statuses_of
+from swarmd.core.clock import boottime
+from swarmd.core.goal import GoalState
+from swarmd.network.datagram import RunLease
+from swarmd.texts.values import seconds
+
+if TYPE_CHECKING:
+    from swarmd.client.session import Session
+    from swarmd.core.goal import Goal
+    from swarmd.core.messages import Epoch, Status
+    from swarmd.network.operator.operator import Operator
+
+PARTS = 4
+"""How often the lease is renewed while it lasts: three copies may get lost."""
+
+
+def follow_runs(
+    session: Session, goal: Goal, patience: float, running: dict[str, Epoch | None]
+) -> None:
+    """Return once no robot of `running` runs the goal any more; tells of each end.
+
+    With the epoch of each since the run: an earlier status of the same daemon counts for nothing.
+    A robot that tells no status for `patience` s is not waited for.
+    """
+    heard = dict.fromkeys(running, boottime())
+    with statuses_of(session.operator) as news:
+        while running:
+            status, now = next_status(news, 0.5), boottime()
+            if status is not None and (robot := status.robot) in running:
+                heard[robot] = now
+                if not _is_on(status, goal) and not _is_older(status, running[robot]):
+                    del running[robot]
+                    detail = f" {status.detail}" if status.detail else ""
+                    session.tell(f"{robot}: {status.state} ({status.reason}){detail}")
+            for name in [one for one in running if now - heard[one] > patience]:
+                del running[name]
+                session.tell(f"{name} was not heard for {seconds(patience)}: it is not waited for")
+
+
+def _is_on(status: Status, goal: Goal) -> bool:
+    """True while a robot runs the goal, or loads its pattern."""
+    goals = status.goal
+    if goals is None or goals.own is None or goals.own.goal.id != goal.id:
+        return False
+    return goals.state in (GoalState.RUNNING, GoalState.LOADING)
+
+
+def _is_older(status: Status, since: Epoch | None) -> bool:
+    """True for a status of the same daemon from before its epoch `since`."""
+    epoch = status.epoch
+    return (
+        since is not None and epoch.instance == since.instance and epoch.revision < since.revision
+    )
+
+
+class LeaseKeeper(threading.Thread):
+    """Renews the lease of a goal, of `lease` s, on the robots `names`, from `start` to `close`."""
+
+    def __init__(
+        self, operator: Operator, goal_id: str, lease: float, names: Collection[str]
+    ) -> None:
+        super().__init__(name="swarmd-lease", daemon=True)
+        self._operator, self._goal_id, self._names = operator, goal_id, names
+        self._period = lease / PARTS
+        self._ending = threading.Event()
+
+    def run(self) -> None:
+        """Renew until `close`."""
+        operator, count = self._operator, 0
+        while not self._ending.is_set():
+            count += 1
+            operator.send_to_robots(partial(self._lease, count), self._names)
+            self._ending.wait(self._period)
+
+    def _lease(self, count: int) -> RunLease:
+        return RunLease(id=self._goal_id, operator=self._operator.name[:128], count=count)
+
+    def close(self) -> None:
+        """Renew no longer."""
+        self._ending.set()
+        self.join(1.0)

@@ -1,0 +1,189 @@
+"""Starts of runs: at once, at one moment, a canary first, or under a lease."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from msgspec.structs import replace
+
+from swarmd.client.stops import stop_names, stop_on_interrupt
+from swarmd.core.clock import TICK, boottime
+from swarmd.core.errors import ConfigError, RequestError
+from swarmd.core.record import LABEL
+from swarmd.core.verbs import MAX_AHEAD, GoalRequest, RunRequest
+from swarmd.network.exit_codes import FAILED, PARTIAL
+from swarmd.network.operator.request_sender import REQUEST_WAIT
+from swarmd.network.spread.operator_goals import next_generation, next_goal, resigned
+from swarmd.texts.values import seconds as in_short
+
+if TYPE_CHECKING:
+    from swarmd.client.session import TargetedView
+    from swarmd.client.targets import Targets
+    from swarmd.core.goal import Goal
+    from swarmd.core.messages import Epoch
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.operator.outcome import Outcome
+
+MIN_LEASE = 1.0
+
+
+def check_run(
+    *,
+    on_join: str,
+    valid: float | None,
+    lease: float | None,
+    at: float | None,
+    canary: object,
+    canary_time: float | None,
+    option: Callable[[str], str] = str,
+) -> None:
+    """ConfigError for values that do not go together, before a robot is asked.
+
+    `option`: how the user writes the name of a value.
+    """
+    if on_join == "run" and valid is None:
+        raise ConfigError(
+            f"{option('on_join')} run needs {option('valid')}: how long robots that join may start"
+            " by themselves"
+        )
+    if valid is not None and on_join != "run":
+        add = f"add {option('on_join')} run"
+        raise ConfigError(f"{option('valid')} is how long robots that join run it: {add}")
+    if lease is not None and lease < MIN_LEASE:
+        raise ConfigError(f"{option('lease')}: expected at least {MIN_LEASE:.0f}s")
+    if at is not None and not 0.0 < at <= MAX_AHEAD:
+        raise ConfigError(f"{option('at')}: expected at most {MAX_AHEAD:.0f} s from now on")
+    if canary is None and canary_time is not None:
+        raise ConfigError(f"{option('canary_time')}: expected {option('canary')}, too")
+    if sum(one is not None for one in (at, canary, lease)) > 1:
+        names = f"{option('at')}, {option('canary')} and {option('lease')}"
+        raise ConfigError(f"{names} do not go together; take one of them")
+
+
+def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
+    """The targets of a goal: as they were typed, so that robots that join later are among them.
+
+    With excluded robots, the names that are left.
+    """
+    if targets.exclude:
+        return tuple(sorted(names))
+    return (*targets.names, *(f"{LABEL}{label}" for label in targets.labels))
+
+
+def make_goal(targeted: TargetedView, targets: Collection[str], **fields: Any) -> Goal:
+    """The goal that a run sets: greater than all that the look has shown. See `next_goal`."""
+    return next_goal(targeted.operator, targeted.view, targets=tuple(targets), **fields)
+
+
+def send_goal(
+    operator: Operator, epochs: Mapping[str, Epoch | None], goal: Goal, **fields: Any
+) -> Outcome:
+    """Send a goal: its run, or the goal alone if it has no pattern."""
+    if goal.pattern is None:
+        return operator.request(GoalRequest, epochs, goal=goal, **fields)
+    return operator.request(
+        RunRequest,
+        epochs,
+        pattern=goal.pattern,
+        params=goal.params,
+        seconds=goal.seconds,
+        until=goal.conditions,
+        goal=goal,
+        **fields,
+    )
+
+
+def start(targeted: TargetedView, goal: Goal) -> Outcome:
+    """Send the run of a goal to all targets."""
+    epochs = targeted.view.epochs(targeted.names)
+    return send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left)
+
+
+def start_at(
+    targeted: TargetedView, goal: Goal, at: float
+) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
+    """Send the run of a goal, and let all targets start at one moment, in `at` s.
+
+    Also gives what is known of the start: `in` and `skew` in s, and the error of each clock. A
+    robot whose clock is not known is not asked, and counts as missing. ConfigError if no time is
+    left for it.
+    """
+    from swarmd.network.operator.clock_query import read_clocks, start_times
+
+    session, operator, wait = targeted.session, targeted.operator, targeted.time_left
+    if wait is not None and wait <= at:
+        raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
+    offsets = read_clocks(operator, targeted.names)
+    starts, skew = start_times(offsets, boottime() + at)
+    known = targeted.view.epochs(targeted.names)
+    epochs = {name: one for name, one in known.items() if name in starts}
+    unknown = tuple(sorted(set(targeted.names) - epochs.keys()))
+    if unknown:
+        session.tell(f"not asked, since their clocks did not answer: {', '.join(unknown)}")
+    if len(starts) > 1:
+        session.tell(
+            f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
+            f" {1e3 * skew:.1f} ms of it by their clocks"
+        )
+    try:
+        least = REQUEST_WAIT + at
+        outcome = send_goal(operator, epochs, goal, timeout=wait, least=least, at=starts)
+    except (KeyboardInterrupt, SystemExit):
+        stop_on_interrupt(session, epochs)  # they would start without an operator who wants it
+        raise
+    errors = {name: round(one.error, 6) for name, one in offsets.items()}
+    notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
+    return replace(outcome, missing=tuple(sorted((*outcome.missing, *unknown)))), notes
+
+
+def run_with_canary(
+    targeted: TargetedView, goal: Goal, canaries: tuple[str, ...], seconds: float
+) -> tuple[Outcome, Mapping[str, list[str]]]:
+    """Run a goal on canaries for `seconds`, then on all; gives the canaries and the others, too.
+
+    The goal of the canaries is one for them alone, so that it ends no run of another robot. A
+    canary that does not start is stopped, and the outcome is that of the canaries. RequestError if
+    one fails: all canaries are stopped.
+    """
+    from swarmd.client.canary import watch_canary
+
+    session, operator, view = targeted.session, targeted.operator, targeted.view
+    own, wait = resigned(operator, goal, targets=canaries), targeted.time_left
+    outcome = send_goal(operator, view.epochs(canaries), own, timeout=wait)
+    if len(outcome.applied) < len(canaries):
+        stop_names(operator, canaries)
+        names = ", ".join(canaries)
+        session.tell(f"canary: {names} did not start; nothing was sent to the others")
+        return outcome, {}
+    session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
+    before = {name: view.members[name].status for name in canaries if name in view.members}
+    try:
+        faults = watch_canary(session, canaries, seconds, before)
+    except (KeyboardInterrupt, SystemExit):
+        stop_on_interrupt(session, canaries)
+        raise
+    if session.is_cancelled():
+        faults = dict.fromkeys(canaries, "the run was cancelled")
+    if faults:
+        _fail(operator, canaries, faults, len(targeted.names))
+    others = tuple(name for name in targeted.names if name not in canaries)
+    later = operator.members(timeout=session.timeout)
+    goal = resigned(operator, goal, generation=next_generation(operator, later))
+    # A robot that was stopped, or changed otherwise, while the canaries ran refuses.
+    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
+    outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
+    return outcome, {"canary": list(canaries), "others": list(others)}
+
+
+def _fail(
+    operator: Operator, canaries: tuple[str, ...], faults: Mapping[str, str], targeted: int
+) -> NoReturn:
+    stopped = stop_names(operator, canaries)
+    why = "; ".join(f"{name}: {fault}" for name, fault in faults.items())
+    missing = ", ".join(stopped.missing)
+    end = f"{missing} DID NOT ACKNOWLEDGE THE STOP" if missing else "it was stopped"
+    others = targeted - len(canaries)
+    rest = f"the other {others} robots" if others > 1 else "the other robot"
+    text = f"canary failed: {why}; {end}; nothing was sent to {rest}"
+    raise RequestError(text, PARTIAL if missing else FAILED)

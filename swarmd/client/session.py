@@ -1,0 +1,150 @@
+"""Looks at a swarm before a request, and the robots that the request is for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
+
+from swarmd.client.known_robots import remember
+from swarmd.client.targets import Targets, named, targets_of, unlabelled
+from swarmd.core.errors import NetworkError
+
+if TYPE_CHECKING:
+    from swarmd.core.verbs import AnyRequest
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.operator.outcome import Outcome
+
+# What a request has at least of `timeout`, in s: it is sent even if the look took too long.
+LEAST_REQUEST_TIME = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """An operator who asks: `timeout` in s bounds a verb, `tell` takes lines for the user.
+
+    `is_cancelled`: True once the caller does not wait any more; verbs that wait end then.
+    """
+
+    operator: Operator
+    timeout: float | None = None
+    tell: Callable[[str], object] = lambda text: None
+    is_cancelled: Callable[[], bool] = lambda: False
+
+    def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
+        """The swarm, once all have answered or after `timeout`; tells what is missing.
+
+        With `is_request_next` half of `timeout` is left for a request (see `time_left`).
+        NetworkError, naming the swarms that were found, if no daemon was reached.
+        """
+        timeout = self.timeout
+        if timeout is not None and is_request_next:
+            timeout /= 2.0
+        view = self.operator.members(timeout=timeout, needs_status=needs_status)
+        self.tell_notices()
+        remember(self.operator.settings, view)
+        if not view.members:
+            raise unreachable(self.operator)
+        self.tell_gaps(view, view.missing)
+        return view
+
+    def time_left(self, view: MembersView) -> float | None:
+        """What the look has left of `timeout` for a request, in s; None without `timeout`."""
+        if self.timeout is None:
+            return None
+        return max(self.timeout - view.seconds, LEAST_REQUEST_TIME)
+
+    def target(self, targets: Targets, *, needs_status: bool) -> TargetedView:
+        """A look, and the targets of requests; RequestError if there are none.
+
+        Half of `timeout` is left for requests. Targets by label need statuses in any case.
+        """
+        view = self.look(is_request_next=True, needs_status=needs_status or bool(targets.labels))
+        names = targets_of(view, targets)
+        return TargetedView(self, view, names, unlabelled(view, targets))
+
+    def named_now(self, targets: Targets) -> Targets:
+        """The targets by name alone, as a look shows labels now. For verbs that follow robots."""
+        return named(self.look(), targets) if targets.labels else targets
+
+    def tell_notices(self) -> None:
+        """Tell what the operator noted about rosters."""
+        for text in self.operator.notices:
+            self.tell(text)
+        self.operator.notices.clear()
+
+    def tell_gaps(self, view: MembersView, missing: Iterable[str]) -> None:
+        """Tell which of the expected robots did not answer, and what is known of them."""
+        lines = [gap(view, name) for name in missing]
+        if lines:
+            self.tell(f"view not complete: {'; '.join(lines)}")
+
+
+@dataclass(frozen=True, slots=True)
+class TargetedView:
+    """The robots `names` that requests of a verb are for, in the swarm as `view` shows it.
+
+    `unlabelled`: robots that may be targets by a label, since theirs are not known.
+    """
+
+    session: Session
+    view: MembersView
+    names: tuple[str, ...]
+    unlabelled: tuple[str, ...] = ()
+
+    @property
+    def operator(self) -> Operator:
+        """Who asks."""
+        return self.session.operator
+
+    @property
+    def time_left(self) -> float | None:
+        """What the look has left of the timeout, in s."""
+        return self.session.time_left(self.view)
+
+    def request(
+        self, kind: type[AnyRequest], names: Collection[str] | None = None, **fields: Any
+    ) -> Outcome:
+        """The outcome of a request to all targets or `names`, in the time that is left."""
+        epochs = self.view.epochs(self.names if names is None else names)
+        return self.operator.request(kind, epochs, timeout=self.time_left, **fields)
+
+    def counted(self, outcome: Outcome) -> Outcome:
+        """The outcome as it counts: with robots whose labels are not known."""
+        return replace(outcome, unlabelled=self.unlabelled)
+
+
+def unreachable(operator: Operator, sent: str = "") -> NetworkError:
+    """The error of a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
+    text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
+    return NetworkError(f"{text}{instead(operator)}")
+
+
+def instead(operator: Operator) -> str:
+    """What is heard in place of a swarm in which no robot was reached."""
+    swarm, profile, found = operator.settings.swarm, operator.settings.profile, operator.swarms()
+    if swarm in found:
+        keys = "has no keys for it (--identity)" if operator.identity is None else "has other keys"
+        return f"; there is a swarm of that name, and this swarmctl {keys} or another profile"
+    if found:
+        return f"; there are the swarms: {', '.join(found)} (see --swarm)"
+    start = "swarmd, or `swarmctl sim up` for a simulated swarm" if profile == "dev" else "swarmd"
+    return f", nor any other swarm {where(operator)}; start {start}; or see --profile"
+
+
+def where(operator: Operator) -> str:
+    """Where an operator asks."""
+    settings = operator.settings
+    if settings.profile == "routed":
+        return f"through {', '.join(settings.routers)}"
+    return "on this machine" if settings.profile == "dev" else f"by {settings.interface}"
+
+
+def gap(view: MembersView, name: str) -> str:
+    """What is known of a robot that did not answer."""
+    from swarmd.texts.why import absence  # most looks lack no robot
+
+    return f"{name} {absence(view.members.get(name))}"

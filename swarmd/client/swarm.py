@@ -1,0 +1,474 @@
+"""A swarm from Python: the verbs of `swarmctl` as methods, with the same answers."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from numbers import Integral, Real
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
+
+from swarmd.client.members import Description, Members
+from swarmd.client.session import Session
+from swarmd.client.states import Pose, RobotState, read_poses
+from swarmd.client.targets import Targets, make_targets, no_target, robots_of
+from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.keys import is_id
+from swarmd.network.exit_codes import TIMEOUT
+
+if TYPE_CHECKING:
+    from swarmd.client.event_feed import EventLine
+    from swarmd.client.operator_pool import OperatorPool
+    from swarmd.core.values import Value
+    from swarmd.network.operator.outcome import Outcome
+    from swarmd.texts.goal import Difference
+
+Words: TypeAlias = str | Iterable[str]
+"""One word, or several."""
+
+Tell: TypeAlias = Callable[[str], object]
+
+Places: TypeAlias = Callable[[], Mapping[str, Pose]]
+"""Where robots are in one frame, if something outside of them knows it."""
+
+
+class Swarm:
+    """A swarm, as `swarmd.connect` gives it in a `with` block; each method waits for its answer.
+
+    `robots` are names, globs such as `tb3-*` and ranges such as `tb3-[01-07]`: one word or several;
+    None means all robots, and an empty list no robot. `labels` adds robots with any of these
+    labels, `exclude` leaves robots out. `timeout` in s bounds one method.
+
+    Methods that ask robots to change give an `Outcome`, as `swarmctl` counts it: `line`, `applied`,
+    `refused`, `failed`, `missing`, `replies` with the code and text of each robot, `exit_code`. A
+    robot that refuses or does not answer raises no error. RequestError (with the exit code of
+    swarmctl) if no robot is targeted, NetworkError if no daemon is reached, ConfigError for a
+    wrong value: nothing was sent then. Several threads may use one object; a stop waits for no
+    other method.
+    """
+
+    def __init__(
+        self,
+        pool: OperatorPool,
+        *,
+        timeout: float | None = None,
+        tell: Tell = lambda text: None,
+        places: Places | None = None,
+        cancelled: threading.Event | None = None,
+        leases: ExitStack | None = None,
+    ) -> None:
+        self._pool, self._timeout, self._tell, self._places = pool, timeout, tell, places
+        self._cancelled = cancelled or threading.Event()
+        self._leases = leases or ExitStack()
+        self._parents: tuple[threading.Event, ...] = ()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the network, within a second; robots go on, except those of runs with a lease."""
+        self._cancelled.set()
+        self._leases.close()
+        self._pool.close()
+
+    # Look
+
+    def members(self, *, poses: bool = False, timeout: float | None = None) -> Members:
+        """The robots of the swarm; with `poses` also where each is, by its own odometry.
+
+        What did not answer is in `missing`.
+        """
+        with self._session(timeout) as session:
+            view = session.look()
+            if not poses:
+                return Members(view)
+            if self._places is not None:
+                return Members(view, self._places(), "true positions")
+            return Members(view, read_poses(session.operator, view.answered))
+
+    def describe(self, robot: str, *, timeout: float | None = None) -> Description:
+        """One robot in detail, and why it does not move."""
+        return self.members(timeout=timeout).describe(robot)
+
+    def goal(
+        self,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> tuple[Difference, ...]:
+        """What each robot is to do beside what it does; `is_as_desired` tells whether it does."""
+        from swarmd.network.spread.operator_goals import signed_goals
+        from swarmd.texts.goal import differences
+
+        targets = _targets(robots, labels, exclude)
+        with self._session(timeout) as session:
+            view = signed_goals(session.look(), session.operator.identity)
+            return tuple(differences(view, robots_of(view, targets)))
+
+    def params(
+        self,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> dict[str, dict[str, Any]]:
+        """The parameters in force on each robot that has answered; empty if no pattern runs."""
+        from swarmd.client.changes import params_of
+
+        targets = _targets(robots, labels, exclude)
+        with self._session(timeout) as session:
+            view = session.look()
+            names = [name for name in robots_of(view, targets) if name in view.answered]
+            found = {name: params_of(view.members[name]).items() for name in names}
+            return {name: {key: one.value for key, one in some} for name, some in found.items()}
+
+    def events(
+        self,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        since: float = 0.0,
+    ) -> Generator[EventLine, None, None]:
+        """What happens to robots, as it comes, until the iterator is closed.
+
+        `since`: also what happened in the last so many s; each robot keeps its last 10 events.
+        """
+        from swarmd.client.event_feed import EventFeed
+        from swarmd.client.events import follow_events
+
+        targets = _targets(robots, labels, exclude)
+        with self._session(None) as session:
+            chosen = session.named_now(targets)
+            for lines in follow_events(session, EventFeed(since), chosen):
+                yield from lines
+
+    def states(
+        self,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        seconds: float | None = None,
+        poses: bool = False,
+    ) -> Generator[RobotState, None, None]:
+        """How robots are: a state on each change and each second, with `poses` ten times a second.
+
+        It ends after `seconds`, or when the iterator is closed.
+        """
+        from swarmd.client.states import follow_states
+
+        targets = _targets(robots, labels, exclude)
+        with self._session(None) as session:
+            yield from follow_states(session, targets, seconds=seconds, poses=poses)
+
+    def frame(self, states: Iterable[RobotState] | None = None) -> Any:
+        """A pandas DataFrame: a row for each of `states`; without them, one for each robot now.
+
+        Reports and readings are columns `report.NAME` and `reading.NAME`. PluginError without
+        pandas (`pip install 'swarmd[table]'`).
+        """
+        from swarmd.client.frames import members_frame, states_frame
+
+        return members_frame(self.members(poses=True)) if states is None else states_frame(states)
+
+    # Command
+
+    def run(
+        self,
+        pattern: str,
+        robots: Words | None = None,
+        *,
+        params: Mapping[str, Value] | None = None,
+        seconds: float | None = None,
+        until: Words = (),
+        at: float | None = None,
+        canary: int | str | None = None,
+        canary_time: float | None = None,
+        lease: float | None = None,
+        on_join: Literal["offer", "run"] = "offer",
+        valid: float | None = None,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Start a pattern on robots; it becomes their goal.
+
+        A robot answers `applied` when the pattern is loaded and will be stepped. `seconds`: the run
+        ends after this time. `until`: conditions as of `swarmctl run --until`; the first that is
+        met ends the run. `at`: all robots start at one moment, in so many s. `canary`: first this
+        robot, or so many, for `canary_time` s (10); the others if it runs well. `lease`: robots
+        stop when this connection is closed, or its program has ended, for so many s. `on_join`
+        "run": robots that join within `valid` s run it, too.
+        """
+        from swarmd.client import runs
+
+        if not is_id(pattern):
+            raise ConfigError(f"{pattern!r} is no pattern name; expected a-z, 0-9, _ and -")
+        conditions = _words(until)
+        if conditions:
+            from swarmd.kit.conditions import parse_conditions
+
+            parse_conditions(conditions)
+        runs.check_run(
+            on_join=on_join,
+            valid=valid,
+            lease=lease,
+            at=at,
+            canary=canary,
+            canary_time=canary_time,
+        )
+        fields: dict[str, Any] = {
+            "pattern": pattern,
+            "params": _plain(params or {}),
+            "seconds": seconds,
+            "conditions": conditions,
+            "on_join": on_join,
+            "valid": valid,
+            "lease": lease,
+        }
+        targets = _targets(robots, labels, exclude)
+        with ExitStack() as opened:
+            session = opened.enter_context(self._session(timeout, is_request=lease is None))
+            targeted = session.target(targets, needs_status=canary is not None)
+            goal = runs.make_goal(targeted, runs.goal_targets(targets, targeted.names), **fields)
+            if lease is not None:
+                from swarmd.client.run_lease import LeaseKeeper
+
+                keeper = LeaseKeeper(session.operator, goal.id, lease, targeted.names)
+                keeper.start()
+                # The operator goes on renewing the lease until the connection is closed.
+                opened.callback(keeper.close)
+                outcome = runs.start(targeted, goal)
+                if outcome.applied:
+                    self._leases.push(opened.pop_all())
+            elif canary is not None:
+                from swarmd.client.canary import CANARY_TIME, choose_canaries
+
+                first = choose_canaries(canary, targeted.names)
+                time = canary_time or CANARY_TIME
+                outcome, _ = runs.run_with_canary(targeted, goal, first, time)
+            elif at is not None:
+                outcome, _ = runs.start_at(targeted, goal, at)
+            else:
+                outcome = runs.start(targeted, goal)
+            return targeted.counted(outcome)
+
+    def stop(
+        self,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Stop robots at once; they need a `run` to move again."""
+        return self._stop("stop", _targets(robots, labels, exclude), "", False, timeout)
+
+    def estop(
+        self,
+        robots: Words | None = None,
+        *,
+        reason: str = "",
+        until_all: bool = False,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Emergency-stop robots; the stop survives restarts, until a `reset`.
+
+        `until_all`: it is repeated until every expected robot has acknowledged it.
+        """
+        return self._stop("estop", _targets(robots, labels, exclude), reason, until_all, timeout)
+
+    def reset(
+        self,
+        robots: Words | None = None,
+        *,
+        reason: str = "",
+        findings: bool = False,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Clear emergency stops and faults of robots, which become idle; moves nothing.
+
+        Only those that are seen now; a later one stays. With `findings` also those of the
+        assumption monitor: the robots then drive at full speed again.
+        """
+        from swarmd.client.changes import reset
+
+        targets = _targets(robots, labels, exclude)
+        with self._session(timeout, is_request=True) as session:
+            targeted = session.target(targets, needs_status=True)
+            return targeted.counted(reset(targeted, reason=reason, findings=findings))
+
+    def param(
+        self,
+        values: Mapping[str, Value],
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Change parameters of running patterns, until the next run."""
+        from swarmd.client.changes import set_params
+
+        plain, targets = _plain(values), _targets(robots, labels, exclude)
+        if not plain:
+            raise ConfigError("param needs values, such as {'speed': 0.15}")
+        with self._session(timeout, is_request=True) as session:
+            targeted = session.target(targets, needs_status=False)
+            return targeted.counted(set_params(targeted, plain))
+
+    def label(
+        self,
+        changes: Words,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Give robots labels, and take others away: `"+red -blue"`."""
+        from swarmd.client.changes import change_labels
+        from swarmd.texts.labels import read_changes
+
+        words = changes.split() if isinstance(changes, str) else changes
+        added, removed = read_changes(words)
+        targets = _targets(robots, labels, exclude)
+        with self._session(timeout, is_request=True) as session:
+            targeted = session.target(targets, needs_status=True)
+            return targeted.counted(change_labels(targeted, added, removed))
+
+    def resume(
+        self,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> Outcome:
+        """Let robots run the goal that they were offered, or whose run has ended."""
+        from swarmd.client.goals import resume_on
+
+        targets = _targets(robots, labels, exclude)
+        with self._session(timeout, is_request=True) as session:
+            targeted = session.target(targets, needs_status=True)
+            wait, names = targeted.time_left, targeted.names
+            return targeted.counted(resume_on(session.operator, targeted.view, names, timeout=wait))
+
+    def undo(self, *, timeout: float | None = None) -> Outcome:
+        """Set the goal before the present one again; robots run it at once."""
+        from swarmd.client.goals import undo
+
+        with self._session(timeout, is_request=True) as session:
+            return undo(session)
+
+    def wait(
+        self,
+        conditions: Words,
+        robots: Words | None = None,
+        *,
+        labels: Words = (),
+        exclude: Words = (),
+        timeout: float | None = None,
+    ) -> tuple[str, ...]:
+        """Wait until robots meet each condition, for `timeout` s (30); gives those that do.
+
+        `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`, as of
+        `swarmctl wait --for`. RequestError with exit code 5, naming each robot that does not.
+        """
+        from swarmd.client.waits import wait_for
+        from swarmd.texts.awaited import read_awaited
+
+        awaited, targets = read_awaited(_words(conditions)), _targets(robots, labels, exclude)
+        with self._session(timeout) as session:
+            done = wait_for(session, targets, awaited)
+            if session.is_cancelled():
+                raise SwarmError("the wait was cancelled")
+            if done.missing:
+                raise RequestError(done.text, TIMEOUT)
+            return done.met
+
+    def _repr_html_(self) -> str:
+        return self.members(poses=True)._repr_html_()
+
+    def _stop(
+        self,
+        verb: Literal["stop", "estop"],
+        targets: Targets,
+        reason: str,
+        until_all: bool,
+        timeout: float | None,
+    ) -> Outcome:
+        from swarmd.client.stops import send_stop
+
+        with self._session(timeout) as session:
+            return send_stop(session, verb, targets, reason, until_all=until_all)
+
+    def _cancellable(self, cancelled: threading.Event) -> Swarm:
+        """The same connection, for one call that ends when `cancelled` is set."""
+        one = Swarm(
+            self._pool,
+            timeout=self._timeout,
+            tell=self._tell,
+            places=self._places,
+            cancelled=cancelled,
+            leases=self._leases,
+        )
+        one._parents = (self._cancelled,)
+        return one
+
+    @contextmanager
+    def _session(self, timeout: float | None, *, is_request: bool = False) -> Iterator[Session]:
+        events = (self._cancelled, *self._parents)
+        lend = self._pool.lend_for_request if is_request else self._pool.lend
+        with lend() as operator:
+            yield Session(
+                operator,
+                self._timeout if timeout is None else timeout,
+                self._tell,
+                lambda: any(event.is_set() for event in events),
+            )
+
+
+def _words(words: Words) -> tuple[str, ...]:
+    return (words,) if isinstance(words, str) else tuple(words)
+
+
+def _targets(robots: Words | None, labels: Words, exclude: Words) -> Targets:
+    names, labels = () if robots is None else _words(robots), _words(labels)
+    if robots is not None and not names and not labels:
+        raise no_target("the list of robots is empty")
+    return make_targets(names, _words(exclude), labels)
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Value]:
+    """Values that can be sent: numbers of numpy as those of Python. ConfigError for any other."""
+    found: dict[str, Value] = {}
+    for key, value in values.items():
+        if isinstance(value, bool | str) or value is None:
+            found[key] = value
+        elif isinstance(value, Integral):
+            found[key] = int(value)
+        elif isinstance(value, Real) and math.isfinite(value):
+            found[key] = float(value)
+        else:
+            wanted = "a finite number, a text, True, False or None"
+            raise ConfigError(f"parameter {key} is {value!r}; expected {wanted}")
+    return found

@@ -1,0 +1,76 @@
+"""Waiting until robots are as they are wanted."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from swarmd.client.session import Session, unreachable
+from swarmd.client.targets import Targets, labels_of
+from swarmd.core.clock import boottime
+from swarmd.network.spread.operator_goals import signed_goals
+from swarmd.texts.awaited import Awaited, meeting, unmet
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmd.network.operator.members_view import MembersView
+
+TIME = 30.0
+PERIOD = 0.3  # s between looks
+
+
+@dataclass(frozen=True, slots=True)
+class Waited:
+    """The targets `names` at the end of a wait: those in `met` meet the conditions.
+
+    `missing`: what each other robot is instead, if more had to meet them; empty if all is met.
+    """
+
+    names: tuple[str, ...]
+    met: tuple[str, ...]
+    missing: Mapping[str, str]
+    limit: float
+
+    @property
+    def text(self) -> str:
+        """What is still missing, in one line."""
+        why = "; ".join(f"{name} {text}".strip() for name, text in self.missing.items())
+        return f"after {self.limit:g} s still not: {why}"
+
+
+def wait_for(session: Session, targets: Targets, conditions: Awaited) -> Waited:
+    """Wait until the targets, or all robots, meet the conditions; for the timeout, or 30 s.
+
+    A robot of the roster, or that is named, is waited for until it is there. NetworkError if no
+    daemon was reached by then. Ends early if the session is cancelled.
+    """
+    limit = TIME if session.timeout is None else session.timeout
+    operator, until = session.operator, boottime() + limit
+    while True:
+        view = operator.members(cap=max(until - boottime(), 0.05))
+        view = signed_goals(view, operator.identity) if conditions.goal else view
+        names = _names(view, targets)
+        missing, met = unmet(view, names, conditions), meeting(view, names, conditions)
+        if not missing or boottime() >= until or session.is_cancelled():
+            break
+        time.sleep(min(PERIOD, max(until - boottime(), 0.0)))
+    if missing and not view.members:
+        raise unreachable(operator)
+    return Waited(names, met, missing, limit)
+
+
+def _names(view: MembersView, targets: Targets) -> tuple[str, ...]:
+    """The targets so far; a glob or label without a robot stands for itself, so that no robot
+    meets it."""
+    known = view.expected | set(targets.full_names)
+    by_name = Targets(targets.names, targets.exclude)
+    found = set(by_name.matching(known)) if targets.names or not targets.labels else set[str]()
+    for label in targets.labels:
+        with_label = [name for name, labels in labels_of(view).items() if label in labels]
+        found |= {*Targets((), targets.exclude).matching(with_label)} or {f"label {label}"}
+    lacking = [
+        glob for glob in targets.names if not Targets((glob,)).matching(known) and glob not in known
+    ]
+    return tuple(sorted(found | set(lacking)))

@@ -1,0 +1,158 @@
+"""The robots of a swarm as a table, and a line for each problem."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from swarmd.core import codec
+from swarmd.core.goal import GoalState
+from swarmd.core.messages import Presence, State, Status
+from swarmd.network.operator.members_view import Contact, SeenMember
+from swarmd.texts.keys import key_warnings
+from swarmd.texts.values import NOTHING, number, seconds
+from swarmd.texts.why import activity
+
+if TYPE_CHECKING:
+    from swarmd.core.values import Scalar
+    from swarmd.network.operator.members_view import MembersView
+
+HEADER = ("NAME", "STATE", "REASON", "PATTERN", "PROTECTION", "SEEN", "REPORT")
+WIDE = ("GEN", "SCAN", "LOOP99", "VERSION", "LABELS", "GOAL")
+_NOW = 1.0  # figures that are newer than this are `now`, in s
+
+
+def row(member: SeenMember) -> tuple[str, ...]:
+    """The line of a member."""
+    status, header = member.status, member.header
+    if member.contact is Contact.ANSWERED and status is not None:
+        return (
+            member.robot,
+            status.state,
+            status.reason or NOTHING,
+            status.pattern or NOTHING,
+            activity(status.decision),
+            _seen(member),
+            _report(status.report if status.state is State.RUNNING else {}),
+        )
+    states = {
+        Contact.GONE: member.presence.value,
+        Contact.OTHER_VERSION: member.state or "other version",
+    }
+    return (
+        member.robot,
+        states.get(member.contact, member.contact.value),
+        (header.reason if header else None) or NOTHING,
+        (header.pattern if header else None) or NOTHING,
+        NOTHING,
+        _seen(member),
+        NOTHING,
+    )
+
+
+def wide_cells(member: SeenMember) -> tuple[str, ...]:
+    """The cells of a member below WIDE; the goal with what it does about it."""
+    status = member.status
+    if status is None or member.contact is not Contact.ANSWERED:
+        return *(NOTHING,) * 3, member.version or NOTHING, NOTHING, NOTHING
+    goal = status.goal
+    own = goal.own if goal is not None else None
+    text = NOTHING if own is None or goal is None else f"{own.goal.text} ({goal.state})"
+    return (
+        str(status.generation),
+        f"{status.health.scan_rate:.1f} Hz",
+        seconds(status.health.loop_p99),
+        status.version or NOTHING,
+        " ".join(status.labels) or NOTHING,
+        text,
+    )
+
+
+def health(view: MembersView) -> Iterator[str]:
+    """The count of living robots, then a line for each problem."""
+    members, alive = view.members, [view.members[name] for name in view.alive]
+    yield f"{len(alive)}/{len(members.keys() | view.roster)} alive"
+    for presence in (Presence.FAILED, Presence.LEFT):
+        gone = [m for m in members.values() if m.presence is presence]
+        if gone:
+            yield f"{presence}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
+    silent = [m for m in alive if m.contact is Contact.NO_ANSWER]
+    if silent:
+        heard = (f"{m.robot} (heard {seconds(m.age)} ago, {m.state})" for m in silent)
+        yield f"alive, but no answer: {', '.join(heard)}"
+    distant = [m for m in alive if m.contact is Contact.UNREACHABLE]
+    if distant:
+        words = (f"{m.robot} (alive by {m.by}'s word, {seconds(m.age)} ago)" for m in distant)
+        yield f"not reachable from here: {', '.join(words)}"
+    for m in alive:
+        if m.contact is Contact.OTHER_VERSION:
+            yield f"other version: {m.robot} speaks {m.wire}, this swarmctl {codec.VERSION}"
+    if view.absent:
+        yield f"in the roster and never seen: {', '.join(view.absent)}"
+    if view.duplicates:
+        yield f"two daemons have one id: {', '.join(sorted(view.duplicates))}; stop one of each"
+    statuses = [m.status for m in alive if m.status is not None]
+    down = ((s.robot, s.health.driver or s.driver) for s in statuses if not s.health.driver_up)
+    for text, names in _by_text(down).items():
+        yield f"driver lost: {', '.join(names)} ({text})"
+    for text, names in _by_text((s.robot, s.health.storage) for s in statuses).items():
+        yield f"an emergency stop would not outlive a restart: {', '.join(names)} ({text})"
+    yield from incompatible(statuses)
+    yield from offered(statuses)
+    yield from key_warnings(statuses, time.time())
+    if open_to_all := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:
+        unsafe = ", ".join(open_to_all)
+        yield f"WARNING: insecure: anyone on this network can drive {unsafe}"
+
+
+def _by_text(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """The robots of each text; those without a text are left out."""
+    found: dict[str, list[str]] = {}
+    for robot, text in pairs:
+        if text:
+            found.setdefault(text, []).append(robot)
+    return found
+
+
+def offered(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for each goal that robots were offered."""
+    waiting: dict[tuple[str, str], list[str]] = {}
+    latched = set[str]()
+    for status in statuses:
+        goal = status.goal
+        if status.state in (State.ESTOPPED, State.FAULTED):
+            latched.add(status.robot)
+        if goal is not None and goal.own is not None and goal.state is GoalState.OFFERED:
+            own = goal.own.goal
+            until = "" if own.lease is None else f" while {own.issuer} is heard"
+            waiting.setdefault((own.text, until), []).append(status.robot)
+    for (text, until), names in waiting.items():
+        line = f"offered {text}: {', '.join(names)}; swarmctl resume {' '.join(names)}{until}"
+        held = [name for name in names if name in latched]
+        yield f"{line}; first reset {', '.join(held)}" if held else line
+
+
+def incompatible(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for each kind of peer that robots may not see, or that is faster than they assume."""
+    pairs: dict[tuple[bool, str], tuple[list[str], list[str]]] = {}
+    for status in statuses:
+        for found in status.peers:
+            own, peers = pairs.setdefault((found.holds, found.text), ([], []))
+            own.extend([status.robot] * (status.robot not in own))
+            peers.extend([found.robot] * (found.robot not in peers))
+    for (holds, text), (own, peers) in pairs.items():
+        yield f"{', '.join(own)} {'held by' if holds else 'beside'} {', '.join(peers)}: {text}"
+
+
+def _report(report: Mapping[str, Scalar]) -> str:
+    """The report of the pattern."""
+    return ", ".join(f"{name} {number(value)}" for name, value in report.items()) or NOTHING
+
+
+def _seen(member: SeenMember) -> str:
+    if member.contact is Contact.UNREACHABLE:
+        return f"{seconds(member.age)} ago by {member.by}"
+    if member.presence is Presence.ALIVE and member.age < _NOW:
+        return "now" if member.contact is not Contact.NO_ANSWER else f"{seconds(member.age)} ago"
+    return f"{seconds(member.age)} ago"

@@ -1,0 +1,196 @@
+"""The live client without robots: operators that are lent, options, what is shown."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Generator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import swarmd
+from swarmd.client.async_swarm import _from_thread
+from swarmd.client.canary import choose_canaries
+from swarmd.client.members import Members
+from swarmd.client.network_options import NetworkOptions
+from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
+from swarmd.client.runs import check_run
+from swarmd.client.states import RobotState
+from swarmd.client.swarm import Swarm, _plain, _targets
+from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.messages import State
+from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.members_view import MembersView
+from swarmd.settings.contexts import Context, add_context
+from tests.support.statuses import make_member
+
+
+class Counted:
+    """Makes operators, and counts those that are open."""
+
+    def __init__(self) -> None:
+        self.made = self.open = 0
+
+    def __call__(self) -> Any:
+        self.made += 1
+        self.open += 1
+        return SimpleNamespace(close=self._close)
+
+    def _close(self) -> None:
+        self.open -= 1
+
+
+def test_an_operator_is_lent_again_and_none_is_left_open() -> None:
+    made = Counted()
+    pool = OperatorPool(made)
+    for _ in range(3):
+        with pool.lend() as one:
+            assert one is not None
+    assert made.made == 1
+    with pool.lend() as first, pool.lend() as second, pool.lend() as third:
+        assert len({id(first), id(second), id(third)}) == 3  # no verb waits for another one
+    assert (made.made, made.open) == (3, MAX_IDLE)
+    with pool.lend() as kept:
+        pool.close()
+        assert made.open == 1
+        assert kept is not None
+    assert made.open == 0
+    with pytest.raises(SwarmError, match="closed"), pool.lend():
+        pass
+
+
+def test_an_operator_that_failed_is_closed() -> None:
+    made = Counted()
+    pool = OperatorPool(made)
+    with pytest.raises(RequestError), pool.lend():
+        raise RequestError("no robot", NO_TARGET)
+    assert made.open == 0
+
+
+def test_a_stop_is_lent_an_operator_where_a_request_is_refused() -> None:
+    pool = OperatorPool(Counted())
+    held = [pool.lend_for_request() for _ in range(MAX_REQUESTS)]
+    for one in held:
+        one.__enter__()
+    with pytest.raises(SwarmError, match="not sent"), pool.lend_for_request():
+        pass
+    with pool.lend() as free:
+        assert free is not None
+    held[0].__exit__(None, None, None)
+    with pool.lend_for_request() as again:
+        assert again is not None
+
+
+def test_a_context_by_name_and_a_swarm_file_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("XDG_CONFIG_HOME", "SWARM", "SWARM_CONTEXT"):
+        monkeypatch.delenv(name, raising=False)
+    add_context("lab", Context(swarm="lab", interface="wlan7"))
+    add_context("field", Context(swarm="meadow"), use=True)
+    assert NetworkOptions().in_context().swarm == "meadow"
+    assert NetworkOptions(context="lab").in_context().interface == "wlan7"
+    with pytest.raises(ConfigError, match="lab"):
+        NetworkOptions(context="lap").in_context()
+    monkeypatch.setenv("SWARM_CONFIG", str(tmp_path / "none.yaml"))
+    with pytest.raises(ConfigError, match="none"), swarmd.connect():
+        pass
+    with pytest.raises(ConfigError, match="lab"):
+        swarmd.connect(context="lap").open()
+
+
+def test_robots_of_a_call() -> None:
+    assert _targets(None, (), ()).is_whole_swarm
+    assert _targets("tb3-[01-02]", "red", ["tb3-02"]).names == ("tb3-01", "tb3-02")
+    assert _targets([], ["red"], ()).labels == ("red",)
+    with pytest.raises(RequestError) as caught:
+        _targets(iter(()), (), ())  # a list that is empty moves no robot
+    assert caught.value.exit_code == NO_TARGET
+
+
+def test_values_that_can_be_sent() -> None:
+    numpy = pytest.importorskip("numpy")
+    given = {"a": numpy.float64(0.5), "b": numpy.int32(3), "c": True, "d": "x", "e": None}
+    sent = _plain(given)
+    assert sent == {"a": 0.5, "b": 3, "c": True, "d": "x", "e": None}
+    assert [type(sent[key]) for key in "abc"] == [float, int, bool]
+    for wrong in ([1.0], float("inf"), 1j):
+        with pytest.raises(ConfigError, match="speed"):
+            _plain({"speed": wrong})
+
+
+@pytest.mark.parametrize(
+    ("values", "subject"),
+    [
+        ({"on_join": "run"}, "valid"),
+        ({"valid": 3.0}, "on_join"),
+        ({"lease": 0.5}, "lease"),
+        ({"at": 90.0}, "at"),
+        ({"canary_time": 3.0}, "canary"),
+        ({"at": 3.0, "lease": 3.0}, "together"),
+    ],
+)
+def test_values_of_a_run_that_do_not_go_together(values: dict[str, Any], subject: str) -> None:
+    none = dict.fromkeys(("valid", "lease", "at", "canary", "canary_time"))
+    with pytest.raises(ConfigError, match=subject):
+        check_run(**{"on_join": "offer", **none, **values})
+    with pytest.raises(ConfigError):
+        choose_canaries(0, ["r1", "r2"])
+
+
+def test_what_robots_send_is_text_in_a_page() -> None:
+    member = make_member("r1", reason=None, detail="<b>", pattern="<script>")
+    shown = Members(MembersView({"r1": member}), {"r1": (1.0, 2.0, 0.5), "<r2>": (0.0, 0.0, 0.0)})
+    page = shown._repr_html_()
+    assert "<svg" in page
+    assert "&lt;r2&gt;" in page
+    assert "<script>" not in page
+    assert "<svg" not in Members(MembersView({"r1": member}))._repr_html_()
+    assert repr(shown).splitlines()[-1].startswith("# 1/1 alive")
+
+
+def test_a_frame_has_a_row_for_each_state() -> None:
+    pytest.importorskip("pandas")
+    states = [
+        RobotState(time=1e9, robot="r1", state=State.IDLE, reason=None, pattern=None),
+        RobotState(
+            time=1e9 + 1, robot="r1", state=State.RUNNING, reason=None, pattern="drive", x=1.0,
+            readings={"battery": 0.5},
+        ),
+    ]  # fmt: skip
+    table = Swarm(OperatorPool(Counted())).frame(states)
+    assert list(table["state"]) == ["idle", "running"]
+    assert list(table["reading.battery"].dropna()) == [0.5]
+    assert table["time"].diff().iloc[1].total_seconds() == 1.0
+
+
+async def test_the_loop_goes_on_while_a_thread_iterates_and_errors_come_in_their_place() -> None:
+    def numbers() -> Generator[int, None, None]:
+        yield from range(5000)  # more than may wait at a time
+        raise SwarmError("the robots have left")
+
+    items = _from_thread(numbers, threading.Event())
+    assert [await anext(items) for _ in range(5000)] == list(range(5000))
+    with pytest.raises(SwarmError, match="left"):
+        await anext(items)
+
+
+async def test_an_iterator_that_is_left_tells_its_thread_to_end() -> None:
+    cancelled, ended = threading.Event(), threading.Event()
+
+    def endless() -> Generator[int, None, None]:
+        try:
+            while True:
+                yield 1
+        finally:
+            ended.set()
+
+    items = _from_thread(endless, cancelled)
+    assert await anext(items) == 1
+    await items.aclose()
+    assert cancelled.is_set()
+    assert await asyncio.to_thread(ended.wait, 10.0)

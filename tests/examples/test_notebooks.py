@@ -1,0 +1,55 @@
+"""The notebooks and the script of the README: each runs to its end, and leaves no process."""
+
+from __future__ import annotations
+
+import contextlib
+import runpy
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from tests.support.processes import wait_until
+
+pytestmark = pytest.mark.integration
+ROOT = Path(__file__).resolve().parents[2]
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+CELL_TIME = 60  # s
+MARK = "SWARMD_TEST_NOTEBOOK"
+
+
+@pytest.mark.filterwarnings("default")  # of the libraries that execute notebooks
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MPLCONFIGDIR", matplotlib.get_cachedir())
+    for key in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(key, str(tmp_path))
+    monkeypatch.setenv(MARK, path.stem)
+    notebook: Any = nbformat.read(path, as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells)  # they are committed without
+    NotebookClient(notebook, timeout=CELL_TIME, kernel_name="python3").execute()
+    wait_until(lambda: not marked(path.stem), "the kernel, the world and the daemons have ended")
+    texts = [str(out) for cell in notebook.cells for out in cell.get("outputs", ())]
+    assert any("applied" in text for text in texts)
+    if path.stem == "first_swarm":
+        assert any("<svg" in text for text in texts)
+
+
+def marked(name: str) -> list[str]:
+    """The processes that were started with the mark of a notebook."""
+    found = []
+    for environ in Path("/proc").glob("[0-9]*/environ"):
+        with contextlib.suppress(OSError):  # of another user, or it has ended
+            if f"{MARK}={name}".encode() in environ.read_bytes().split(b"\0"):
+                found.append(environ.parent.name)
+    return found
+
+
+def test_the_script_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(ROOT / "examples" / "watch_and_stop.py"))
+    told = capsys.readouterr().out
+    assert told.count("3 targeted, 3 applied") == 2
+    assert "dispersion" in told

@@ -1,0 +1,243 @@
+"""A swarm of real daemons from Python: the answers of swarmctl, from threads and from a loop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import swarmd
+from swarmd.client.hand_over import HAND_OVER
+from swarmd.client.states import MAX_WAITING
+from swarmd.core.errors import ConfigError, NetworkError, RequestError, SwarmError
+from swarmd.core.messages import Reason, Refusal, State
+from swarmd.network.exit_codes import NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
+from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.secured_swarm import SecuredSwarm
+
+if TYPE_CHECKING:
+    from swarmd.client.swarm import Swarm as Client
+    from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+BOTH = ("r1", "r2")
+
+
+@pytest.fixture(scope="module")
+def daemons(shared_swarm: Swarm) -> dict[str, DaemonProcess]:
+    bodies = {robot: shared_swarm.body(robot) for robot in BOTH}
+    found = {robot: shared_swarm.spawn(robot, body) for robot, body in bodies.items()}
+    for robot, daemon in found.items():
+        daemon.wait_ready()
+        shared_swarm.await_status(robot, "connected", lambda one: one.health.driver_up)
+    return found
+
+
+@pytest.fixture
+def name(
+    shared_swarm: Swarm, daemons: dict[str, DaemonProcess], monkeypatch: pytest.MonkeyPatch
+) -> Iterator[str]:
+    """The swarm's name; its robots are thawed, stopped and reset at the end."""
+    for key, value in shared_swarm.environ().items():
+        monkeypatch.setenv(key, value)
+    yield shared_swarm.name
+    for daemon in daemons.values():
+        daemon.thaw()
+    operator = shared_swarm.operator
+    assert operator.send_stop("stop", select=lambda _: (), names=BOTH).exit_code == 0
+    if any(shared_swarm.status(robot).latches for robot in BOTH):
+        assert shared_swarm.ctl("reset", "--all", "--yes").code == 0
+
+
+@pytest.fixture
+def swarm(name: str) -> Iterator[Client]:
+    with swarmd.connect(timeout=10.0) as found:  # $SWARM names it
+        yield found
+
+
+def test_a_run_from_start_to_stop(swarm: Client) -> None:
+    assert swarm.members().alive == BOTH
+    assert swarm.run("drive", params={"speed": 0.1}).applied == BOTH
+    assert swarm.wait("state=running") == BOTH
+    assert swarm.param({"speed": 0.05}, "r2").applied == ("r2",)
+    speeds = {robot: params["speed"] for robot, params in swarm.params().items()}
+    assert speeds == {"r1": 0.1, "r2": 0.05}
+    differing = [one for one in swarm.goal() if not one.is_as_desired]
+    assert [one.robot for one in differing] == ["r2"]
+    assert "speed" in differing[0].reason
+    moved = list(swarm.states("r1", seconds=1.0, poses=True))
+    assert {one.robot for one in moved} == {"r1"}
+    assert len([one for one in moved if math.isfinite(one.x)]) > 3
+    assert swarm.describe("r1").why.startswith("running drive")
+    outcome = swarm.stop()
+    assert (outcome.exit_code, outcome.applied) == (0, BOTH)
+    assert {one.status.state for one in swarm.members().values() if one.status} == {State.STOPPED}
+    assert swarm.resume().refused == BOTH  # the goal is to stand
+    assert swarm.undo().applied == BOTH
+    assert "drive" in swarm.members()._repr_html_()
+
+
+def test_an_emergency_stop_lasts_until_a_reset(swarm: Client) -> None:
+    assert swarm.estop(reason="a person", until_all=True).applied == BOTH
+    refused = swarm.run("drive", "r[1-2]")
+    assert (refused.exit_code, refused.refused) == (REFUSED, BOTH)
+    assert {one.refusal for one in refused.replies.values()} == {Refusal.ESTOPPED}
+    assert swarm.reset(reason="it is gone").applied == BOTH
+    assert swarm.run("drive", "r1").applied == ("r1",)
+
+
+def test_labels_choose_robots(swarm: Client) -> None:
+    assert swarm.label("+red", "r2").exit_code == 0
+    assert swarm.run("drive", labels="red").applied == ("r2",)
+    assert swarm.stop(labels=["red"]).applied == ("r2",)
+    assert swarm.label("-red").applied == BOTH
+
+
+def test_a_robot_without_an_answer_is_named(
+    swarm: Client, daemons: dict[str, DaemonProcess]
+) -> None:
+    swarm.members()
+    daemons["r2"].freeze()
+    outcome = swarm.run("drive", timeout=1.5)
+    assert (outcome.exit_code, outcome.applied, outcome.missing) == (PARTIAL, ("r1",), ("r2",))
+    with pytest.raises(RequestError, match="r2") as caught:
+        swarm.wait("state=running", "r2", timeout=0.5)
+    assert caught.value.exit_code == TIMEOUT
+
+
+def test_mistakes_are_refused_before_a_robot_moves(swarm: Client) -> None:
+    nobody: list[str] = []
+    for robots in ("r9", nobody):
+        with pytest.raises(RequestError) as caught:
+            swarm.run("drive", robots)
+        assert caught.value.exit_code == NO_TARGET
+    assert swarm.run("drifting").exit_code == USAGE
+    assert swarm.run("drive", params={"sped": 1}).mistake
+    with pytest.raises(ConfigError, match="canary"):
+        swarm.run("drive", canary=1, at=1.0)
+    with pytest.raises(ConfigError, match="speed"):
+        swarm.param({"speed": float("nan")})
+    with pytest.raises(RequestError, match="r1"):
+        swarm.describe("r9")
+    assert {one.status.state for one in swarm.members().values() if one.status} <= {
+        State.IDLE,
+        State.STOPPED,
+    }
+
+
+def test_a_swarm_that_is_not_there(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    with swarmd.connect(unique_swarm(), timeout=0.5) as nobody:
+        for ask in (nobody.members, nobody.stop, lambda: nobody.run("drive")):
+            with pytest.raises(NetworkError, match="can be reached"):
+                ask()
+    with pytest.raises(ConfigError, match="feild"):
+        swarmd.connect(name, profile="feild")
+
+
+def test_a_closed_connection_asks_nothing_and_its_lease_ends(
+    shared_swarm: Swarm, name: str
+) -> None:
+    with swarmd.connect(name) as swarm:
+        assert swarm.run("drive", "r1", lease=1.0).applied == ("r1",)
+    with pytest.raises(SwarmError, match="closed"):
+        swarm.members()
+    ended = shared_swarm.await_status("r1", "stopped", lambda one: one.state is State.STOPPED)
+    assert ended.reason is Reason.LEASE_ENDED
+
+
+async def test_two_clients_in_one_program(name: str) -> None:
+    """One of them blocks inside the running loop, as the cells of a notebook do."""
+    async with swarmd.connect(name) as one:
+        with swarmd.connect(name) as other:
+            assert other.estop().applied == BOTH
+            assert (await one.run("drive")).refused == BOTH
+            assert other.reset().applied == BOTH
+        assert (await one.run("drive")).applied == BOTH
+
+
+async def test_events_tell_what_others_do(name: str) -> None:
+    async with swarmd.connect(name) as swarm:
+        await swarm.run("drive")
+        goal = (await swarm.goal("r1"))[0].goal
+        assert goal is not None
+        events = swarm.events("r1", since=30.0)
+        while f"goal {goal.generation} " not in (told := await anext(events)).text:
+            assert told.robot == "r1"
+        states = [one async for one in swarm.states(seconds=1.2)]
+        assert {one.robot for one in states} == set(BOTH)
+    assert {one.robot async for one in events} <= {"r1"}  # it ends with the connection
+
+
+async def test_a_stop_overtakes_a_request_that_waits(
+    name: str, daemons: dict[str, DaemonProcess]
+) -> None:
+    async with swarmd.connect(name) as swarm:
+        await swarm.members()
+        daemons["r2"].freeze()
+        waiting = asyncio.create_task(swarm.run("drive", "r2", timeout=8.0))
+        await asyncio.to_thread(wait_until, is_handed_over, "the request is under way")
+        stopped = await swarm.stop("r1")
+        assert stopped.applied == ("r1",)
+        assert not waiting.done()
+        daemons["r2"].thaw()
+        await waiting
+
+
+async def test_a_cancelled_wait_ends_and_so_does_its_thread(name: str) -> None:
+    async with swarmd.connect(name) as swarm:
+        task = asyncio.create_task(swarm.wait("state=faulted", timeout=60.0))
+        await asyncio.to_thread(wait_until, is_handed_over, "the wait has begun")
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        await asyncio.to_thread(wait_until, lambda: not is_handed_over(), "its thread has ended")
+
+
+def test_closing_ends_what_another_thread_waits_for(name: str) -> None:
+    errors: list[SwarmError] = []
+    swarm = swarmd.connect(name).open()
+
+    def wait() -> None:
+        try:
+            swarm.wait("state=faulted", timeout=60.0)
+        except SwarmError as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    states = swarm.states()
+    next(states)
+    swarm.close()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert len(errors) == 1
+    assert len(list(states)) < MAX_WAITING  # it ends
+
+
+def is_handed_over() -> bool:
+    return any(thread.name == HAND_OVER for thread in threading.enumerate())
+
+
+def test_keys_are_those_of_swarmctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for key in ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.setenv(key, str(tmp_path))
+    with contextlib.ExitStack() as left:
+        secured = SecuredSwarm(tmp_path, left).start()
+        keys = secured.keys
+        with swarmd.connect(secured.name, identity=keys.folder_of("anna")) as swarm:
+            assert swarm.stop().applied == BOTH
+        with swarmd.connect(secured.name, identity=keys.folder_of("class")) as viewer:
+            assert viewer.members().alive == BOTH
+            with pytest.raises(ConfigError, match="may only look"):
+                viewer.stop()
+        with (
+            swarmd.connect(secured.name, insecure=True, timeout=1.0) as stranger,
+            pytest.raises(NetworkError, match="no keys"),
+        ):
+            stranger.members()
