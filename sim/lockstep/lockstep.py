@@ -16,6 +16,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from itertools import compress
 from operator import itemgetter
 from types import MappingProxyType
@@ -109,9 +110,8 @@ class Lockstep:
         self.world = world_of(scenario, seed)
         self._platforms = [configured(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
-        origins = pattern_names(scenario.plugin_dir)
-        load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
-        self._find = lambda name: patterns.get(name) or load(name)
+        installed = cache(lambda: _loader(scenario))  # to list them takes as long as a second's run
+        self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
@@ -379,6 +379,11 @@ class Lockstep:
         if not self.scenario.radio.line_of_sight or not self.world.movable_boxes:
             return None
         return transform(self.world.box_shapes, self.world.box_poses())
+
+
+def _loader(scenario: Scenario) -> PatternLoader:
+    origins = pattern_names(scenario.plugin_dir)
+    return PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
 
 
 @contextmanager

@@ -103,7 +103,9 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         spec, activation = arrays.pop("spec").tobytes(), str(arrays.pop("activation"))
-        count = len(arrays) // 2
+        count, rest = divmod(len(arrays), 2)
+        if rest:
+            raise ValueError("a weight without its bias")
         weights = tuple(np.float64(arrays[f"weight_{i}"]) for i in range(count))
         biases = tuple(np.float64(arrays[f"bias_{i}"]) for i in range(count))
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:

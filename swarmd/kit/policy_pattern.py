@@ -11,7 +11,7 @@ from swarmd.core.values import Array, Inputs, Limits, Platform, Twist
 from swarmd.kit.behavior import Context, MovementPattern
 from swarmd.kit.observation import Observation, PolicySpec, observe, requested_twist
 from swarmd.kit.params import Params, Recovery, about
-from swarmd.kit.policy_network import PolicyNetwork, from_text, to_text
+from swarmd.kit.policy_network import from_text
 
 _EARLY = 0.02  # s that a step may come before the period is over, by which ticks jitter
 
@@ -71,8 +71,13 @@ class PolicyPattern(ActionPattern):
 
     network: ClassVar[str] = ""
 
+    def __init_subclass__(cls) -> None:
+        """Declare what the network observes; ConfigError if `network` holds none."""
+        super().__init_subclass__()
+        cls.needs = from_text(cls.network).spec.needs
+
     def __init__(self, params: PolicyParams, context: Context) -> None:
-        self._network: PolicyNetwork = from_text(self.network)
+        self._network = from_text(self.network)
         super().__init__(params, context, self._network.spec)
         self._decided_at = -math.inf
         self._action = np.zeros(self.spec.actions)
@@ -88,26 +93,3 @@ class PolicyPattern(ActionPattern):
 def scale_of(params: PolicyParams, platform: Platform) -> Limits:
     """The twist that actions of 1 request."""
     return Limits(params.speed, params.turn, min(params.speed, platform.limits.lateral))
-
-
-def plugin_text(name: str, network: PolicyNetwork) -> str:
-    """The file of a plugin that runs a network: it needs no other file."""
-    words = "".join(word.capitalize() for word in name.split("_"))
-    parts = ", ".join(str(part.__struct_config__.tag) for part in network.spec.parts)
-    return _PLUGIN.format(name=name, words=words, parts=parts, text=to_text(network))
-
-
-_PLUGIN = '''"""{name}: a learned policy. It observes {parts}."""
-
-from __future__ import annotations
-
-from swarmd.api import PolicyPattern
-
-
-class {words}(PolicyPattern):
-    """Runs the network below; `swarmctl plugin new --policy` wrote this file."""
-
-    network = """
-{text}
-"""
-'''
