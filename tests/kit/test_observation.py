@@ -49,7 +49,7 @@ def test_scan_sectors_are_near_at_1_and_free_at_minus_1() -> None:
 
 
 def test_robots_are_apart_from_walls() -> None:
-    inputs = Inputs(0.0, 0.0, scan_of(BURGER, [Disc(0.0, 1.0)], room=2.0))
+    inputs = Inputs(0.0, 0.0, scan_of(BURGER, [Disc(0.0, 1.0)], room=4.0))
     walls, robots = ScanPart(sectors=4, range=3.0), RobotsPart(sectors=4, range=3.0)
     assert all(value > -0.4 for value in observed(walls, inputs))
     found = observed(robots, inputs)
