@@ -95,7 +95,9 @@ class PolicySpec(Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         """ValueError for an observation that is too large, or a reading without a range."""
         if self.size > MAX_SIZE:
-            raise ValueError(f"the observation has {self.size} numbers; expected {MAX_SIZE} or less")
+            raise ValueError(
+                f"the observation has {self.size} numbers; expected {MAX_SIZE} or less"
+            )
         for part in self.parts:
             if isinstance(part, ReadingPart) and not part.low < part.high < math.inf:
                 raise ValueError(
