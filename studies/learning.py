@@ -9,15 +9,19 @@ over seeds with its 95 % interval.
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import swarmd
 from swarmd.core.values import Array
 from swarmd.kit.observation import Observation
-from swarmd.kit.policy_network import PolicyNetwork, from_text
+from swarmd.kit.policy_network import PolicyNetwork, from_text, network_from_bytes
 from swarmd.patterns.policy import Policy
 from swarmd.sim.experiments.statistics import mean_interval
 
@@ -26,6 +30,7 @@ ROOM = {
     "groups.tb3.count": 4,
     "duration": 20,
 }
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples/learning/train_aggregation.py"
 Act = Callable[[Observation], Array]
 
 
@@ -73,11 +78,19 @@ def measure(act: Act, seeds: Sequence[int], mode: str = "barrier") -> Found:
     return Found(*np.array(rows).T)
 
 
-def table(seeds: Sequence[int]) -> list[str]:
-    """The lines of the table in Markdown."""
+def trained(mode: str, generations: int) -> PolicyNetwork:
+    """The network of the example's program after so many generations in a mode of protection."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "policy.npz"
+        options = ["--protection", mode, "--generations", str(generations), "--seconds", "1e9"]
+        subprocess.run([sys.executable, str(EXAMPLE), str(file), *options], check=True)
+        return network_from_bytes(file.read_bytes())
+
+
+def table(kinds: Mapping[str, Act], seeds: Sequence[int]) -> list[str]:
+    """The lines of the table in Markdown, of each kind of actions in both modes."""
     lines = ["| actions | protection | return, m | changed | contacts a robot-minute |"]
     lines.append("|---|---|---|---|---|")
-    kinds: Mapping[str, Act] = {"policy": shipped().act, "random": random_actions()}
     for name, act in kinds.items():
         for mode in ("barrier", "off"):
             found = measure(act, seeds, mode)
@@ -95,4 +108,9 @@ def _shown(values: Array) -> str:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(prog="python -m studies.learning", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="runs of each row [20]")
-    print("\n".join(table(range(parser.parse_args().seeds))))
+    parser.add_argument("--train", type=int, default=0, help="also train so many generations [0]")
+    chosen = parser.parse_args()
+    acts = {"policy": shipped().act, "random": random_actions()}
+    for protection in ("barrier", "off") if chosen.train else ():
+        acts[f"trained with {protection}"] = trained(protection, chosen.train).act
+    print("\n".join(table(acts, range(chosen.seeds))))

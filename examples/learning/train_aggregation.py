@@ -67,11 +67,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("out", type=Path, help="the file to write, such as gather.npz")
     parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--generations", type=int, default=10_000, help="end after so many")
     parser.add_argument("--protection", default="barrier", help="a mode: barrier, or off")
     options = parser.parse_args()
     mode = {"platforms.waffle_pi.protection.mode": options.protection}
     env = swarmd.env("aggregation", set={**ROOM, **mode}, spec=SPEC)
-    for generation, mean, network in train(env, options.seconds):
+    for generation, mean, network in train(env, options.seconds, generations=options.generations):
         print(f"generation {generation}: mean score {mean:.3f} m", flush=True)
         options.out.write_bytes(network.to_bytes())
 
