@@ -116,7 +116,7 @@ class _Episode:
     contacts: NDArray[np.int64]
 
 
-class SwarmEnv(ParallelEnv[str, Observation, Array]):
+class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # it has no types
     """An environment as PettingZoo's ParallelEnv; `env` makes one.
 
     An agent is a robot of the learners while it has a daemon: it appears when it joins, is

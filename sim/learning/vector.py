@@ -70,7 +70,7 @@ class JointEnv(gymnasium.Env[Swarm, Swarm]):
         self.swarm.close()
 
     def _rows(self, observations: dict[str, Observation]) -> Swarm:
-        rows = np.zeros(self.observation_space.shape, dtype=np.float32)
+        rows = np.zeros((len(self.agents), self.swarm.spec.size), dtype=np.float32)
         for row, agent in enumerate(self.agents):
             if agent in observations:
                 rows[row] = observations[agent]

@@ -12,7 +12,7 @@ import textwrap
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -63,11 +63,15 @@ class PolicyNetwork:
 
     def to_bytes(self) -> bytes:
         """The content of its file, with weights as float32."""
-        layers = {f"weight_{i}": np.float32(one) for i, one in enumerate(self.weights)}
-        layers |= {f"bias_{i}": np.float32(one) for i, one in enumerate(self.biases)}
-        spec = np.frombuffer(encode_spec(self.spec), dtype=np.uint8)
+        arrays: dict[str, Any] = {
+            "spec": np.frombuffer(encode_spec(self.spec), dtype=np.uint8),
+            "activation": np.array(self.activation),
+        }
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays |= {f"weight_{i}": weight.astype(np.float32)}
+            arrays |= {f"bias_{i}": bias.astype(np.float32)}
         file = io.BytesIO()
-        np.savez_compressed(file, spec=spec, activation=np.array(self.activation), **layers)
+        np.savez_compressed(file, **arrays)
         return file.getvalue()
 
 
@@ -106,8 +110,8 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
         count, rest = divmod(len(arrays), 2)
         if rest:
             raise ValueError("a weight without its bias")
-        weights = tuple(np.float64(arrays[f"weight_{i}"]) for i in range(count))
-        biases = tuple(np.float64(arrays[f"bias_{i}"]) for i in range(count))
+        weights = tuple(arrays[f"weight_{i}"].astype(np.float64) for i in range(count))
+        biases = tuple(arrays[f"bias_{i}"].astype(np.float64) for i in range(count))
     except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise ConfigError("policy: not a file of PolicyNetwork.to_bytes, or damaged") from error
     if activation not in get_args(Activation):
