@@ -1,8 +1,8 @@
 """A learned policy: robots gather, as a small network requests.
 
 CMA-ES (Hansen, "The CMA evolution strategy: a tutorial", arXiv 1604.00772) trained the network with
-examples/learning/train_aggregation.py, under protection: 23 generations of ten candidates, each with a
-run of four Waffle Pis.
+examples/learning/train_aggregation.py, under protection: 23 generations of ten candidates, each
+with a run of four Waffle Pis.
 """
 
 from __future__ import annotations
