@@ -22,10 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
 from msgspec.structs import astuple
 from numpy.typing import NDArray
-from pettingzoo import ParallelEnv
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
@@ -54,6 +52,13 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.contacts import ContactEpisodes
+
+try:
+    from gymnasium.spaces import Box
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    text = "environments need pettingzoo and gymnasium: pip install 'swarmd[learn]'"
+    raise ImportError(text) from error
 
 _FIRST_INPUTS = 2.0  # s within which each robot has its first scan, else it starts without
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -224,6 +226,14 @@ def test_a_fault_is_named(call: Callable[[], object], text: str) -> None:
     with pytest.raises(ConfigError, match=text) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def test_without_its_packages_the_remedy_is_named() -> None:
+    code = "import sys; sys.modules['pettingzoo'] = None; import swarmd; swarmd.env"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "ImportError" in done.stderr.splitlines()[-1]
+    assert "pip install 'swarmd[learn]'" in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize("action", [[math.nan, 0.0], [1.0], [0.0, 0.0, 0.0]])
