@@ -148,6 +148,8 @@ def write_plugin(
     The texts are those of `templates/`; with `policy` the pattern is that of the network in it.
     ConfigError, and no file, if it holds none.
     """
+    if policy is not None and kind != "movement":
+        raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
     network = "" if policy is None else _network_text(policy)
     kind = kind if policy is None else "policy"
     _check_name(name)

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import base64
 import io
-import textwrap
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -101,6 +99,8 @@ def network_of(
 
 def network_from_bytes(data: bytes) -> PolicyNetwork:
     """The network in the content of a file; ConfigError if it is none, or does not fit itself."""
+    from zipfile import BadZipFile  # few hosts run a policy
+
     if len(data) > MAX_BYTES:
         raise ConfigError(f"policy: {len(data)} bytes; expected {MAX_BYTES} or less")
     try:
@@ -112,7 +112,7 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
             raise ValueError("a weight without its bias")
         weights = tuple(arrays[f"weight_{i}"].astype(np.float64) for i in range(count))
         biases = tuple(arrays[f"bias_{i}"].astype(np.float64) for i in range(count))
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (KeyError, ValueError, OSError, EOFError, BadZipFile) as error:
         raise ConfigError("policy: not a file of PolicyNetwork.to_bytes, or damaged") from error
     if activation not in get_args(Activation):
         raise ConfigError(f"policy: activation is {activation!r}; expected tanh or relu")
@@ -123,7 +123,8 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
 
 def to_text(network: PolicyNetwork) -> str:
     """The network's file in base64, in lines of 96 characters."""
-    return "\n".join(textwrap.wrap(base64.b64encode(network.to_bytes()).decode(), 96))
+    text = base64.b64encode(network.to_bytes()).decode()
+    return "\n".join(text[start : start + 96] for start in range(0, len(text), 96))
 
 
 def from_text(text: str) -> PolicyNetwork:
