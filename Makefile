@@ -28,7 +28,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench bench-suite budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean, .PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench bench-suite budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -49,6 +49,7 @@ help:
 	@echo "make evidence  long tests, then the four studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
+	@echo "make learning    what protection does to learning: trains a policy with it and without"
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
@@ -160,6 +161,10 @@ paper: $(VENV)/tools
 # What each pattern brings about, over twenty seeds; tests/studies/test_outcomes.py tests a few.
 outcomes: $(VENV)/tools
 	@$(BIN)/python -m studies.outcomes $(ARGS)
+
+# A policy with protection and without, in training and in runs of other seeds; some ten minutes.
+learning: $(VENV)/tools
+	@$(BIN)/python -m studies.learning --train 23 $(ARGS)
 
 # How voting scales with robots, drawn for docs/figures; some ten minutes.
 voting: $(VENV)/tools

@@ -136,6 +136,16 @@ SHOTS = MappingProxyType(
         "film_phototaxis": Shot(
             scenario="phototaxis", title="phototaxis, to a lamp on the right", stop=60.0
         ),
+        "film_policy": Shot(
+            scenario="aggregation",
+            title="policy, a learned network",
+            stop=30.0,
+            sets={
+                "groups.tb3.pattern": "policy",
+                "groups.tb3.count": 4,
+                "arena": {"size": [4, 4], "boxes": [], "poles": []},
+            },
+        ),
         "film_random_walk": Shot(scenario="random_walk", title="random_walk", stop=60.0),
         "film_response_threshold": _shot(
             "response_threshold",

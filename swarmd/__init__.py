@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 _PUBLIC = {
     "connect": "swarmd.client.connect",
     "demo": "swarmd.sim.live.simulated_swarm",
+    "env": "swarmd.sim.learning.environment",
     "load_results": "swarmd.sim.experiments.results",
     "simulate": "swarmd.sim.experiments.simulate",
 }
@@ -18,6 +19,7 @@ if TYPE_CHECKING:  # the same names, for type checkers
     from swarmd.client.connect import connect as connect
     from swarmd.sim.experiments.results import load_results as load_results
     from swarmd.sim.experiments.simulate import simulate as simulate
+    from swarmd.sim.learning.environment import env as env
     from swarmd.sim.live.simulated_swarm import demo as demo
 else:
 

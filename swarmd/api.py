@@ -41,6 +41,7 @@ from swarmd.kit.params import (
     of_threshold,
     threshold,
 )
+from swarmd.kit.policy_pattern import PolicyParams, PolicyPattern
 from swarmd.kit.robot_detection import robots_near
 from swarmd.kit.steering import NearPoints, from_base, keep_clear, polar_from_base, steer
 from swarmd.kit.timed_pattern import TimedPattern
@@ -98,6 +99,8 @@ __all__ = [
     "Pattern",
     "Platform",
     "PluginError",
+    "PolicyParams",
+    "PolicyPattern",
     "Pose",
     "Ray",
     "RayClusters",

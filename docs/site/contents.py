@@ -45,6 +45,7 @@ CONTENTS = {
         "docs/patterns/foraging",
         "docs/patterns/cooperative_transport",
         "docs/patterns/levy_walk",
+        "docs/patterns/policy",
     ],
     "How to": [
         "docs/installation",
@@ -60,6 +61,7 @@ CONTENTS = {
         "docs/clusters",
         "docs/trace",
         "docs/patterns",
+        "docs/learning",
         "docs/behaviour_push",
         "docs/missions",
         "docs/configuration",

@@ -434,6 +434,11 @@ def experiments() -> Iterator[str]:
     yield from module("swarmd.sim.trace")
     yield from module("swarmd.sim.metrics.own", ["metric"])
     yield from module("swarmd.sim.metrics.metric", ["Metric"])
+    yield from module("swarmd.sim.learning.environment", ["env", "SwarmEnv"])
+    yield from module("swarmd.sim.learning.rewards", ["State"])
+    yield from module("swarmd.sim.learning.vector", ["vector_env", "JointEnv"])
+    yield from module("swarmd.kit.observation")
+    yield from module("swarmd.kit.policy_network")
 
 
 def python() -> Iterator[str]:

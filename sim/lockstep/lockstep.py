@@ -16,8 +16,11 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from itertools import compress
 from operator import itemgetter
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +31,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, Latch
 from swarmd.core.values import Array, Value
+from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
@@ -53,6 +57,8 @@ _core = load_kernel("swarmd.robot.tick")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
+
+_NO_PATTERNS: Mapping[str, type[Pattern[Any]]] = MappingProxyType({})
 
 
 def simulate_run(
@@ -87,18 +93,25 @@ def simulate_run(
 class Lockstep:
     """A simulated swarm that `advance` moves on in time."""
 
-    def __init__(self, scenario: Scenario, seed: int, process: RunProcess | None = None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        seed: int,
+        process: RunProcess | None = None,
+        *,
+        patterns: Mapping[str, type[Pattern[Any]]] = _NO_PATTERNS,
+    ) -> None:
         """`process`: which process of the run this is; None: the only one.
 
-        `shells` has its robots alone.
+        `shells` has its robots alone. `patterns`: by name, above those that are installed.
         """
         self.scenario, self.seed = scenario, seed
         self._process = process or RunProcess()
         self.world = world_of(scenario, seed)
         self._platforms = [configured(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
-        origins = pattern_names(scenario.plugin_dir)
-        self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
+        installed = cache(lambda: _loader(scenario))  # to list them takes as long as a second's run
+        self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
@@ -366,6 +379,11 @@ class Lockstep:
         if not self.scenario.radio.line_of_sight or not self.world.movable_boxes:
             return None
         return transform(self.world.box_shapes, self.world.box_poses())
+
+
+def _loader(scenario: Scenario) -> PatternLoader:
+    origins = pattern_names(scenario.plugin_dir)
+    return PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
 
 
 @contextmanager

@@ -26,7 +26,7 @@ from swarmd.cli.plugin_push import list_pushed, push, remove
 from swarmd.cli.send import send_to
 from swarmd.cli.targets import takes_targets
 from swarmd.client.targets import Targets
-from swarmd.core.errors import PluginError
+from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
 from swarmd.plugins import check_module_name, installed_patterns
@@ -55,10 +55,15 @@ def plugin() -> None:
     default="movement",
     help="The kind of pattern [movement].",
 )
+@click.option(
+    "--policy",
+    type=EXISTING_FILE,
+    help="A learned policy, an .npz of docs/learning.md: NAME.py holds it and runs it.",
+)
 @local_options
-def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
+def new(options: CommonOptions, name: str, folder: Path, kind: str, policy: Path | None) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
-    written = write_plugin(name, folder, kind)
+    written = write_plugin(name, folder, kind, policy)
     python = shlex.quote(sys.executable)
     get = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
     steps = [
@@ -136,11 +141,18 @@ plugin.add_command(list_pushed)
 plugin.add_command(remove)
 
 
-def write_plugin(name: str, folder: Path, kind: str) -> tuple[Path, Path]:
+def write_plugin(
+    name: str, folder: Path, kind: str, policy: Path | None = None
+) -> tuple[Path, Path]:
     """Write both files and return their paths; UsageError, and no file, for an unusable name.
 
-    The texts are those of `templates/`.
+    The texts are those of `templates/`; with `policy` the pattern is that of the network in it.
+    ConfigError, and no file, if it holds none.
     """
+    if policy is not None and kind != "movement":
+        raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
+    network = "" if policy is None else _network_text(policy)
+    kind = kind if policy is None else "policy"
     _check_name(name)
     paths = (folder / f"{name}.py", folder / f"test_{name}.py")
     for path in paths:
@@ -155,8 +167,18 @@ def write_plugin(name: str, folder: Path, kind: str) -> tuple[Path, Path]:
     folder.mkdir(parents=True, exist_ok=True)
     for path, text in zip(paths, texts, strict=True):
         with path.open("x", encoding="utf-8") as file:
-            file.write(Template(text).substitute(name=name, kind=class_name))
+            file.write(Template(text).substitute(name=name, kind=class_name, network=network))
     return paths
+
+
+def _network_text(policy: Path) -> str:
+    """The network in a file as text; ConfigError names the file."""
+    from swarmd.kit.policy_network import network_from_bytes, to_text  # it imports numpy
+
+    try:
+        return to_text(network_from_bytes(policy.read_bytes()))
+    except (ConfigError, OSError) as error:
+        raise ConfigError(f"{policy}: {error}") from error
 
 
 def _check_name(name: str) -> None:

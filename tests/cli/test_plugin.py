@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from swarmd.cli.plugin_check import (
@@ -21,7 +22,10 @@ from swarmd.cli.plugin_check import (
     used_by,
 )
 from swarmd.cli.swarmctl import cli, run_cli
-from swarmd.core.errors import PluginError, SwarmError
+from swarmd.core.errors import ConfigError, PluginError, SwarmError
+from swarmd.kit.observation import NeighborsPart, PolicySpec, ReadingPart, ScanPart, TwistPart
+from swarmd.kit.policy_network import from_text, network_of, parameter_count
+from swarmd.pattern_host.loader import import_file
 from swarmd.pattern_host.plugin_inspector import IMPORTS, LOADING, MIRRORED, readable_beside
 from swarmd.plugins import pattern_names
 from swarmd.settings.platforms import platform_names
@@ -150,6 +154,31 @@ def test_no_file_is_overwritten(
 def test_the_class_is_not_named_as_an_import(tmp_path: Path) -> None:
     assert swarmctl("plugin", "new", "twist", "--dir", str(tmp_path)) == 0
     assert "class TwistPattern(MovementPattern" in (tmp_path / "twist.py").read_text()
+
+
+def test_a_learned_policy_becomes_a_plugin_that_passes_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spec = PolicySpec((ScanPart(), NeighborsPart(), ReadingPart("light"), TwistPart()))
+    parameters = np.random.default_rng(3).normal(0.0, 0.3, parameter_count(spec, (4,)))
+    file, network = tmp_path / "gather.npz", network_of(spec, parameters, (4,))
+    file.write_bytes(network.to_bytes())
+    assert (
+        swarmctl("plugin", "new", "my_gather", "--dir", str(tmp_path), "--policy", str(file)) == 0
+    )
+    assert swarmctl("plugin", "check", str(tmp_path / "my_gather.py")) == 0
+    assert "all ok" in capsys.readouterr().out
+    kind = import_file(tmp_path / "my_gather.py").MyGather
+    assert kind.needs == spec.needs
+    assert from_text(kind.network).to_bytes() == network.to_bytes()
+
+
+def test_a_file_that_holds_no_policy_becomes_no_plugin(tmp_path: Path) -> None:
+    file = tmp_path / "gather.npz"
+    file.write_bytes(b"none")
+    with pytest.raises(ConfigError, match=r"gather\.npz: policy"):
+        swarmctl("plugin", "new", "my_gather", "--dir", str(tmp_path), "--policy", str(file))
+    assert [path.name for path in tmp_path.iterdir()] == ["gather.npz"]
 
 
 def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

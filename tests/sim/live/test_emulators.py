@@ -204,7 +204,7 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
         scenario=LiveScenario(scenario),
     )
     with on(spec) as show:
-        for pattern in ("random_walk", "attraction", "collective_perception"):
+        for pattern in ("policy", "random_walk", "attraction", "collective_perception"):
             show.run(pattern)
             wait_until(lambda: show.is_moving(0) or show.is_moving(1), f"{pattern} drives")
 

@@ -1,0 +1,329 @@
+"""An environment for learning: PettingZoo's parallel API over lockstep, with protection.
+
+::
+
+    import swarmd
+
+    env = swarmd.env("aggregation", seed=1)
+    observations, infos = env.reset()
+    while env.agents:
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        observations, rewards, terminations, truncations, infos = env.step(actions)
+
+An action is the requested command of a pattern: the robot's state machine, holds and protection
+apply as on robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from msgspec.structs import astuple
+from numpy.typing import NDArray
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
+from swarmd.kit.observation import Observation, PolicySpec, default_spec
+from swarmd.sim.learning.agents import (
+    PATTERN,
+    Seat,
+    agent_class,
+    learners_of,
+    lives_of,
+    name_of,
+    new_seat,
+    with_agents,
+)
+from swarmd.sim.learning.rewards import (
+    CONTACTS,
+    LIMITED,
+    Reward,
+    Rewards,
+    State,
+    check_metric,
+    default_reward,
+)
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.contacts import ContactEpisodes
+
+try:
+    from gymnasium.spaces import Box
+    from pettingzoo import ParallelEnv
+except ImportError as error:
+    text = "environments need pettingzoo and gymnasium: pip install 'swarmd[learn]'"
+    raise ImportError(text) from error
+
+_FIRST_INPUTS = 2.0  # s within which each robot has its first scan, else it starts without
+
+Info = dict[str, Any]
+Step = tuple[
+    dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Info]
+]
+
+
+def env(
+    scenario: str | Path | Scenario,
+    seed: int | None = None,
+    *,
+    set: Mapping[str, Any] | None = None,
+    agents: str | None = None,
+    spec: PolicySpec | None = None,
+    reward: Reward | None = None,
+) -> SwarmEnv:
+    """The environment of a scenario.
+
+    `seed`: of the first `reset` without one; None: of the system. `set` by dotted key of the
+    scenario's file: `{"groups.tb3.count": 5}`. `agents`: the group of the robots that learn; the
+    others run their own pattern; None: all learn. `spec` declares observations and actions; None:
+    as `default_spec` of the platform. `reward`: weights by name of a metric of the catalog, of
+    `contacts` and of `limited`, or a function of the state (see `State`) that gives rewards by
+    robot; None: that of the scenario, if it has one.
+
+    ConfigError if any of these is invalid.
+    """
+    if isinstance(scenario, Scenario):
+        found = scenario_of(scenario.effective, set, source="set") if set else scenario
+    else:
+        found = load_scenario(scenario, set, source="set")
+    learners = learners_of(found, agents)
+    spec = spec or default_spec(found.robots[learners[0]])
+    for robot in learners:
+        missing = sorted(spec.needs - found.robots[robot].provides)
+        if missing:
+            raise ConfigError(
+                f"spec needs {', '.join(missing)}, which {robot} ({found.robots[robot].name})"
+                " does not provide; leave these parts out"
+            )
+    terms = default_reward(found.name) if reward is None else reward
+    if not callable(terms):
+        for name in terms:
+            if name not in (CONTACTS, LIMITED):
+                check_metric(name)
+    return SwarmEnv(with_agents(found, learners), learners, spec, terms, seed)
+
+
+@dataclass(slots=True)
+class _Episode:
+    """What belongs to one run."""
+
+    swarm: Lockstep
+    seats: dict[str, Seat]
+    rewards: Rewards
+    episodes: ContactEpisodes
+    lives: dict[str, int]
+    contacts: NDArray[np.int64]
+
+
+class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # it has no types
+    """An environment as PettingZoo's ParallelEnv; `env` makes one.
+
+    An agent is a robot of the learners while it has a daemon: it appears when it joins, is
+    terminated when it leaves or is killed, and is truncated at the end of the scenario. A robot
+    that is stopped or held stays an agent, whose actions have no effect. `infos` have for each
+    agent: `state`, the robot's word, `limited`, whether protection changed its request, and
+    `contacts`, how many began in this step.
+    """
+
+    metadata = {"name": "swarmd", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
+    render_mode = None
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        learners: tuple[str, ...],
+        spec: PolicySpec,
+        reward: Reward,
+        seed: int | None,
+    ) -> None:
+        """`scenario`: as of `with_agents`."""
+        self.scenario, self.spec = scenario, spec
+        self.possible_agents = lives_of(scenario, learners)
+        self.agents: list[str] = []
+        self._learners, self._reward = learners, reward
+        self._seeds = np.random.default_rng(seed)
+        self._next_seed = seed
+        self.seed: int | None = None
+        """Of the run that the last `reset` began: `exp run` with it has the same start."""
+        shapes = (spec.size,), (spec.actions,)
+        self.observation_spaces = {
+            agent: Box(-1.0, 1.0, shapes[0], np.float32) for agent in self.possible_agents
+        }
+        self.action_spaces = {
+            agent: Box(-1.0, 1.0, shapes[1], np.float32) for agent in self.possible_agents
+        }
+        self._episode: _Episode | None = None
+
+    def observation_space(self, agent: str) -> Box:
+        """The space of an agent's observations: (spec.size,) in [-1, 1]."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """The space of an agent's actions: (spec.actions,) in [-1, 1]."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Observation], dict[str, Info]]:
+        """Begin a run, and go on until each robot has its first scan; `options` has no effect.
+
+        Equal seeds give equal runs, to the last bit. Without a seed the next one follows from the
+        last. ConfigError if there is no room for the robots.
+        """
+        if seed is not None:
+            self._next_seed, self._seeds = seed, np.random.default_rng(seed)
+        if self._next_seed is None:
+            self._next_seed = int(self._seeds.integers(2**31))
+        self.seed, self._next_seed = self._next_seed, None
+        seats = {robot: new_seat(self.spec) for robot in self._learners}
+        patterns = {PATTERN: agent_class(self.spec, seats)}
+        swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
+        n = len(swarm.world.ids)
+        self._episode = episode = _Episode(
+            swarm,
+            seats,
+            Rewards(self._reward, self.scenario, self.seed, swarm.world),
+            ContactEpisodes(),
+            {robot: int(robot not in self.scenario.absent) for robot in self._learners},
+            np.zeros(n, dtype=np.int64),
+        )
+        present = [robot for robot, life in episode.lives.items() if life]
+        waited = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
+        while swarm.world.time < waited and any(seats[robot].inputs is None for robot in present):
+            self._advance(swarm.world.dt)
+        episode.contacts[:] = 0
+        self.agents = [robot for robot in self._learners if episode.lives[robot]]
+        state = self._state(0.0)
+        episode.rewards.begin(state)
+        infos = self._infos(state, self.agents)
+        return {agent: self._observed(agent) for agent in self.agents}, infos
+
+    def step(self, actions: dict[str, Array]) -> Step:
+        """Hand each agent's action over and simulate a period.
+
+        An agent without an action repeats its last. ConfigError before the first `reset`, and for
+        an action that is not (spec.actions,) finite numbers.
+        """
+        episode = self._running()
+        for agent, action in actions.items():
+            if agent in self.agents:
+                episode.seats[_robot_of(agent)].action = self._checked(agent, action)
+        before = list(self.agents)
+        start = episode.swarm.world.time
+        was_present = self._present()
+        episode.contacts[:] = 0
+        self._advance(self.spec.period)
+        joined = [robot for robot, there in self._present().items() if there]
+        new = [robot for robot in joined if not was_present[robot]]
+        for robot in new:
+            episode.lives[robot] += 1
+        now_alive = [name_of(robot, episode.lives[robot]) for robot in joined]
+        seen = [*before, *(agent for agent in now_alive if agent not in before)]
+        is_over = episode.swarm.world.time > self.scenario.duration - 0.5 * self.spec.period
+        state = self._state(episode.swarm.world.time - start)
+        rewards = episode.rewards.of(state)
+        terminations = {agent: agent not in now_alive for agent in seen}
+        self.agents = [] if is_over else now_alive
+        observations = {agent: self._observed(agent) for agent in seen}
+        for robot in {_robot_of(agent) for agent in seen if terminations[agent]}:
+            episode.seats[robot].leave()
+        return (
+            observations,
+            {
+                agent: rewards.get(_robot_of(agent), 0.0) if agent in before else 0.0
+                for agent in seen
+            },
+            terminations,
+            {agent: is_over and not terminations[agent] for agent in seen},
+            self._infos(state, seen),
+        )
+
+    def trace(self) -> Trace:
+        """The trace of the run up to now, as `exp run` keeps it: metrics and plots take it."""
+        return self._running().swarm.trace()
+
+    def close(self) -> None:
+        """Discard the run."""
+        self._episode = None
+        self.agents = []
+
+    def _running(self) -> _Episode:
+        if self._episode is None:
+            raise ConfigError("the environment has no run; call reset first")
+        return self._episode
+
+    def _advance(self, seconds: float) -> None:
+        episode = self._running()
+        world = episode.swarm.world
+
+        def count(now: float) -> None:
+            for contact in world.contacts():
+                if episode.episodes.add(now, contact.a, contact.b):
+                    for name in (contact.a, contact.b):
+                        if name in self.scenario.robots:
+                            episode.contacts[world.ids.index(name)] += 1
+
+        episode.swarm.advance(seconds, count)
+
+    def _present(self) -> dict[str, bool]:
+        swarm = self._running().swarm
+        there = dict(zip(swarm.world.ids, swarm.has_daemon, strict=True))
+        return {robot: there[robot] for robot in self._learners}
+
+    def _observed(self, agent: str) -> Observation:
+        """The observation from the newest inputs; zeros before an agent has any."""
+        seat = self._running().seats[_robot_of(agent)]
+        if seat.pattern is None or seat.inputs is None:
+            return np.zeros(self.spec.size, dtype=np.float32)
+        return seat.pattern.observed(seat.inputs)
+
+    def _checked(self, agent: str, action: Array) -> Array:
+        found = np.array(action, dtype=np.float64)
+        if found.shape != (self.spec.actions,) or not np.isfinite(found).all():
+            wanted = f"{self.spec.actions} finite numbers in [-1, 1]"
+            raise ConfigError(f"the action of {agent} is {action!r}; expected {wanted}")
+        return found
+
+    def _state(self, period: float) -> State:
+        swarm, episode = self._running().swarm, self._running()
+        n = len(swarm.world.ids)
+        requested, limited = np.zeros((n, 3)), np.zeros(n, dtype=np.bool_)
+        for row, shell in enumerate(swarm.shells):
+            if shell is not None:
+                decision = shell.robot.decision
+                requested[row] = astuple(decision.requested)
+                limited[row] = decision.is_active
+        return State(
+            tuple(swarm.world.ids),
+            swarm.world.time,
+            period,
+            swarm.world.poses().copy(),
+            requested,
+            swarm.commands.copy(),
+            np.array(swarm.has_daemon),
+            limited,
+            episode.contacts.copy(),
+        )
+
+    def _infos(self, state: State, agents: list[str]) -> dict[str, Info]:
+        swarm, rows = self._running().swarm, {robot: i for i, robot in enumerate(state.ids)}
+        infos = {}
+        for agent in agents:
+            row = rows[_robot_of(agent)]
+            shell = swarm.shells[row]
+            infos[agent] = {
+                "state": "absent" if shell is None else str(shell.robot.state),
+                "limited": bool(state.limited[row]),
+                "contacts": int(state.contacts[row]),
+            }
+        return infos
+
+
+def _robot_of(agent: str) -> str:
+    return agent.partition("#")[0]

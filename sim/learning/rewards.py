@@ -1,0 +1,144 @@
+"""Rewards: weighted terms from metrics and contacts, or a function of the state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
+from swarmd.sim.metrics.catalog import metric_of
+from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.metrics.reported import PREFIXES
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.simulation import meta_of
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.world import World
+
+CONTACTS, LIMITED = "contacts", "limited"
+"""Terms of each robot: contacts that began, and 1 while protection changes its request."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """The swarm after a step; row i of every array is robot `ids[i]`, learner or not.
+
+    `time` in s; `period` s since the step before. `pose` (n, 3) x, y in m and yaw in rad.
+    `requested` and `safe` (n, 3) linear, angular, lateral: the commands before and after
+    protection. `present` (n,) the robot has a daemon. `limited` (n,) protection changed the
+    request. `contacts` (n,) the contacts of each robot that began since the step before.
+    """
+
+    ids: tuple[str, ...]
+    time: float
+    period: float
+    pose: Array
+    requested: Array
+    safe: Array
+    present: NDArray[np.bool_]
+    limited: NDArray[np.bool_]
+    contacts: NDArray[np.int64]
+
+
+RewardFunction: TypeAlias = Callable[[State], Mapping[str, float]]
+"""The reward of each robot by its id; a robot that is left out gets 0."""
+Reward: TypeAlias = Mapping[str, float] | RewardFunction
+
+DEFAULTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        "aggregation": {"mean_distance_to_centroid_end": -1.0, CONTACTS: -0.1},
+        "dispersion": {"nearest_neighbor_median_late": 1.0, CONTACTS: -0.1},
+        "one_bit_aggregation": {"mean_distance_to_centroid_end": -1.0, CONTACTS: -0.1},
+    }
+)
+"""The rewards of scenarios for which none is given."""
+
+
+def default_reward(name: str) -> Mapping[str, float]:
+    """The terms for a scenario; ConfigError if there are none."""
+    if name not in DEFAULTS:
+        raise ConfigError(
+            f"reward: scenario {name} has none of its own; give weights of metrics, such as"
+            ' {"mean_distance_to_centroid_end": -1.0}, or a function of the state'
+        )
+    return DEFAULTS[name]
+
+
+class Rewards:
+    """Gives each robot's reward; `begin` with the first state, then `of` each later one.
+
+    The term of a metric is shared by all: its change since the step before times the weight, 0
+    where either value is unknown or robots have joined or gone. CONTACTS and LIMITED are each
+    robot's own.
+    """
+
+    def __init__(self, reward: Reward, scenario: Scenario, seed: int, world: World) -> None:
+        self._function = reward if callable(reward) else None
+        weights = {} if callable(reward) else dict(reward)
+        self._own = {name: weights.pop(name, 0.0) for name in (CONTACTS, LIMITED)}
+        self._metrics = [(check_metric(name), weight) for name, weight in weights.items()]
+        platforms = world.platforms
+        self._common: Mapping[str, Any] = {
+            "ids": tuple(world.ids),
+            "contact_t": np.empty(0),
+            "contact_pair": np.empty((0, 2), dtype=np.int64),
+            "contact_speed": np.empty((0, 2)),
+            "platforms": tuple(one.name for one in platforms),
+            "footprints": {one.name: one.footprint for one in platforms},
+            "meta": meta_of(scenario, seed),
+        }
+        self._last: list[float] = []
+        self._last_present = np.empty(0, dtype=np.bool_)
+
+    def begin(self, state: State) -> None:
+        """Take the state before the first step."""
+        self._last, self._last_present = self._values(state), state.present
+
+    def of(self, state: State) -> Mapping[str, float]:
+        """The reward of each robot for the step that led to `state`."""
+        if self._function is not None:
+            return {robot: float(value) for robot, value in self._function(state).items()}
+        values, shared = self._values(state), 0.0
+        if np.array_equal(state.present, self._last_present):
+            for (_, weight), value, last in zip(self._metrics, values, self._last, strict=True):
+                change = value - last
+                shared += weight * change if np.isfinite(change) else 0.0
+        self._last, self._last_present = values, state.present
+        own = self._own[CONTACTS] * state.contacts + self._own[LIMITED] * state.limited
+        return dict(zip(state.ids, (shared + own).tolist(), strict=True))
+
+    def _values(self, state: State) -> list[float]:
+        if not self._metrics:
+            return []
+        trace = Trace(
+            t=np.array([state.time]),
+            pose=state.pose[None],
+            safe=state.safe[None],
+            requested=state.requested[None],
+            active=state.limited[None],
+            present=state.present[None],
+            **self._common,
+        )
+        return [_at(metric, trace) for metric, _ in self._metrics]
+
+
+def check_metric(name: str) -> Metric:
+    """The metric of that name; ConfigError if it has no value at an instant."""
+    metric = metric_of(name)
+    if metric.series is None or name.startswith(PREFIXES):
+        raise ConfigError(
+            f"reward: {name} has no value at an instant of the world; take a metric over time,"
+            " such as mean_distance_to_centroid_end, or a function of the state"
+        )
+    return metric
+
+
+def _at(metric: Metric, trace: Trace) -> float:
+    assert metric.series is not None
+    values = metric.series(trace)
+    return float("nan") if values is None else float(values[-1])
