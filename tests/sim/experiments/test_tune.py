@@ -163,7 +163,7 @@ def test_nothing_better_is_no_claim(duo: Path, tmp_path: Path) -> None:
 
 
 def test_all_failed_is_one_line(duo: Path, tmp_path: Path) -> None:
-    with pytest.raises(SwarmError, match="all runs of race 1 failed; the first, .*: too fast"):
+    with pytest.raises(SwarmError, match=r"all runs of race 1 failed; the first, .*: too fast"):
         tuned(duo, tmp_path / "t", Bench(fails_above=-1.0))
 
 
@@ -266,3 +266,33 @@ def test_the_document_is_a_scenario(whole: tuple[Path, Tuning, Bench], duo: Path
     body = yaml.safe_load(whole[1].document)
     assert body["extends"] == str(duo)
     assert body["parameters"]["moody"] == whole[1].best.values
+
+
+def test_pseudo_reality_has_the_same_draws_for_both_sides(duo: Path, tmp_path: Path) -> None:
+    bench = Shaky()
+    found = tuned(duo, tmp_path / "t", bench, pseudo_reality=True)
+    assert set(found.drops) == {"present", "tuned"}
+    for drop in found.drops.values():
+        assert drop.is_paired
+        assert drop.difference == pytest.approx(-1.5)
+    assert "In pseudo-reality, tuned values: mean" in found.document
+    assert {job.seed for job in bench.shaken} == set(range(6, 26))
+
+
+class Shaky(Bench):
+    """Loses 1.5 in pseudo-reality; `shaken` has these runs."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shaken: list[Job] = []
+
+    def run(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+        by_id = {job.run: job for job in jobs}
+        for result in super().run(jobs):
+            assert isinstance(result, JobResult)
+            job = by_id[result.run]
+            if job.effective["pseudo_reality"]:
+                self.shaken.append(job)
+                value = (result.metrics or {})["path_length"] or 0.0
+                result = JobResult(job.run, {**NOTHING, "path_length": value - 1.5}, 0.01)
+            yield result
