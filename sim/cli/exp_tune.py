@@ -64,6 +64,13 @@ _SHOWN = 8  # candidates in the live table
 )
 @set_option
 @click.option(
+    "--mission",
+    "modules",
+    metavar="PATTERN,..",
+    help="Search missions of these patterns instead; --param then has the bounds of conditions:"
+    " timeout=5..60, nearer=0.3..1, reading:NAME=LO..HI.",
+)
+@click.option(
     "--held-out",
     default="50",
     show_default=True,
@@ -107,6 +114,7 @@ def tune(
     seeds: str,
     params: tuple[str, ...],
     sets: tuple[str, ...],
+    modules: str | None,
     held_out: str,
     pseudo_reality: bool,
     candidates: int,
@@ -154,6 +162,7 @@ def tune(
                 seeds=parse_seeds(seeds),
                 param=params,
                 set=parse_sets(sets),
+                mission=modules.split(",") if modules else (),
                 held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,

@@ -42,6 +42,7 @@ from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
+from swarmd.sim.experiments.mission_space import MissionSpace, mission_space
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.racing import ALPHA, looks, losers, mean_loss
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 
 Goal = Literal["min", "max"]
 STATE, RACES, HELD_OUT, RESULT = "tune.json", "races", "held_out", "tuned.yaml"
+MISSIONS, MISSION = "missions", "tuned_mission.yaml"
 PRESENT, TUNED = "present", "tuned"
 """The variants of the runs with held-out seeds: the values of the scenario, and the best found."""
 CANDIDATES = 8
@@ -230,6 +232,7 @@ def tune(
     seeds: int | Iterable[int] = 20,
     param: Iterable[str] = (),
     set: Mapping[str, Any] | None = None,
+    mission: Iterable[str] = (),
     held_out: int | Iterable[int] = 50,
     pseudo_reality: bool = False,
     candidates: int = CANDIDATES,
@@ -245,7 +248,9 @@ def tune(
 
     `metric` is as of `--metrics`, with `:min` or `:max` where the metric has no better direction.
     `param`: the keys to search, as `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
-    "law=settling,paper"; by default all parameters of the scenario's patterns. Races take at most
+    "law=settling,paper"; by default all parameters of the scenario's patterns. With
+    `mission`, names of patterns, missions of these are the candidates, and `param` has bounds of
+    conditions: "timeout=5..60", "nearer=0.3..1", "reading:light=0..100". Races take at most
     `budget` runs, in each at most `candidates` new candidates over `seeds`. A number of
     `held_out` seeds means those after the greatest of `seeds`. `jobs`, `timeout` and `out` are as
     of `simulate`, the folder of an interrupted tuning continues with the same call, and the result
@@ -270,8 +275,16 @@ def tune(
         )
     loaded = load_scenario(str(scenario), set)
     loaded.starts(raced[0])
-    space = parameter_space(loaded, param, on_note)
-    folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-")) if out is None else Path(out)
+    folder = Path("tuning") if out is None else Path(out)
+    space: Space
+    if modules := tuple(mission):
+        space = mission_space(loaded, modules, param, folder / MISSIONS)
+    else:
+        space = parameter_space(loaded, param, on_note)
+    if out is None:
+        folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-"))
+        if isinstance(space, MissionSpace):
+            space.folder = folder / MISSIONS
     run = _Tuner(
         scenario=str(scenario),
         sets=dict(set or {}),
@@ -398,6 +411,10 @@ class _Tuner:
             found, self.scenario, self.sets, self.space, self.manifest()
         )
         write_whole(self.folder / RESULT, found.document)
+        if isinstance(self.space, MissionSpace) and found.best.number:
+            comments = [x for x in found.document.splitlines() if x.startswith("#")]
+            text = self.space.mission(found.best.values)
+            write_whole(self.folder / MISSION, "\n".join([*comments, text]))
 
     def manifest(self, candidates: Sequence[Candidate] = ()) -> Manifest:
         """The manifest of the runs of these candidates, by default of the present values."""
@@ -665,12 +682,17 @@ def _tell(study: Study, one: Candidate, racing: Sequence[Candidate], space: Spac
 def _importance(study: Study) -> dict[str, float]:
     """The share of each parameter, by PED-ANOVA of S. Watanabe et al., IJCAI 2023.
 
-    It asks which parameters the best tenth of the candidates has narrowed. Empty below ten.
+    It asks which parameters the best tenth of the candidates has narrowed. Of those that every
+    candidate has; empty below ten candidates.
     """
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState
 
     complete = study.get_trials(deepcopy=False, states=[TrialState.COMPLETE])
-    if len(complete) < _FEW_TRIALS or not set.intersection(*(set(t.params) for t in complete)):
+    if len(complete) < _FEW_TRIALS:
         return {}
-    return dict(get_param_importances(study, evaluator=PedAnovaImportanceEvaluator()))
+    common = [key for key in complete[0].params if all(key in t.params for t in complete)]
+    if not common:
+        return {}
+    evaluator = PedAnovaImportanceEvaluator()
+    return dict(get_param_importances(study, evaluator=evaluator, params=common))
