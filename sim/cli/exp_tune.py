@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from signal import SIGTERM
 from typing import TYPE_CHECKING
@@ -184,6 +185,10 @@ def tune(
         print_json("Tuning", tuning.plain_tuning(found))
     else:
         click.echo(found.document, nl=False)
+    if find_spec("matplotlib") is not None:
+        from swarmd.sim.plots.tuning import draw_tuning
+
+        draw_tuning(found, folder / "plots")
     warn(f"results: {folder}/ (the file: {folder / tuning.RESULT})")
 
 

@@ -166,6 +166,7 @@ class Tuning:
     folder: Path
     metric: Metric
     goal: Goal
+    space: Space
     seeds: tuple[int, ...]
     held_out: tuple[int, ...]
     runs: int
@@ -379,6 +380,7 @@ class _Tuner:
             folder=self.folder,
             metric=self.metric,
             goal=self.goal,
+            space=self.space,
             seeds=self.seeds,
             held_out=(),
             runs=self._runs,
@@ -407,9 +409,7 @@ class _Tuner:
                 found.drops = {
                     name: self._difference(nominal, name, other, name) for name in variants
                 }
-        found.document = tuned_document(
-            found, self.scenario, self.sets, self.space, self.manifest()
-        )
+        found.document = tuned_document(found, self.scenario, self.sets, self.manifest())
         write_whole(self.folder / RESULT, found.document)
         if isinstance(self.space, MissionSpace) and found.best.number:
             comments = [x for x in found.document.splitlines() if x.startswith("#")]

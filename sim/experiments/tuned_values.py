@@ -22,7 +22,7 @@ _SOFTWARE = ("swarmd", "python", "numpy", "mujoco", "kernels")
 
 
 def tuned_document(
-    found: Tuning, scenario: str, sets: Mapping[str, Any], space: Space, manifest: Manifest
+    found: Tuning, scenario: str, sets: Mapping[str, Any], manifest: Manifest
 ) -> str:
     """A scenario that extends the tuned one, with the best values, and what is known of them.
 
@@ -32,7 +32,7 @@ def tuned_document(
     base = str(Path(scenario).absolute()) if scenario.endswith(".yaml") else scenario
     overrides = {**sets, **found.best.overrides}
     body = {"extends": base, **nested(overrides, found.candidates[-1].effective)}
-    platform = platform_values(space, found.best.values) if found.best.number else {}
+    platform = platform_values(found.space, found.best.values) if found.best.number else {}
     if platform:
         comments += ["", "In a platform's file, for all its robots and scenarios:"]
         comments += [f"  {line}" for line in _yaml({"patterns": platform}).splitlines()]

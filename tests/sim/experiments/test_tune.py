@@ -20,6 +20,7 @@ from swarmd.sim.experiments.search_space import parameter_space
 from swarmd.sim.experiments.simulate import Runner
 from swarmd.sim.experiments.tune import HELD_OUT, RESULT, STATE, Tuning, split_metric, tune
 from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.plots.tuning import draw_tuning
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from tests.sim.conftest import write_duo
 
@@ -107,6 +108,15 @@ def test_the_best_values_are_found_and_held_against_the_present_ones(
     assert text == found.document
     assert "# Held-out seeds 6-25: mean" in text
     assert f"#     moody: {{speed: {found.best.values['speed']}}}" in text
+
+
+def test_pictures_show_each_candidate_and_the_importance(
+    whole: tuple[Path, Tuning, Bench], tmp_path: Path
+) -> None:
+    paths = draw_tuning(whole[1], tmp_path)
+    assert [path.name for path in paths] == ["landscape.png", "importance.png"]
+    assert all(path.stat().st_size > 3000 for path in paths)
+    assert whole[1].importance == {"parameters.moody.speed": 1.0}
 
 
 def test_all_candidates_meet_the_same_seeds_and_worse_ones_end_early(
