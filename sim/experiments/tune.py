@@ -4,7 +4,7 @@
 
     from swarmd.sim.experiments.tune import tune
 
-    found = tune("aggregation", "gather_time", budget=200, param=["spacing=0.5..0.9"])
+    found = tune("aggregation", "gather_time:min", budget=200, param=["spacing=0.6..0.9"])
     print(found)
 
 The same as `swarmctl exp tune`. Races follow one another: a sampler draws candidates from the
