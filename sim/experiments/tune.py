@@ -97,7 +97,8 @@ class Candidate:
     """Values that are tried. Number 0 is the scenario as it is, with the values that are known.
 
     `losses`: of the first seeds, inf of a failed run or one without a value; less is better.
-    `is_out`: a race has ended it early.
+    `is_out`: a race has ended it early. `estimate`: the mean loss over all seeds of a race, of one
+    that ended early estimated; NaN during its race.
     """
 
     number: int
@@ -106,6 +107,7 @@ class Candidate:
     effective: Mapping[str, Any]
     losses: list[float] = field(default_factory=list)
     is_out: bool = False
+    estimate: float = math.nan
     trial: Any = None
 
 
@@ -127,7 +129,8 @@ class Look:
 
     def value(self, candidate: Candidate) -> float | None:
         """The mean of the metric over the candidate's finished runs; None if all failed."""
-        return _value(candidate, self.goal)
+        mean = mean_loss(candidate.losses)[1]
+        return None if math.isinf(mean) else mean if self.goal == "min" else -mean
 
     @property
     def headline(self) -> str:
@@ -177,9 +180,13 @@ class Tuning:
     drops: dict[str, Difference] = field(default_factory=dict)
     document: str = ""
 
-    def value(self, candidate: Candidate) -> float | None:
-        """The mean of the metric over the candidate's finished runs; None if all failed."""
-        return _value(candidate, self.goal)
+    def value(self, candidate: Candidate) -> float:
+        """The mean of the metric over the seeds of the races.
+
+        That of a candidate that ended early is estimated by the difference from the best one of its
+        race, and a failed run counts as the worst of the race.
+        """
+        return candidate.estimate if self.goal == "min" else -candidate.estimate
 
     def __str__(self) -> str:
         return self.document
@@ -205,11 +212,6 @@ def plain_tuning(found: Tuning) -> dict[str, Any]:
         "importance": found.importance,
         "candidates": [about(one) for one in found.candidates],
     }
-
-
-def _value(candidate: Candidate, goal: Goal) -> float | None:
-    mean = mean_loss(candidate.losses)[1]
-    return None if math.isinf(mean) else mean if goal == "min" else -mean
 
 
 def split_metric(text: str, goal: str | None = None) -> tuple[Metric, Goal]:
@@ -671,7 +673,7 @@ def _tell(study: Study, one: Candidate, racing: Sequence[Candidate], space: Spac
     worst = max(finite)
     leader = min((o for o in racing if not o.is_out), key=lambda o: mean_loss(o.losses))
     ours, theirs = (np.minimum(o.losses, worst) for o in (one, leader))
-    value = float(theirs.mean() + (ours - theirs[: len(ours)]).mean())
+    value = one.estimate = float(theirs.mean() + (ours - theirs[: len(ours)]).mean())
     if one.trial is not None:
         study.tell(one.trial, value)
         return

@@ -58,7 +58,7 @@ def _evidence(found: Tuning, manifest: Manifest) -> Iterator[str]:
     if found.best.number == 0:
         yield f"No values are better than the present ones ({tried})."
     else:
-        has_ended = f" (ended after {len(present.losses)} seeds)" if present.is_out else ""
+        has_ended = f" (by {len(present.losses)} seeds)" if present.is_out else ""
         yield (
             f"Races: seeds {_seeds(found.seeds)}, {tried}. Mean: {number(found.value(found.best))}"
             f" tuned, {number(found.value(present))} present{has_ended}. These seeds chose the"

@@ -31,7 +31,7 @@ def draw_tuning(found: Tuning, folder: Path) -> list[Path]:
 
 
 def draw_landscape(found: Tuning, space: ParameterSpace, path: Path) -> Path:
-    """The mean of each candidate over each parameter; small: ended early, after fewer seeds."""
+    """The mean of each candidate over each parameter; small: ended early, its mean is estimated."""
     rows = -(-len(space.parameters) // _COLUMNS)
     columns = min(len(space.parameters), _COLUMNS)
     figure = new_figure(3.4 * columns, 2.8 * rows)
@@ -39,12 +39,13 @@ def draw_landscape(found: Tuning, space: ParameterSpace, path: Path) -> Path:
     for axes, one in zip(grid.flat, space.parameters, strict=False):
         for candidate in found.candidates:
             value = found.value(candidate)
-            if value is None or one.name not in candidate.values:
+            if one.name not in candidate.values:
                 continue
             best, present = candidate is found.best, candidate.number == 0
             axes.plot(
                 one.number_of(candidate.values[one.name]),
                 value,
+                linestyle="none",
                 marker="D" if present else "o",
                 markersize=8 if best else 3 if candidate.is_out else 5,
                 color=_BEST if best else _PRESENT if present else _OUT,

@@ -90,9 +90,10 @@ def test_the_best_values_are_found_and_held_against_the_present_ones(
 ) -> None:
     folder, found, bench = whole
     assert abs(found.best.values["speed"] - 0.3) < 0.1
-    assert found.value(found.best) == max(
-        found.value(one) or -9.9 for one in found.candidates if not one.is_out
-    )
+    assert found.value(found.best) == max(map(found.value, found.candidates))
+    present = next(one for one in found.candidates if one.number == 0)
+    assert len(present.losses) == 5  # of 6, of which each adds 10
+    assert found.value(found.best) - found.value(present) == pytest.approx(4.0, abs=0.5)
     gain = found.gain
     assert gain is not None
     assert gain.is_paired
@@ -165,7 +166,7 @@ def test_a_failed_run_is_not_repeated_once_its_race_is_over(duo: Path, tmp_path:
 
 
 def test_nothing_better_is_no_claim(duo: Path, tmp_path: Path) -> None:
-    found = tuned(duo, tmp_path / "t", Bench(), set={SPEED: 0.3})
+    found = tuned(duo, tmp_path / "t", Bench(), set={SPEED: 0.3}, budget=24)
     assert found.best.number == 0
     assert found.gain is None
     assert "No values are better" in found.document
@@ -280,7 +281,7 @@ def test_the_document_is_a_scenario(whole: tuple[Path, Tuning, Bench], duo: Path
 
 def test_pseudo_reality_has_the_same_draws_for_both_sides(duo: Path, tmp_path: Path) -> None:
     bench = Shaky()
-    found = tuned(duo, tmp_path / "t", bench, pseudo_reality=True)
+    found = tuned(duo, tmp_path / "t", bench, pseudo_reality=True, budget=24)
     assert set(found.drops) == {"present", "tuned"}
     for drop in found.drops.values():
         assert drop.is_paired
