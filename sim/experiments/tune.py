@@ -499,11 +499,11 @@ class _Tuner:
         )
 
     def _difference(self, a: Results, name_a: str, b: Results, name_b: str) -> Difference:
-        sides = (
+        first, second = (
             Side(f"{one.folder}:{_variant(name)}", one, _variant(name))
             for one, name in ((a, name_a), (b, name_b))
         )
-        return compare_sides(*sides, [self.metric])[0]
+        return compare_sides(first, second, [self.metric])[0]
 
     def _manifest(
         self, variants: Mapping[str, Mapping[str, Any]], seeds: Sequence[int], *, traces: bool

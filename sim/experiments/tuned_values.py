@@ -16,7 +16,7 @@ from swarmd.sim.experiments.statistics import interval, number
 from swarmd.sim.scenarios.overrides import nested
 
 if TYPE_CHECKING:
-    from swarmd.sim.experiments.tune import Space, Tuning
+    from swarmd.sim.experiments.tune import Goal, Space, Tuning
 
 _SOFTWARE = ("swarmd", "python", "numpy", "mujoco", "kernels")
 
@@ -65,18 +65,20 @@ def _evidence(found: Tuning, manifest: Manifest) -> Iterator[str]:
             " values, so this difference is too good."
         )
     if found.gain is not None:
-        yield f"Held-out seeds {_seeds(found.held_out)}: {_shown(found.gain, 'present', 'tuned')}"
+        text = _shown(found.gain, "present", "tuned", found.goal)
+        yield f"Held-out seeds {_seeds(found.held_out)}: {text}"
     elif found.best.number and not found.held_out:
         yield "No seeds were held out: nothing is claimed."
     for name, drop in found.drops.items():
-        yield f"In pseudo-reality, {name} values: {_shown(drop, 'nominal', 'pseudo-reality')}"
+        text = _shown(drop, "nominal", "pseudo-reality", found.goal)
+        yield f"In pseudo-reality, {name} values: {text}"
     software = [f"{name} {manifest.made_with[name]}" for name in _SOFTWARE]
     git = manifest.git.get("swarmd")
     commit = [] if git is None else [f"commit {git.commit[:12]}{', changed' * git.is_dirty}"]
     yield f"Made with {', '.join((*software, *commit))}; code {manifest.made_with['code'][:12]}."
 
 
-def _shown(one: Difference, a: str, b: str) -> str:
+def _shown(one: Difference, a: str, b: str, goal: Goal) -> str:
     """Both means, their difference and its interval, and the conclusion."""
     text = f"mean {number(one.mean_b)} {b}, {number(one.mean_a)} {a}, of {one.n_a} seeds"
     text += f"; difference {number(one.difference)}, 95 % interval {interval(one.interval)}"
@@ -86,8 +88,8 @@ def _shown(one: Difference, a: str, b: str) -> str:
         text += f"; never: {one.never_b} {b}, {one.never_a} {a}"
     if not one.differs:
         return f"{text}. No difference is shown."
-    better = {"a": a, "b": b}.get(one.better or "")
-    return f"{text}." if better is None else f"{text}. Better: {better}."
+    is_less = one.difference is not None and one.difference < 0.0
+    return f"{text}. Better: {b if is_less == (goal == 'min') else a}."
 
 
 def _seeds(seeds: Sequence[int]) -> str:

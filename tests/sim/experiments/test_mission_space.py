@@ -20,6 +20,7 @@ from swarmd.sim.experiments.tune import MISSION, RESULT, tune
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.scenariofile import load_scenario
+from swarmd.sim.trace import Trace
 
 MODULES = ("random_walk", "attraction", "dispersion")
 LIGHT = {"fields": [{"kind": "gaussian", "name": "light", "center": [1, 0], "sigma": 1.0}]}
@@ -57,7 +58,7 @@ def test_robots_run_what_is_drawn(space: MissionSpace) -> None:
     for _ in range(6):
         overrides = space.overrides(space.draw(study.ask()))
         trace = simulate_run(load_scenario("dispersion", {**small, **overrides}), 1)
-        reported |= {str(state) for state in trace.state[-1]}
+        reported |= last_states(trace)
     assert reported == {"running"}
 
 
@@ -75,6 +76,11 @@ def test_the_file_follows_from_the_values(space: MissionSpace) -> None:
     ]
     assert body["then"] == "repeat"
     assert space.overrides(values) == space.overrides(dict(reversed(values.items())))
+
+
+def last_states(trace: Trace) -> set[str]:
+    assert trace.state is not None
+    return {str(state) for state in trace.state[-1]}
 
 
 @contextmanager
@@ -109,7 +115,7 @@ def test_a_tuning_gives_a_mission_that_robots_run(tmp_path: Path) -> None:
     assert "# Held-out seeds 2-4" in (folder / MISSION).read_text()
     scenario = load_scenario(folder / RESULT, {"duration": 0.5, "groups.tb3.count": 2})
     assert scenario.effective["groups"]["tb3"]["pattern"].startswith("m_")
-    assert {str(state) for state in simulate_run(scenario, 1).state[-1]} == {"running"}
+    assert last_states(simulate_run(scenario, 1)) == {"running"}
 
 
 @pytest.mark.parametrize(

@@ -108,6 +108,7 @@ def test_the_best_values_are_found_and_held_against_the_present_ones(
     text = (folder / RESULT).read_text()
     assert text == found.document
     assert "# Held-out seeds 6-25: mean" in text
+    assert "Better: tuned." in text
     assert f"#     moody: {{speed: {found.best.values['speed']}}}" in text
 
 
@@ -287,6 +288,7 @@ def test_pseudo_reality_has_the_same_draws_for_both_sides(duo: Path, tmp_path: P
         assert drop.is_paired
         assert drop.difference == pytest.approx(-1.5)
     assert "In pseudo-reality, tuned values: mean" in found.document
+    assert found.document.count("Better: nominal.") == 2
     assert {job.seed for job in bench.shaken} == set(range(6, 26))
 
 
