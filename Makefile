@@ -28,7 +28,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean, .PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench bench-suite budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean, .PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes tuning voting films screens mutants kernel-mutants ros2-router ros-study lock clean, .PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench bench-suite budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -46,8 +46,9 @@ help:
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
-	@echo "make evidence  long tests, then the four studies below; hours on two cores"
+	@echo "make evidence  long tests, then the five studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
+	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; ten minutes"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
 	@echo "make learning    what protection does to learning: trains a policy with it and without"
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
@@ -103,7 +104,7 @@ test: kernels
 evidence: $(VENV)/tools
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "evidence or hypothesis" \
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
-	@$(MAKE) --no-print-directory ARGS= outcomes paper voting safety
+	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety
 
 check: static docs wheel
 
@@ -165,6 +166,10 @@ outcomes: $(VENV)/tools
 # A policy with protection and without, in training and in runs of other seeds; some ten minutes.
 learning: $(VENV)/tools
 	@$(BIN)/python -m studies.learning --train 23 $(ARGS)
+
+# Attraction and dispersion tuned by `exp tune`; their pages have the results.
+tuning: $(VENV)/tools
+	@$(BIN)/python -m studies.tuning $(ARGS)
 
 # How voting scales with robots, drawn for docs/figures; some ten minutes.
 voting: $(VENV)/tools

@@ -429,6 +429,7 @@ def testing() -> Iterator[str]:
 def experiments() -> Iterator[str]:
     """Experiments from Python."""
     yield from module("swarmd.sim.experiments.simulate", ["simulate"])
+    yield from module("swarmd.sim.experiments.tune", ["tune", "Tuning", "Candidate"])
     yield from module("swarmd.sim.experiments.results", ["Results", "Traces", "load_results"])
     yield from module("swarmd.sim.experiments.statistics", ["Summary", "Interval"])
     yield from module("swarmd.sim.trace")

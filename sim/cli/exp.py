@@ -21,6 +21,7 @@ from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import bench
 from swarmd.sim.cli.exp_results import check, export, plot, report, view
+from swarmd.sim.cli.exp_tune import tune
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
     chosen_metrics,
@@ -496,5 +497,6 @@ exp.add_command(check)
 exp.add_command(export)
 exp.add_command(report)
 exp.add_command(plot)
+exp.add_command(tune)
 exp.add_command(video)
 exp.add_command(view)

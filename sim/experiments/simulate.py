@@ -101,7 +101,7 @@ def simulate(
     own = beyond_catalog(map(metric_of, metrics))
     manifest = manifest_of(plan, traces=traces, command=[], metrics=own)
     in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
-    runner = in_workers if max(jobs, cores) > 1 else _run_here
+    runner = in_workers if max(jobs, cores) > 1 else run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner)
@@ -153,11 +153,12 @@ def run_experiment(
     *,
     only: Collection[str] | None = None,
     on_progress: OnProgress | None = None,
+    summarized: Sequence[Metric] | None = None,
 ) -> Results:
     """Let `runner` do all runs of a manifest that are missing in its folder; write the summary.
 
-    `only` limits the runs. If it ends early, the finished runs stay in the folder. SwarmError if
-    the folder cannot be used or the disk is full.
+    `only` limits the runs, `summarized` the metrics of the summary. If it ends early, the finished
+    runs stay in the folder. SwarmError if the folder cannot be used or the disk is full.
     """
     origins = tuple(one.origin for one in manifest.metrics)
     columns = (*METRICS, *(one.name for one in manifest.metrics))
@@ -171,10 +172,10 @@ def run_experiment(
             _gather(store, runs, runner(jobs), on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # the first error is the one to report
-                store.close(_results(store).document())
+                store.close(_results(store).document(summarized))
             raise
         results = _results(store)
-        store.close(results.document())
+        store.close(results.document(summarized))
         return results
 
 
@@ -220,7 +221,7 @@ def _gather(
             report()
 
 
-def _run_here(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+def run_here(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
     """The results of jobs done in this process, without time-outs."""
     yield from map(run_job, jobs)
 

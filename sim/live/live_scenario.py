@@ -82,6 +82,8 @@ def _impossible(scenario: Scenario, most: int, emulator: str | None) -> Iterator
     if count > most:
         text = f"{count} robots; a live run has at most {most}, each with a daemon"
         yield "groups", f"{text}: lower the counts with --set, or use swarmctl exp run"
+    if scenario.pseudo_reality:
+        yield "pseudo_reality", "is for lockstep alone; leave it out, or use swarmctl exp run"
     if emulator is None:
         return
     default = RadioSettings()

@@ -43,6 +43,7 @@ from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules, Timeline
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.preflight import has_findings
+from swarmd.sim.scenarios.pseudo_reality import drawn
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.trace import Trace
@@ -105,6 +106,7 @@ class Lockstep:
 
         `shells` has its robots alone. `patterns`: by name, above those that are installed.
         """
+        scenario = drawn(scenario, seed)
         self.scenario, self.seed = scenario, seed
         self._process = process or RunProcess()
         self.world = world_of(scenario, seed)

@@ -66,8 +66,9 @@ class Scenario:
     join event; their bases stand at their start poses. `layers(robot, pattern)` are the configured
     parameters, below those of a run; `touch[robot]` are the touch zones of patterns. `accepts`: the
     peers that robots accept. `notes`: a line for each pair of platforms that fits only by what the
-    scenario says. `events` in order of time. `effective` is the complete configuration in plain
-    values after all overrides: `scenario_of(effective)` gives the same scenario.
+    scenario says. `events` in order of time. `pseudo_reality`: the bounds by key within which each
+    seed draws. `effective` is the complete configuration in plain values after all overrides:
+    `scenario_of(effective)` gives the same scenario.
     """
 
     name: str
@@ -90,4 +91,5 @@ class Scenario:
     notes: tuple[str, ...] = ()
     trace_rate: float = 10.0
     plugin_dir: Path | None = None
+    pseudo_reality: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     effective: Mapping[str, Any] = field(default_factory=dict)

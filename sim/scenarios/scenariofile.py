@@ -26,6 +26,7 @@ from swarmd.sim.scenarios.preflight import (
     check_patterns,
     configured_parameters,
 )
+from swarmd.sim.scenarios.pseudo_reality import bounds_of
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.schedule import schedule_of
 from swarmd.sim.scenarios.schema import ScenarioFile
@@ -138,7 +139,9 @@ def _overridden(
     configured = configured_parameters(file, groups)
     plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).expanduser().absolute()
     check_patterns(layers, file, schedule, groups, configured, plugin_dir)
-    where = str(layers.error(("realism",), "realism"))
+    realism = realism_of(file.realism, str(layers.error(("realism",), "realism")))
+    with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):
+        pseudo_reality = bounds_of(file.pseudo_reality, realism, file.radio)
     plain: Data = json.decode(json.encode(file))
     for group in plain["groups"].values():
         group["platform"] = platform_name(group["platform"])
@@ -159,7 +162,7 @@ def _overridden(
         arena=arena,
         fields=fields,
         items=tuple(file.items),
-        realism=realism_of(file.realism, where),
+        realism=realism,
         visibility=file.lidar_visibility,
         radio=file.radio,
         layers=configured,
@@ -170,6 +173,7 @@ def _overridden(
         notes=notes,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
+        pseudo_reality=pseudo_reality,
         effective=effective,
     )
 

@@ -125,7 +125,9 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     `start` is for all groups without one of their own, together. `parameters` are for all robots
     by pattern, below those of a group. `accepts_unseen` and `accepts_faster` are as in swarm.yaml.
-    `plugin_dir` is relative to the file.
+    `plugin_dir` is relative to the file. `pseudo_reality`: bounds of keys of `realism` and `radio`,
+    within which each seed draws its values: `{realism.lidar.dropout: [0, 0.1]}`, or true for the
+    bounds of `pseudo_reality.BOUNDS`.
     """
 
     name: str | None = None
@@ -147,3 +149,4 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
     plugin_dir: str | None = None
+    pseudo_reality: bool | dict[str, Any] = False

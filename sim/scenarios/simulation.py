@@ -7,6 +7,7 @@ from typing import Any
 
 from msgspec import to_builtins
 
+from swarmd.sim.scenarios.pseudo_reality import draws
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.world import World
@@ -42,6 +43,7 @@ def meta_of(scenario: Scenario, seed: int) -> Mapping[str, Any]:
         "arena": scenario.arena.text,
         "lidar_visibility": scenario.visibility,
         "radio": to_builtins(scenario.radio),
+        "pseudo_reality": draws(scenario.pseudo_reality, seed),
         "groups": {name: list(ids) for name, ids in scenario.groups.items()},
         "modes": {p.name: p.protection["mode"] for p in platforms},
         "thresholds": {p.name: p.protection.get("threshold", 0.0) for p in platforms},

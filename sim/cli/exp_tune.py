@@ -1,0 +1,248 @@
+"""`swarmctl exp tune`: search values of parameters, with races over seeds."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from signal import SIGTERM
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmd.cli.output import has_colour, print_json, signals_end, warn
+from swarmd.core.errors import SwarmError
+from swarmd.sim.cli.options import (
+    need,
+    new_folder,
+    out_option,
+    output_option,
+    scenarios,
+    set_option,
+)
+from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from swarmd.sim.experiments.manifest import Manifest
+    from swarmd.sim.experiments.simulate import OnProgress, Progress, Runner
+    from swarmd.sim.experiments.tune import Look, OnLook
+
+_SHOWN = 8  # candidates in the live table
+
+
+@click.command()
+@click.argument("scenario", shell_complete=scenarios)
+@click.option(
+    "--metric",
+    required=True,
+    metavar="M[:min|max]",
+    help="What is best; a direction is needed where neither is better as such.",
+)
+@click.option(
+    "--budget",
+    type=click.IntRange(min=2),
+    default=500,
+    show_default=True,
+    help="Runs of all races together; held-out runs are besides.",
+)
+@click.option(
+    "--seeds", default="20", show_default=True, metavar="SEEDS", help="Seeds of the races."
+)
+@click.option(
+    "--param",
+    "params",
+    multiple=True,
+    metavar="KEY=LO..HI",
+    help="A parameter of the scenario's pattern or a dotted key of the scenario, with its range or"
+    " its values KEY=A,B,..; KEY alone takes the declared bounds. May be repeated [all parameters"
+    " of the scenario's patterns].",
+)
+@set_option
+@click.option(
+    "--mission",
+    "modules",
+    metavar="PATTERN,..",
+    help="Search missions of these patterns instead; --param then has the bounds of conditions:"
+    " timeout=5..60, nearer=0.3..1, reading:NAME=LO..HI.",
+)
+@click.option(
+    "--held-out",
+    default="50",
+    show_default=True,
+    metavar="SEEDS",
+    help="For the claim: this number of seeds after those of the races, or the seeds: 900-949.",
+)
+@click.option(
+    "--pseudo-reality",
+    is_flag=True,
+    help="Also do the held-out runs with noise, delays and losses drawn for each seed, and tell"
+    " what they change.",
+)
+@click.option(
+    "--candidates",
+    type=click.IntRange(min=2),
+    default=8,
+    show_default=True,
+    help="New candidates of a race, at most.",
+)
+@click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(1, MAX_PROCESSES),
+    help="Runs at a time; the result does not depend on it [all cores].",
+)
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=1.0),
+    metavar="SECONDS",
+    help="A run without progress for this time has failed [60].",
+)
+@out_option("Folder of the tuning; an interrupted one in it resumes [experiments/SCENARIO-tune-N].")
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask cluster: tcp://HOST:8786."
+)
+@output_option
+def tune(
+    scenario: str,
+    metric: str,
+    budget: int,
+    seeds: str,
+    params: tuple[str, ...],
+    sets: tuple[str, ...],
+    modules: str | None,
+    held_out: str,
+    pseudo_reality: bool,
+    candidates: int,
+    jobs: int | None,
+    timeout: float | None,
+    out: Path | None,
+    scheduler: str | None,
+    is_json: bool,
+) -> None:
+    """Search values of parameters of SCENARIO with the best mean of a metric.
+
+    All candidates meet the same seeds; one that is worse with confidence ends early. The best one
+    is held against the present values on seeds that no race has used. Prints a scenario's file with
+    the values and their evidence, which is also in DIR/tuned.yaml.
+    """
+    need("mujoco")
+    need("optuna", extra="sim,plot,tune")
+    from swarmd.sim.experiments import tune as tuning
+    from swarmd.sim.experiments.plan import parse_seeds, parse_sets
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
+
+    if scheduler is not None:
+        need("distributed", extra="sim,plot,cluster")
+    tuning.split_metric(metric)  # before there is a folder
+    names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
+    folder = out or new_folder(Path("experiments"), names)
+    limit = STEP_TIMEOUT if timeout is None else timeout
+
+    @contextmanager
+    def workers(manifest: Manifest) -> Iterator[tuple[Runner, Manifest]]:
+        if scheduler is None:
+            yield partial(run_jobs, processes=jobs or usable_cores(), timeout=limit), manifest
+            return
+        from swarmd.sim.experiments.cluster import connect
+
+        with connect(scheduler, manifest, limit, warn, jobs) as cluster:
+            yield cluster.run_jobs, cluster.manifest
+
+    try:
+        with signals_end(SIGTERM), live_table() as (on_look, on_progress):
+            found = tuning.tune(
+                scenario,
+                metric,
+                budget=budget,
+                seeds=parse_seeds(seeds),
+                param=params,
+                set=parse_sets(sets),
+                mission=modules.split(",") if modules else (),
+                held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),
+                pseudo_reality=pseudo_reality,
+                candidates=candidates,
+                out=folder,
+                workers=workers,
+                on_note=lambda note: warn(f"note: {note}"),
+                on_look=on_look,
+                on_progress=on_progress,
+            )
+    except (KeyboardInterrupt, SystemExit):
+        warn(f"finished runs are kept; to go on, give the same command with --out {folder}")
+        raise
+    except SwarmError:
+        if out is None:  # made for nothing
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+    if is_json:
+        print_json("Tuning", tuning.plain_tuning(found))
+    else:
+        click.echo(found.document, nl=False)
+    if find_spec("matplotlib") is not None:
+        from swarmd.sim.plots.tuning import draw_tuning
+
+        draw_tuning(found, folder / "plots")
+    warn(f"results: {folder}/ (the file: {folder / tuning.RESULT})")
+
+
+@contextmanager
+def live_table() -> Iterator[tuple[OnLook, OnProgress]]:
+    """Functions to call with each look at a race, and with the progress of its runs.
+
+    A terminal shows a table of the best candidates; other outputs get a line for each look.
+    """
+    if not sys.stderr.isatty():
+
+        def show_line(look: Look) -> None:
+            warn(f"{look.headline}; best: {look.leader_text}")
+
+        yield show_line, lambda now: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    console = Console(stderr=True, no_color=not has_colour(True))
+    shown: list[Look] = []
+    with Live(console=console, transient=True, auto_refresh=False) as live:
+
+        def show(look: Look) -> None:
+            shown[:] = [look]
+            live.update(table(look, ""), refresh=True)
+
+        def show_progress(now: Progress) -> None:
+            if shown:
+                # Of the runs that are there and those that this step does.
+                live.update(table(shown[0], f"{now.total - now.done} runs to come"), refresh=True)
+
+        yield show, show_progress
+
+
+def table(look: Look, note: str) -> Table:
+    """The best candidates: their values, the mean over their runs, and the number of runs."""
+    from rich.table import Table
+
+    from swarmd.sim.experiments.statistics import number
+
+    found = Table(title=look.headline, caption=note or None, title_justify="left")
+    best = look.candidates[:_SHOWN]
+    names = list(dict.fromkeys(name for one in best for name in one.values))
+    for name in ("", *names, look.metric, "seeds"):
+        found.add_column(name, justify="right")
+    for one in best:
+        state = "present" if one.number == 0 else str(one.number)
+        values = (_shown(one.values.get(name)) for name in names)
+        found.add_row(
+            state, *values, number(look.value(one)), str(len(one.losses)), style="dim" * one.is_out
+        )
+    return found
+
+
+def _shown(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)

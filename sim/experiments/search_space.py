@@ -1,0 +1,303 @@
+"""What a tuning may change: keys of a scenario, each with its bounds or choices.
+
+Without names these are the parameters of the scenario's patterns, as the patterns declare them.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Platform
+from swarmd.kit.params import Params, ParamSpec, build, derived_defaults, schema
+from swarmd.pattern_host.loader import PatternLoader
+from swarmd.plugins import pattern_names
+from swarmd.sim.scenarios.overrides import parse_override
+from swarmd.sim.scenarios.scenario import Scenario
+
+if TYPE_CHECKING:
+    from optuna.distributions import BaseDistribution
+    from optuna.trial import FrozenTrial, Trial
+
+SOURCE = "--param"
+_LOG_FROM = 100.0
+"""Bounds above 0 with at least this ratio are searched by their logarithm."""
+_RANGE = re.compile(r"\s*([^.\s]\S*?|\.\d\S*?)\s*\.\.\s*(\S+?)\s*")
+_EXAMPLE = "KEY=0.1..0.5, KEY=1..8 or KEY=a,b,c"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One key of a scenario that is searched, `name` as tables show it.
+
+    From `low` to `high`, or one of `choices`. `pattern` and `param`: the parameter of a pattern
+    that it is; empty for other keys. `present`: its value without a tuning, None if unknown.
+    """
+
+    key: str
+    name: str
+    low: float = 0.0
+    high: float = 0.0
+    is_int: bool = False
+    choices: tuple[Any, ...] = ()
+    pattern: str = ""
+    param: str = ""
+    unit: str = ""
+    present: Any = None
+
+    @property
+    def is_log(self) -> bool:
+        """Whether its logarithm is searched."""
+        return not self.choices and self.low > 0.0 and self.high / self.low >= _LOG_FROM
+
+    @property
+    def range(self) -> str:
+        """Its values as text: `0.1..0.5`, or `a,b,c`."""
+        if self.choices:
+            return ",".join(map(str, self.choices))
+        return f"{self.low:g}..{self.high:g}"
+
+    def distribution(self) -> BaseDistribution:
+        """As optuna takes it; choices by their number."""
+        from optuna.distributions import (
+            CategoricalDistribution,
+            FloatDistribution,
+            IntDistribution,
+        )
+
+        if self.choices:
+            return CategoricalDistribution(range(len(self.choices)))
+        if self.is_int:
+            return IntDistribution(int(self.low), int(self.high), log=self.is_log)
+        return FloatDistribution(self.low, self.high, log=self.is_log)
+
+    def draw(self, trial: Trial) -> Any:
+        """The value that a trial gives it; floats have four significant digits."""
+        if self.choices:
+            return self.choices[trial.suggest_categorical(self.key, range(len(self.choices)))]
+        if self.is_int:
+            return trial.suggest_int(self.key, int(self.low), int(self.high), log=self.is_log)
+        value = trial.suggest_float(self.key, self.low, self.high, log=self.is_log)
+        return min(max(float(f"{value:.4g}"), self.low), self.high)
+
+    def number_of(self, value: Any) -> float:
+        """The value on an axis; choices by their place. ValueError if it is out of range."""
+        if self.choices:
+            return float(self.choices.index(value))
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{value!r} is no number")
+        if not self.low <= value <= self.high:
+            raise ValueError(f"{value} is out of range")
+        return float(value)
+
+
+class ParameterSpace:
+    """All parameters of a tuning. `present`: their values without it, None if one is unknown."""
+
+    def __init__(self, parameters: Sequence[Parameter]) -> None:
+        self.parameters = tuple(parameters)
+
+    @property
+    def text(self) -> list[str]:
+        """A line for each parameter: key and range."""
+        return [f"{one.key}={one.range}" for one in self.parameters]
+
+    @property
+    def present(self) -> dict[str, Any] | None:
+        """The values of the scenario as it is, by name; None if one is unknown or out of range."""
+        try:
+            for one in self.parameters:
+                one.number_of(one.present)
+        except ValueError:
+            return None
+        return {one.name: one.present for one in self.parameters}
+
+    def draw(self, trial: Trial) -> dict[str, Any]:
+        """The values of a trial, by name."""
+        return {one.name: one.draw(trial) for one in self.parameters}
+
+    def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The overrides of a scenario, by dotted key."""
+        return {one.key: values[one.name] for one in self.parameters}
+
+    def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
+        """These values and their loss, as the sampler takes them; None without values."""
+        from optuna.trial import create_trial
+
+        if not values:
+            return None
+        numbers = {one.key: one.number_of(values[one.name]) for one in self.parameters}
+        whole = {one.key for one in self.parameters if one.choices or one.is_int}
+        return create_trial(
+            params={key: int(x) if key in whole else x for key, x in numbers.items()},
+            distributions={one.key: one.distribution() for one in self.parameters},
+            value=loss,
+        )
+
+
+def parameter_space(
+    scenario: Scenario, words: Iterable[str] = (), on_note: Callable[[str], object] = str
+) -> ParameterSpace:
+    """The space of `--param` words, by default of all parameters of the scenario's patterns.
+
+    A word is KEY=LO..HI or KEY=A,B,C with a dotted key of the scenario or a pattern's parameter, or
+    the name of a parameter alone, whose declared bounds then hold. `on_note` receives a line about
+    each parameter that is left out. ConfigError names the word that is wrong.
+    """
+    declared = _declared(scenario)
+    words = list(words)
+    if not words:
+        found = []
+        for one, why in declared:
+            if not why:
+                found.append(one)
+            elif one.param not in Params.__struct_fields__:
+                on_note(f"{one.name} is not tuned: {why}; name it with {SOURCE} {one.name}=LO..HI")
+        if not found:
+            raise ConfigError(
+                f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
+                f" {SOURCE} {_EXAMPLE}"
+            )
+    else:
+        found = [_parameter(word, declared, scenario) for word in words]
+    keys = Counter(one.key for one in found)
+    if (twice := next((key for key, count in keys.items() if count > 1), None)) is not None:
+        raise ConfigError(f"{SOURCE} {twice} is given twice; keep one")
+    return ParameterSpace(found)
+
+
+def patterns_of(scenario: Scenario) -> tuple[str, ...]:
+    """The patterns that its robots run, from the start or by an event."""
+    groups = scenario.effective["groups"].values()
+    names = [group["pattern"] for group in groups if group["pattern"]]
+    names += [event.pattern for event in scenario.events if event.pattern]
+    return tuple(dict.fromkeys(names))
+
+
+def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
+    """Each parameter of the patterns, and why it cannot be tuned without bounds; empty if it can.
+
+    A bound on a speed is the limit of the slowest robot.
+    """
+    origins = pattern_names(scenario.plugin_dir)
+    load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
+    kinds = [(name, load(name).params_type) for name in patterns_of(scenario)]
+    count = Counter(spec.name for _, kind in kinds for spec in schema(kind))
+    found = []
+    for pattern, kind in kinds:
+        robot = _robot_of(scenario, pattern)
+        platform = scenario.robots[robot]
+        derived = {**derived_defaults(kind, platform)}
+        layers = (("platform", derived), *scenario.layers(robot, pattern))
+        _, present = build(kind, layers)
+        for spec in schema(kind):
+            name = spec.name if count[spec.name] == 1 else f"{pattern}.{spec.name}"
+            one = Parameter(
+                _key(scenario, pattern, spec.name),
+                name,
+                pattern=pattern,
+                param=spec.name,
+                unit=spec.unit,
+                present=present[spec.name][0],
+            )
+            found.append(_with_bounds(one, spec, platform))
+    return found
+
+
+def _with_bounds(one: Parameter, spec: ParamSpec, platform: Platform) -> tuple[Parameter, str]:
+    if spec.name in Params.__struct_fields__:
+        return replace(one, choices=spec.choices or (True, False)), "it is a parameter of all"
+    if spec.choices:
+        return replace(one, choices=spec.choices), ""
+    if spec.type == "bool":
+        return replace(one, choices=(False, True)), ""
+    if spec.type == "str":
+        return one, "it is any text"
+    one = replace(one, is_int=spec.type == "int")
+    if spec.ge is None or spec.le is None:
+        return one, f"it has no {'lower' if spec.ge is None else 'upper'} bound"
+    limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
+    high = min(spec.le, limits.get(spec.unit, math.inf))
+    return replace(one, low=spec.ge, high=high), "" if spec.ge < high else "it has one value"
+
+
+def _robot_of(scenario: Scenario, pattern: str) -> str:
+    """The slowest robot that begins with the pattern; of all robots if an event starts it."""
+    groups = scenario.effective["groups"]
+    ids = [
+        robot
+        for name, robots in scenario.groups.items()
+        for robot in robots
+        if groups[name]["pattern"] == pattern
+    ]
+    return min(ids or scenario.robots, key=lambda robot: scenario.robots[robot].limits.linear)
+
+
+def _key(scenario: Scenario, pattern: str, name: str) -> str:
+    """The key that sets a parameter: that of the group that sets it already, else of all robots."""
+    for group, section in scenario.effective["groups"].items():
+        if section["pattern"] == pattern and name in section["parameters"]:
+            return f"groups.{group}.parameters.{name}"
+    return f"parameters.{pattern}.{name}"
+
+
+def _parameter(
+    word: str, declared: Sequence[tuple[Parameter, str]], scenario: Scenario
+) -> Parameter:
+    key, equals, text = (part.strip() for part in word.partition("="))
+    known = {one.name: (one, why) for one, why in declared}
+    known |= {one.key: (one, why) for one, why in declared}
+    one, why = known.get(key, (None, ""))
+    if not equals:
+        if one is None:
+            names = [one.name for one, _ in declared]
+            raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
+        if why and not one.choices:
+            raise ConfigError(f"{SOURCE} {key}: {why}; give {key}=LO..HI")
+        return one
+    if one is None:
+        if "." not in key:
+            names = [one.name for one, _ in declared]
+            raise ConfigError(
+                f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of the scenario"
+            )
+        one = Parameter(key, key, present=_present(scenario, key))
+    is_choice = bool(one.choices)
+    one = replace(one, choices=(), low=0.0, high=0.0)
+    match = _RANGE.fullmatch(text)
+    if match is None:
+        _, values = parse_override(f"{key}={text}", SOURCE, "[{}]")
+        if not values or any(isinstance(value, dict | list) for value in values):
+            raise ConfigError(f"{SOURCE} {word}: expected {_EXAMPLE}")
+        return replace(one, choices=tuple(dict.fromkeys(values)))
+    if is_choice:
+        raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")
+    try:
+        low, high = map(float, match.groups())
+    except ValueError:
+        low = high = math.nan
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ConfigError(f"{SOURCE} {word}: expected LO..HI with LO below HI, such as 0.1..0.5")
+    whole = all(re.fullmatch(r"[+-]?\d+", end) for end in match.groups())
+    is_int = one.is_int if one.param else whole
+    if is_int and not whole:
+        raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..8")
+    return replace(one, low=low, high=high, is_int=is_int)
+
+
+def _present(scenario: Scenario, key: str) -> Any:
+    """The value of a dotted key of the scenario; None if it is not set."""
+    value: Any = scenario.effective
+    for part in key.split("."):
+        if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
+            value = value[int(part)]
+        elif isinstance(value, Mapping):
+            value = value.get(part)
+        else:
+            return None
+    return value

@@ -1,0 +1,700 @@
+"""Tuning: the values of a scenario's parameters with the best mean of a metric.
+
+::
+
+    from swarmd.sim.experiments.tune import tune
+
+    found = tune("aggregation", "gather_time:min", budget=200, param=["spacing=0.6..0.9"])
+    print(found)
+
+The same as `swarmctl exp tune`. Races follow one another: a sampler draws candidates from the
+results of the races before, all candidates meet the same seeds in the same order, and those that
+are worse with confidence end early (`racing.py`). The best one of a race is the reference of the
+next. The claim is made by seeds that no race has used, against the values of the scenario.
+
+Sampler: optuna's tree-structured Parzen estimator (J. Bergstra et al., "Algorithms for
+hyper-parameter optimization", NIPS 2011; multivariate: S. Falkner et al., "BOHB", ICML 2018) with a
+fixed seed. It learns between races alone, so nothing depends on the order in which runs end, or on
+how many processes do them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from importlib.util import find_spec
+from numbers import Integral
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, cast
+
+import msgspec
+import numpy as np
+
+from swarmd.core.errors import ConfigError, PluginError, SwarmError
+from swarmd.sim.experiments import manifest as manifests
+from swarmd.sim.experiments.compare import Difference, Side
+from swarmd.sim.experiments.compare import compare as compare_sides
+from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
+from swarmd.sim.experiments.mission_space import MissionSpace, mission_space
+from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
+from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
+from swarmd.sim.experiments.racing import ALPHA, looks, losers, mean_loss
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.search_space import SOURCE, parameter_space
+from swarmd.sim.experiments.simulate import OnProgress, Runner, run_experiment, run_here
+from swarmd.sim.experiments.statistics import number
+from swarmd.sim.experiments.tuned_values import tuned_document
+from swarmd.sim.metrics.catalog import Metric, beyond_catalog, metric_of
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import load_scenario
+
+if TYPE_CHECKING:
+    from optuna import Study
+    from optuna.trial import FrozenTrial, Trial
+
+Goal = Literal["min", "max"]
+STATE, RACES, HELD_OUT, RESULT = "tune.json", "races", "held_out", "tuned.yaml"
+MISSIONS, MISSION = "missions", "tuned_mission.yaml"
+PRESENT, TUNED = "present", "tuned"
+"""The variants of the runs with held-out seeds: the values of the scenario, and the best found."""
+CANDIDATES = 8
+_FORMAT = 1
+_SAMPLER_SEED = 2011
+_FEW_TRIALS = 10  # below it no importance is computed
+_MAX_DRAWS = 40  # for one candidate, until it is neither refused nor known
+
+
+class Space(Protocol):
+    """What is searched: draws values, and makes overrides of a scenario of them."""
+
+    @property
+    def text(self) -> list[str]:
+        """The space in lines that differ for different spaces."""
+
+    @property
+    def present(self) -> dict[str, Any] | None:
+        """The values of the scenario as it is; None if they are outside of the space."""
+
+    def draw(self, trial: Trial) -> dict[str, Any]:
+        """The values of a trial, by name."""
+
+    def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """The overrides of a scenario, by dotted key."""
+
+    def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
+        """These values and their loss, as the sampler takes them; None if it cannot."""
+
+
+@dataclass(slots=True)
+class Candidate:
+    """Values that are tried. Number 0 is the scenario as it is, with the values that are known.
+
+    `losses`: of the first seeds, inf of a failed run or one without a value; less is better.
+    `is_out`: a race has ended it early. `estimate`: the mean loss over all seeds of a race, of one
+    that ended early estimated; NaN during its race.
+    """
+
+    number: int
+    values: dict[str, Any]
+    overrides: dict[str, Any]
+    effective: Mapping[str, Any]
+    losses: list[float] = field(default_factory=list)
+    is_out: bool = False
+    estimate: float = math.nan
+    trial: Any = None
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A moment of a tuning: `runs` of `budget` are done, in this `race`.
+
+    `candidates`: all so far, the best first, those that ended early last. `alive`: how many new
+    ones of the race go on.
+    """
+
+    race: int
+    runs: int
+    budget: int
+    alive: int
+    candidates: tuple[Candidate, ...]
+    metric: str
+    goal: Goal
+
+    def value(self, candidate: Candidate) -> float | None:
+        """The mean of the metric over the candidate's finished runs; None if all failed."""
+        mean = mean_loss(candidate.losses)[1]
+        return None if math.isinf(mean) else mean if self.goal == "min" else -mean
+
+    @property
+    def headline(self) -> str:
+        """How far the tuning is, on one line."""
+        count = len(self.candidates)
+        return (
+            f"{self.runs} of {self.budget} runs, race {self.race}, {count} candidates,"
+            f" {self.alive} new ones in the race"
+        )
+
+    @property
+    def leader_text(self) -> str:
+        """The best candidate so far: its values and its mean."""
+        best = self.candidates[0]
+        values = " ".join(f"{name}={value}" for name, value in best.values.items())
+        name = "present values" if best.number == 0 else values
+        return f"{name}, {self.metric} {number(self.value(best))}"
+
+
+OnLook: TypeAlias = Callable[[Look], None]
+Workers: TypeAlias = Callable[[Manifest], AbstractContextManager[tuple[Runner, Manifest]]]
+"""Opens what does runs made with the software of a manifest; also gives their manifest."""
+
+
+@dataclass(slots=True, weakref_slot=True)
+class Tuning:
+    """The result of a tuning, which is in `folder`.
+
+    `best` is candidate number 0 if no other has a better mean over the seeds of the races. `gain`:
+    tuned against present values on held-out seeds, None without held-out seeds or without a better
+    candidate. `drops`: by variant, how the same runs differ in pseudo-reality. `importance`: the
+    share of each parameter in what makes candidates good, by PED-ANOVA; empty if unknown.
+    `document`: tuned.yaml.
+    """
+
+    folder: Path
+    metric: Metric
+    goal: Goal
+    space: Space
+    seeds: tuple[int, ...]
+    held_out: tuple[int, ...]
+    runs: int
+    best: Candidate
+    candidates: tuple[Candidate, ...]
+    importance: dict[str, float]
+    gain: Difference | None = None
+    drops: dict[str, Difference] = field(default_factory=dict)
+    document: str = ""
+
+    def value(self, candidate: Candidate) -> float:
+        """The mean of the metric over the seeds of the races.
+
+        That of a candidate that ended early is estimated by the difference from the best one of its
+        race, and a failed run counts as the worst of the race.
+        """
+        return candidate.estimate if self.goal == "min" else -candidate.estimate
+
+    def __str__(self) -> str:
+        return self.document
+
+
+def plain_tuning(found: Tuning) -> dict[str, Any]:
+    """A tuning as plain values."""
+
+    def about(one: Candidate) -> dict[str, Any]:
+        known = {"candidate": one.number, "values": one.values, "mean": found.value(one)}
+        return {**known, "seeds": len(one.losses), "is_out": one.is_out}
+
+    return {
+        "folder": str(found.folder),
+        "metric": found.metric.name,
+        "goal": found.goal,
+        "runs": found.runs,
+        "seeds": list(found.seeds),
+        "held_out": list(found.held_out),
+        "best": about(found.best),
+        "gain": None if found.gain is None else asdict(found.gain),
+        "drops": {name: asdict(drop) for name, drop in found.drops.items()},
+        "importance": found.importance,
+        "candidates": [about(one) for one in found.candidates],
+    }
+
+
+def split_metric(text: str, goal: str | None = None) -> tuple[Metric, Goal]:
+    """The metric and the direction of `M`, `M:min` or `M:max`; ConfigError without a direction."""
+    name, _, word = text.rpartition(":")
+    if goal is None and word in ("min", "max") and name not in ("", "report", "reading"):
+        text, goal = name, word
+    metric = metric_of(text)
+    found = {"less": "min", "more": "max"}.get(metric.better or "") if goal is None else goal
+    if found not in ("min", "max"):
+        wanted = f"expected {text}:min or {text}:max"
+        raise ConfigError(f"metric {text}: neither less nor more is better as such; {wanted}")
+    return metric, cast("Goal", found)
+
+
+def tune(
+    scenario: str | Path,
+    metric: str,
+    *,
+    budget: int = 500,
+    seeds: int | Iterable[int] = 20,
+    param: Iterable[str] = (),
+    set: Mapping[str, Any] | None = None,
+    mission: Iterable[str] = (),
+    held_out: int | Iterable[int] = 50,
+    pseudo_reality: bool = False,
+    candidates: int = CANDIDATES,
+    jobs: int = 1,
+    timeout: float = STEP_TIMEOUT,
+    out: str | Path | None = None,
+    workers: Workers | None = None,
+    on_note: Callable[[str], object] = str,
+    on_look: OnLook | None = None,
+    on_progress: OnProgress | None = None,
+) -> Tuning:
+    """Search the values of parameters with the best mean of a metric over the seeds.
+
+    `metric` is as of `--metrics`, with `:min` or `:max` where the metric has no better direction.
+    `param`: the keys to search, as `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
+    "law=settling,paper"; by default all parameters of the scenario's patterns. With
+    `mission`, names of patterns, missions of these are the candidates, and `param` has bounds of
+    conditions: "timeout=5..60", "nearer=0.3..1", "reading:light=0..100". Races take at most
+    `budget` runs, in each at most `candidates` new candidates over `seeds`. A number of
+    `held_out` seeds means those after the greatest of `seeds`. `jobs`, `timeout` and `out` are as
+    of `simulate`, the folder of an interrupted tuning continues with the same call, and the result
+    does not depend on `jobs`. `pseudo_reality`: the held-out runs are repeated with the key of this
+    name, and `drops` tell what they lose. `workers` do the runs in place of processes of this
+    machine. `on_look` is called at every look at a race, `on_note` with what is not tuned.
+
+    ConfigError before anything runs if an argument is invalid; SwarmError if all runs of a race
+    failed; PluginError without optuna.
+    """
+    if find_spec("optuna") is None:
+        raise PluginError("tuning needs optuna, not installed; run: pip install 'swarmd[sim,tune]'")
+    if jobs < 1 or candidates < 2:
+        raise ConfigError(f"jobs is {jobs} and candidates {candidates}; expected 1 and 2, or more")
+    measured, goal = split_metric(metric)
+    raced = check_seeds(range(int(seeds)) if isinstance(seeds, Integral) else seeds)  # type: ignore[arg-type]
+    kept = _held_out(held_out, raced)
+    if not 2 * len(raced) <= budget <= MAX_RUNS:
+        raise ConfigError(
+            f"budget is {budget} runs; expected {2 * len(raced)} (two candidates with"
+            f" {len(raced)} seeds) to {MAX_RUNS}"
+        )
+    loaded = load_scenario(str(scenario), set)
+    loaded.starts(raced[0])
+    folder = Path("tuning") if out is None else Path(out)
+    space: Space
+    if modules := tuple(mission):
+        space = mission_space(loaded, modules, param, folder / MISSIONS)
+    else:
+        space = parameter_space(loaded, param, on_note)
+    if out is None:
+        folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-"))
+        if isinstance(space, MissionSpace):
+            space.folder = folder / MISSIONS
+    run = _Tuner(
+        scenario=str(scenario),
+        sets=dict(set or {}),
+        loaded=loaded,
+        space=space,
+        metric=measured,
+        goal=goal,
+        seeds=raced,
+        budget=budget,
+        per_race=candidates,
+        folder=folder,
+        runner=partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here,
+        on_look=on_look or (lambda look: None),
+        on_progress=on_progress,
+    )
+    try:
+        with ExitStack() as stack:
+            if workers is not None:
+                run.runner, first = stack.enter_context(workers(run.manifest()))
+                run.made_with = first.made_with
+            found = run.search()
+            run.assess(found, kept, pseudo_reality=pseudo_reality)
+    except BaseException:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    if out is None:
+        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
+    return found
+
+
+def _held_out(given: int | Iterable[int], raced: Sequence[int]) -> tuple[int, ...]:
+    if isinstance(given, Integral):
+        first, count = max(raced) + 1, int(given)
+        return check_seeds(range(first, first + count)) if count else ()
+    kept = check_seeds(cast("Iterable[int]", given))
+    if both := sorted({*kept} & {*raced}):
+        raise ConfigError(f"seed {both[0]} is both held out and raced; keep one of them")
+    return kept
+
+
+@dataclass(slots=True, kw_only=True)
+class _Tuner:
+    scenario: str
+    sets: dict[str, Any]
+    loaded: Scenario
+    space: Space
+    metric: Metric
+    goal: Goal
+    seeds: tuple[int, ...]
+    budget: int
+    per_race: int
+    folder: Path
+    runner: Runner
+    made_with: dict[str, str] | None = None
+    on_look: OnLook
+    on_progress: OnProgress | None
+    candidates: list[Candidate] = field(default_factory=list)
+    races: list[list[int]] = field(default_factory=list)
+
+    def search(self) -> Tuning:
+        """Race until the budget is used; what a folder has already is not run again."""
+        study = _study()
+        recorded = self._open()
+        present = Candidate(0, self.space.present or {}, {}, plain(self.loaded.effective))
+        self.candidates.append(present)
+        best = present
+        while True:
+            index = len(self.races)
+            known = recorded[index] if index < len(recorded) else None
+            affordable = (self.budget - self._runs) // len(self.seeds)
+            size = min(self.per_race, affordable) - (index == 0) if known is None else len(known)
+            new = self._draw(study, max(size - (known is not None and index == 0), 0))
+            if not new and index > 0:
+                break
+            racing = [best, *new]
+            self.races.append([one.number for one in racing])
+            if known is None:
+                self._race(racing, index)
+            else:
+                self._recall(racing, known)
+            for one in racing if index == 0 else new:
+                _tell(study, one, racing, self.space)
+            best = min(
+                (one for one in racing if not one.is_out), key=lambda one: mean_loss(one.losses)
+            )
+            if known is None:
+                self._record()
+            if not new:
+                break
+        return Tuning(
+            folder=self.folder,
+            metric=self.metric,
+            goal=self.goal,
+            space=self.space,
+            seeds=self.seeds,
+            held_out=(),
+            runs=self._runs,
+            best=best,
+            candidates=self._ranked(),
+            importance=_importance(study),
+        )
+
+    def assess(self, found: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
+        """Hold the best candidate against the present values on seeds that no race has used."""
+        found.held_out = held_out
+        if held_out:
+            sides = {PRESENT: self.candidates[0], TUNED: found.best}
+            if found.best.number == 0:
+                del sides[TUNED]
+            variants = {name: one.effective for name, one in sides.items()}
+            nominal = self._held_out(HELD_OUT, held_out, variants)
+            if TUNED in sides:
+                found.gain = self._difference(nominal, PRESENT, nominal, TUNED)
+            if pseudo_reality:
+                drawn = {
+                    name: {**one, "pseudo_reality": one.get("pseudo_reality") or True}
+                    for name, one in variants.items()
+                }
+                other = self._held_out(f"{HELD_OUT}_pseudo_reality", held_out, drawn)
+                found.drops = {
+                    name: self._difference(nominal, name, other, name) for name in variants
+                }
+        found.document = tuned_document(found, self.scenario, self.sets, self.manifest())
+        write_whole(self.folder / RESULT, found.document)
+        if isinstance(self.space, MissionSpace) and found.best.number:
+            comments = [x for x in found.document.splitlines() if x.startswith("#")]
+            text = self.space.mission(found.best.values)
+            write_whole(self.folder / MISSION, "\n".join([*comments, text]))
+
+    def manifest(self, candidates: Sequence[Candidate] = ()) -> Manifest:
+        """The manifest of the runs of these candidates, by default of the present values."""
+        named = {str(one.number): one.effective for one in candidates}
+        named = named or {"0": plain(self.loaded.effective)}
+        return self._manifest(named, self.seeds, traces=False)
+
+    def _race(self, racing: Sequence[Candidate], number: int) -> None:
+        """Run blocks of seeds, and end candidates that are worse than the leader."""
+        new = [one for one in racing if not one.losses]
+        manifest = self.manifest(new)
+        stages = (*looks(len(self.seeds)), len(self.seeds))
+        level = ALPHA / max(len(stages) - 1, 1)
+        for count in stages:
+            alive = [one for one in new if not one.is_out]
+            if not alive:
+                break
+            self._run_block(manifest, alive, number, count)
+            if not any(math.isfinite(loss) for one in racing for loss in one.losses):
+                raise SwarmError(self._why_all_failed(number))
+            if count < len(self.seeds):
+                compared = [*alive, *(one for one in racing if one not in new)]
+                table = np.array([one.losses[:count] for one in compared]).T
+                for column in losers(table, level):
+                    compared[column].is_out |= compared[column] in alive
+            self._report(number, sum(not one.is_out for one in new))
+
+    def _run_block(
+        self, manifest: Manifest, alive: Sequence[Candidate], number: int, count: int
+    ) -> None:
+        """Take the losses of the first `count` seeds."""
+        place = self.folder / RACES / f"{number + 1:02d}"
+        seeds = {*self.seeds[:count]}
+        names = {_variant(str(one.number)): one for one in alive}
+        only = {
+            run.id for run in manifest.plan.runs if run.seed in seeds and run.variant.name in names
+        }
+        results = run_experiment(
+            manifest,
+            place,
+            self.runner,
+            only=only,
+            on_progress=self.on_progress,
+            summarized=[self.metric],
+        )
+        for name, one in names.items():
+            values = dict(
+                zip(results.seeds(name), results.metric(self.metric, name).tolist(), strict=True)
+            )
+            one.losses = [self._loss(values.get(seed), one) for seed in self.seeds[:count]]
+
+    def _loss(self, value: float | None, candidate: Candidate) -> float:
+        """Less is better; an event that never happened counts as one at the end of the run."""
+        if value is None:
+            return math.inf
+        if math.isnan(value):
+            if not self.metric.is_time_to_event:
+                return math.inf
+            value = float(candidate.effective["duration"])
+        return value if self.goal == "min" else -value
+
+    def _why_all_failed(self, number: int) -> str:
+        from swarmd.sim.experiments.results import load_results
+
+        results = load_results(self.folder / RACES / f"{number + 1:02d}")
+        for run, reason in results.failures.items():
+            return f"all runs of race {number + 1} failed; the first, {run}: {reason}"
+        return f"no run of race {number + 1} has a value of {self.metric.name}"
+
+    def _held_out(
+        self, name: str, seeds: tuple[int, ...], variants: Mapping[str, Mapping[str, Any]]
+    ) -> Results:
+        """The runs of present and tuned values, with traces."""
+        return run_experiment(
+            self._manifest(variants, seeds, traces=True),
+            self.folder / name,
+            self.runner,
+            on_progress=self.on_progress,
+            summarized=[self.metric],
+        )
+
+    def _difference(self, a: Results, name_a: str, b: Results, name_b: str) -> Difference:
+        first, second = (
+            Side(f"{one.folder}:{_variant(name)}", one, _variant(name))
+            for one, name in ((a, name_a), (b, name_b))
+        )
+        return compare_sides(first, second, [self.metric])[0]
+
+    def _manifest(
+        self, variants: Mapping[str, Mapping[str, Any]], seeds: Sequence[int], *, traces: bool
+    ) -> Manifest:
+        plan = Plan(
+            self.scenario,
+            tuple(seeds),
+            tuple(
+                Variant(_variant(name), {"candidate": name}, one) for name, one in variants.items()
+            ),
+            self.sets,
+            {"candidate": [*variants]},
+        )
+        own = beyond_catalog([self.metric])
+        found = manifest_of(plan, traces=traces, command=[], metrics=own)
+        made_with = self.made_with or found.made_with
+        return msgspec.structs.replace(found, made_with=made_with)
+
+    def _draw(self, study: Study, count: int) -> list[Candidate]:
+        """New candidates that the scenario accepts; fewer if there are no more."""
+        found: list[Candidate] = []
+        draws, refused = 0, ""
+        while len(found) < count and draws < _MAX_DRAWS:
+            draws += 1
+            trial = study.ask()
+            values = self.space.draw(trial)
+            twin = next((one for one in self.candidates if one.values == values), None)
+            try:
+                if twin is not None:
+                    raise ConfigError(f"they are those of candidate {twin.number}")
+                overrides = self.space.overrides(values)
+                scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
+                scenario.starts(self.seeds[0])
+            except ConfigError as error:
+                refused = str(error)
+                _refuse(study, trial)
+                continue
+            draws = 0
+            number = len(self.candidates)
+            one = Candidate(number, values, overrides, plain(scenario.effective), trial=trial)
+            self.candidates.append(one)
+            found.append(one)
+        if count and not found and len(self.candidates) == 1:
+            text = f"no values of {', '.join(self.space.text)} are accepted"
+            raise ConfigError(f"{text}; the last: {refused}")
+        return found
+
+    @property
+    def _runs(self) -> int:
+        return sum(len(one.losses) for one in self.candidates)
+
+    def _ranked(self) -> tuple[Candidate, ...]:
+        tried = [one for one in self.candidates if one.losses]
+        return tuple(
+            sorted(tried, key=lambda o: (o.is_out, -len(o.losses), mean_loss(o.losses), o.number))
+        )
+
+    def _report(self, number: int, alive: int) -> None:
+        self.on_look(Look(number + 1, self._runs, self.budget, alive, self._ranked(),
+                          self.metric.name, self.goal))  # fmt: skip
+
+    # The folder
+
+    def _open(self) -> list[list[dict[str, Any]]]:
+        """The candidates of finished races; ConfigError for the folder of anything else."""
+        path = self.folder / STATE
+        here = self._head()
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            if not path.exists():
+                if others := sorted(one.name for one in self.folder.iterdir()):
+                    raise ConfigError(
+                        f"{self.folder}: is not the folder of a tuning: it holds {others[0]};"
+                        " name a new or empty one with --out"
+                    )
+                write_json(path, {**here, "races": []})
+                return []
+            text = path.read_bytes()
+        except OSError as error:
+            raise ConfigError(f"{error.filename or self.folder}: {error.strerror}") from error
+        try:
+            data = json.loads(text)
+            there = msgspec.convert(data["manifest"], Manifest)
+            asked, races = dict(data["asked"]), list(data["races"])
+        except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
+            raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
+        now = msgspec.convert(here["manifest"], Manifest)
+        differing = next(manifests.differences(there, now), None)
+        for key, value in here["asked"].items():
+            if differing is None and asked.get(key) != value:
+                differing = f"{key} was {asked.get(key)}, now {value}"
+        if differing is not None:
+            text_ = f"{self.folder}: holds another tuning: {differing}"
+            raise ConfigError(f"{text_}; name another folder with --out, or remove this one")
+        return races
+
+    def _head(self) -> dict[str, Any]:
+        from optuna import __version__
+
+        asked = {
+            "format": _FORMAT,
+            "metric": self.metric.origin or self.metric.name,
+            "goal": self.goal,
+            "budget": self.budget,
+            "candidates": self.per_race,
+            "parameters": self.space.text,
+            "optuna": __version__,
+        }
+        return {"asked": asked, "manifest": msgspec.to_builtins(self.manifest())}
+
+    def _record(self) -> None:
+        """Write what the races so far have found."""
+        races = []
+        for index, numbers in enumerate(self.races):
+            new = [self.candidates[n] for n in numbers if n != numbers[0] or index == 0]
+            races.append([
+                {"candidate": one.number, "values": one.values, "is_out": one.is_out,
+                 "losses": [None if math.isinf(x) else x for x in one.losses]}
+                for one in new
+            ])  # fmt: skip
+        write_json(self.folder / STATE, {**self._head(), "races": races})
+
+    def _recall(self, racing: Sequence[Candidate], known: Sequence[Mapping[str, Any]]) -> None:
+        """Take the results of a race that is over."""
+        new = [one for one in racing if not one.losses]
+        drawn = [(one.number, plain(one.values)) for one in new]
+        if drawn != [(one["candidate"], one["values"]) for one in known]:
+            path = self.folder / STATE
+            raise ConfigError(f"{path}: the sampler draws other candidates; tune in a new folder")
+        for one, row in zip(new, known, strict=True):
+            one.is_out = bool(row["is_out"])
+            one.losses = [math.inf if x is None else float(x) for x in row["losses"]]
+
+
+def _variant(name: str) -> str:
+    return f"candidate={name}"
+
+
+def _study() -> Study:
+    import warnings
+
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        sampler = optuna.samplers.TPESampler(
+            seed=_SAMPLER_SEED, multivariate=True, group=True, constant_liar=True
+        )
+    return optuna.create_study(sampler=sampler)
+
+
+def _refuse(study: Study, trial: Trial) -> None:
+    """Tell the sampler that these values cannot be run; it counts them among the bad ones."""
+    from optuna.trial import TrialState
+
+    study.tell(trial, state=TrialState.PRUNED)
+
+
+def _tell(study: Study, one: Candidate, racing: Sequence[Candidate], space: Space) -> None:
+    """Tell the sampler the mean loss of a candidate over all seeds.
+
+    That of one that ended early is estimated: the mean of the race's first finisher, and their
+    difference on common seeds. A failed run counts as the worst run of the race.
+    """
+    finite = [loss for other in racing for loss in other.losses if math.isfinite(loss)]
+    worst = max(finite)
+    leader = min((o for o in racing if not o.is_out), key=lambda o: mean_loss(o.losses))
+    ours, theirs = (np.minimum(o.losses, worst) for o in (one, leader))
+    value = one.estimate = float(theirs.mean() + (ours - theirs[: len(ours)]).mean())
+    if one.trial is not None:
+        study.tell(one.trial, value)
+        return
+    if (known := space.known_trial(one.values, value)) is not None:
+        study.add_trial(known)
+
+
+def _importance(study: Study) -> dict[str, float]:
+    """The share of each parameter, by PED-ANOVA of S. Watanabe et al., IJCAI 2023.
+
+    It asks which parameters the best tenth of the candidates has narrowed. Of those that every
+    candidate has; empty below ten candidates.
+    """
+    from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
+    from optuna.trial import TrialState
+
+    complete = study.get_trials(deepcopy=False, states=[TrialState.COMPLETE])
+    if len(complete) < _FEW_TRIALS:
+        return {}
+    common = [key for key in complete[0].params if all(key in t.params for t in complete)]
+    if not common:
+        return {}
+    evaluator = PedAnovaImportanceEvaluator()
+    return dict(get_param_importances(study, evaluator=evaluator, params=common))
