@@ -30,19 +30,33 @@ from swarmd.kit.formation_geometry import place_on_circle, place_on_line, radius
 from swarmd.kit.formation_pattern import FormationParams, FormationPattern
 from swarmd.kit.params import (
     Avoidance,
+    Lease,
     ObjectWidth,
     P,
     Params,
     Recovery,
+    SharePeriod,
     TopSpeed,
     TopTurn,
+    WalkClearance,
     about,
     clear_distance,
     of_threshold,
     threshold,
 )
 from swarmd.kit.robot_detection import robots_near
-from swarmd.kit.steering import NearPoints, from_base, keep_clear, polar_from_base, steer
+from swarmd.kit.steering import (
+    AHEAD_HALF_WIDTH,
+    Ahead,
+    NearPoints,
+    away_from,
+    drive_along,
+    from_base,
+    keep_clear,
+    polar_from_base,
+    steer,
+    turn_time,
+)
 from swarmd.kit.timed_pattern import TimedPattern
 from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
 from swarmd.kit.voting_pattern import (
@@ -66,7 +80,9 @@ from swarmd.sensing.rays import (
 )
 
 __all__ = [
+    "AHEAD_HALF_WIDTH",
     "ZERO",
+    "Ahead",
     "Annotated",
     "Array",
     "Avoidance",
@@ -84,6 +100,7 @@ __all__ = [
     "Gap",
     "Initial",
     "Inputs",
+    "Lease",
     "Make",
     "Message",
     "MovementPattern",
@@ -104,6 +121,7 @@ __all__ = [
     "Recovery",
     "Scalar",
     "Scan",
+    "SharePeriod",
     "TieRule",
     "Ties",
     "TimedPattern",
@@ -116,12 +134,15 @@ __all__ = [
     "VoteWindow",
     "VotingParams",
     "VotingPattern",
+    "WalkClearance",
     "WindowLength",
     "about",
+    "away_from",
     "clear_distance",
     "closest_points",
     "clusters",
     "difference",
+    "drive_along",
     "field_twist",
     "from_base",
     "gaps",
@@ -139,5 +160,6 @@ __all__ = [
     "steer",
     "tally",
     "threshold",
+    "turn_time",
     "wrap",
 ]
