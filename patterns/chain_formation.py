@@ -43,6 +43,7 @@ _CHANNEL, _WALK = "chain", "walk"
 _MAX_HOPS, _GOAL = 10_000, -1
 _NEAR, _FAR = 0.8, 1.3  # of the distance: explorers join from here, and pass a member up to here
 _LANE, _SLACK = 0.4, 0.2  # of the distance: explorers keep right, and members rest within
+_KEEP = 1.2  # of the sight: a member that has seen the goal sees it up to here
 Vector = tuple[float, float]
 
 
@@ -67,8 +68,8 @@ class ChainFormationParams(Params, frozen=True, kw_only=True):
             ge=0.05,
             le=100.0,
             unit="m",
-            source="ours: 1.2 times the protection threshold",
-            derived=of_threshold(1.2),
+            source="ours: 1.6 times the protection threshold, to let explorers pass",
+            derived=of_threshold(1.6),
         ),
     ]
     sight: Annotated[
@@ -78,8 +79,8 @@ class ChainFormationParams(Params, frozen=True, kw_only=True):
             ge=0.05,
             le=100.0,
             unit="m",
-            source="ours: 1.5 times the distance of members",
-            derived=of_threshold(1.8),
+            source="ours: 1.25 times the distance of members",
+            derived=of_threshold(2.0),
         ),
     ]
     join: Annotated[
@@ -111,7 +112,7 @@ class ChainFormationParams(Params, frozen=True, kw_only=True):
             unit="rad/s",
             source="Nouyan et al. 2008: chains that align, 0, or move; the value: ours",
         ),
-    ] = 0.04
+    ] = 0.03
     speed: TopSpeed
     turn: TopTurn
     clearance: WalkClearance
@@ -198,7 +199,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
 
     def _leads(self) -> bool:
         """Whether it sees the goal, or a member behind it leads there."""
-        return self._goal <= self.params.sight or any(
+        keep = _KEEP if self._own is not None and self._own.leads else 1.0
+        return self._goal <= keep * self.params.sight or any(
             self._heard[one].leads for one in self._after(self.context.robot)
         )
 
@@ -210,14 +212,17 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             name < robot and math.hypot(*self._places[name]) < near
             for name in self._after(own.before)
         )
-        is_loose = not self._after(robot) and self._goal > params.sight
+        leads = self._leads()
+        is_loose = not self._after(robot) and not leads
         is_over = is_loose and float(self.context.rng.random()) < params.leave * inputs.dt
         if before is None or is_double or is_over:
             self._own, self._by, self._is_homeward = None, own.before, True
             return ZERO
-        self._own = _Member(self._heard[own.before].hops + 1, own.before, self._leads(), inputs.now)
+        self._own = _Member(self._heard[own.before].hops + 1, own.before, leads, inputs.now)
+        if leads:
+            return ZERO
         x, y = self._beyond(own.before)
-        if params.sweep > 0.0 and self._own.hops == 1 and not self._own.leads:
+        if params.sweep > 0.0 and self._own.hops == 1:
             x, y = x + params.sweep * before[1], y - params.sweep * before[0]
         elif math.hypot(x, y) <= _SLACK * params.distance:
             return ZERO

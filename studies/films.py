@@ -42,16 +42,6 @@ def _even(name: str, value: float) -> Mapping[str, Any]:
     return {"kind": "gaussian", "name": name, "center": [0, 0], "sigma": 1000, "peak": value}
 
 
-def _role(role: str) -> Mapping[str, Any]:
-    """A group of one robot in a role of shepherding."""
-    return {
-        "platform": "burger",
-        "count": 1,
-        "pattern": "shepherding",
-        "parameters": {"role": role},
-    }
-
-
 _ROOM = {"arena.size": [6, 6]}
 _VOTE = {"groups.tb3.parameters": {"opinions": 3}, "duration": 40}
 _OPTIONS = {"fields": [_even("quality_0", 0.6), _even("quality_1", 0.9)]}
@@ -203,27 +193,11 @@ SHOTS = MappingProxyType(
             },
         ),
         "film_shepherding": Shot(
-            scenario="flocking",
+            scenario="shepherding",
             title="shepherding, to the goal on the left",
             stop=240.0,
             colour="report:role",
             camera="top",
-            sets={
-                "groups.tb3.pattern": "shepherding",
-                "groups.tb3.count": 6,
-                "groups.dog": _role("shepherd"),
-                "groups.goal": _role("goal"),
-                "arena.size": [9, 6],
-                "start": {
-                    "layout": "list",
-                    "poses": [
-                        [0.0, 0.0, 0],
-                        [-3.0, 0.0, 0],
-                        *([x, y, 0] for x in (1.6, 2.3) for y in (-1.2, 0.0, 1.2)),
-                    ],
-                },
-                "radio": {"range_and_bearing": True},
-            },
         ),
         "film_source_seeking": Shot(
             scenario="source_seeking", title="source_seeking, up to the right", stop=120.0

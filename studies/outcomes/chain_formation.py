@@ -15,11 +15,11 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_of
 
 NAME = "chain_formation"
-ROBOTS, FAR, REACH = 10, 2.4, 1.5
+ROBOTS, FAR, REACH = 10, 3.0, 2.0
 """Robots, m from the nest to the goal, and m of the radio."""
 SECONDS, HELD, EVERY = 300.0, 30, 1.0
 """s of a run, samples after the chain is complete, and s between two samples."""
-DISTANCE = 0.6
+DISTANCE = 0.8
 """m between two members: the default on a Burger."""
 ALIGNING, STATIC = {"sweep": 0.0}, {"sweep": 0.0, "leave": 0.0}
 _PATH = "Nouyan et al. 2008, 2009: chains join nest and prey; the bound: ours"
