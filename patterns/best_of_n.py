@@ -27,6 +27,7 @@ from swarmd.api import (
     Params,
     Pattern,
     Recovery,
+    SharePeriod,
     about,
     majority,
 )
@@ -89,10 +90,7 @@ class BestOfNParams(Params, frozen=True, kw_only=True):
             source="Valentini et al. 2016: 3 min; a sixtieth of it",
         ),
     ] = 3.0
-    share_period: Annotated[
-        float,
-        about("time between two messages of a promotion", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 0.5
+    share_period: SharePeriod = 0.5
     recovery: Recovery = False
 
     def __post_init__(self) -> None:

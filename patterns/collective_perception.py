@@ -25,11 +25,12 @@ from swarmd.api import (
     Pattern,
     Recovery,
     Scalar,
+    SharePeriod,
     TopSpeed,
     Value,
+    WalkClearance,
     about,
     majority,
-    of_threshold,
 )
 
 OPINION = "colour"
@@ -86,26 +87,13 @@ class CollectivePerceptionParams(Params, frozen=True, kw_only=True):
             source="Valentini et al. 2016",
         ),
     ] = 3.0
-    share_period: Annotated[
-        float,
-        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 0.5
+    share_period: SharePeriod = 0.5
     black: Annotated[
         float,
         about("the floor is black below", ge=0.0, le=1e6, source="ours: halfway to white"),
     ] = 0.5
     speed: TopSpeed
-    clearance: Annotated[
-        float,
-        about(
-            "the walk turns away from nearer obstacles ahead",
-            ge=0.0,
-            le=20.0,
-            unit="m",
-            source="ours: random_walk's leaves no way through 20 robots in 16 m2",
-            derived=of_threshold(0.9),
-        ),
-    ]
+    clearance: WalkClearance
     recovery: Recovery = False
 
 
@@ -118,7 +106,6 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
 
     def __init__(self, params: CollectivePerceptionParams, context: Context) -> None:
         super().__init__(params, context)
-        self.channels = type(self).channels  # its part has none
         first = params.initial
         self.opinion = int(context.rng.integers(2)) if first is None else first
         self.quality = 1.0

@@ -17,24 +17,25 @@ import math
 from typing import Annotated
 
 from swarmd.api import (
+    AHEAD_HALF_WIDTH,
     ZERO,
+    Ahead,
     Context,
     Inputs,
     Params,
     Ray,
     Recovery,
+    Scan,
     TimedPattern,
     TopSpeed,
     TopTurn,
     Twist,
     about,
-    nearest,
+    away_from,
     of_threshold,
     robots_near,
+    turn_time,
 )
-
-_AHEAD_HALF_WIDTH = math.radians(60.0)
-_LEAST_TURN = 0.01  # rad/s: with less a turn takes no longer
 
 
 class CueAggregationParams(Params, frozen=True, kw_only=True):
@@ -106,9 +107,9 @@ class CueAggregation(TimedPattern[CueAggregationParams]):
         super().__init__(params, context)
         self._side = 1.0
         self._alone_until = -math.inf
-        self._seq: int | None = None  # of the scan that the meeting is from
+        self._scan: Scan | None = None  # that the meeting is from
         self._met: Ray | None = None
-        self._ahead: Ray | None = None
+        self._ahead = Ahead()
 
     def drive(self, inputs: Inputs) -> Twist:
         """Zero in state wait, a turn on the spot in state turn, else straight."""
@@ -119,15 +120,13 @@ class CueAggregation(TimedPattern[CueAggregationParams]):
         if state == "turn":
             self._alone_until = now + params.refractory
             return Twist(angular=self._side * params.turn)
-        self._look(inputs)
-        met = None if now < self._alone_until else self._met
-        blocking = met or self._ahead
+        ahead = self._ahead.within(params.near, inputs.scan)
+        met = None if now < self._alone_until else self._meet(inputs.scan, ahead)
+        blocking = met or ahead
         if blocking is None:
             return Twist(linear=params.speed)
-        rng = self.context.rng
-        side = float(rng.choice((-1.0, 1.0)))
-        self._side = -math.copysign(1.0, blocking.bearing) if blocking.bearing else side
-        turn = float(rng.uniform(0.5, 1.0)) * math.pi / max(params.turn, _LEAST_TURN)
+        self._side = away_from(blocking, self.context.rng)
+        turn = turn_time(float(self.context.rng.uniform(0.5, 1.0)) * math.pi, params.turn)
         if met is None:
             self.begin(now, turn=turn)
             return Twist(angular=self._side * params.turn)
@@ -135,15 +134,13 @@ class CueAggregation(TimedPattern[CueAggregationParams]):
         self.begin(now, wait=params.wait * warmth / (warmth + params.half**2), turn=turn)
         return ZERO
 
-    def _look(self, inputs: Inputs) -> None:
-        """The robot and the obstacle ahead that are near, of the latest scan."""
-        scan, near = inputs.scan, self.params.near
-        if scan is None or scan.seq == self._seq:
-            return
-        self._seq, self._met = scan.seq, None
-        ray = nearest(scan, half_width=_AHEAD_HALF_WIDTH)
-        self._ahead = ray if ray is not None and ray.range < near else None
-        if self._ahead is not None:
-            platform, half = self.context.platform, _AHEAD_HALF_WIDTH
-            robots = robots_near(scan, platform, within=near, half_width=half)
+    def _meet(self, scan: Scan | None, ahead: Ray | None) -> Ray | None:
+        """The nearest robot ahead that is near, of the latest scan."""
+        if scan is not None and scan is not self._scan:
+            self._scan, robots = scan, []
+            if ahead is not None:
+                within, half = self.params.near, AHEAD_HALF_WIDTH
+                platform = self.context.platform
+                robots = robots_near(scan, platform, within=within, half_width=half)
             self._met = robots[0] if robots else None
+        return self._met

@@ -24,8 +24,8 @@ from swarmd.api import (
     TopSpeed,
     TopTurn,
     Twist,
+    WalkClearance,
     about,
-    of_threshold,
 )
 
 _WALK, _HOME = "walk", "home"
@@ -64,17 +64,7 @@ class ForagingParams(Params, frozen=True, kw_only=True):
     ] = 0.8
     speed: TopSpeed
     turn: TopTurn
-    clearance: Annotated[
-        float,
-        about(
-            "search and way home turn away from nearer obstacles",
-            ge=0.0,
-            le=20.0,
-            unit="m",
-            source="ours: 0.9 times the protection threshold",
-            derived=of_threshold(0.9),
-        ),
-    ]
+    clearance: WalkClearance
     recovery: Recovery = False
 
 

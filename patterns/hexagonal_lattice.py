@@ -31,6 +31,7 @@ from swarmd.api import (
     TopTurn,
     Twist,
     about,
+    drive_along,
     of_threshold,
 )
 
@@ -124,9 +125,7 @@ class HexagonalLattice(MovementPattern[HexagonalLatticeParams]):
         x, y = self._force(inputs.neighbors)
         if math.hypot(x, y) <= params.tolerance:
             return ZERO
-        angle = math.atan2(y, x) if x >= 0.0 else math.atan2(-y, -x)
-        linear = max(-params.speed, min(params.speed, x))
-        return Twist(linear=linear, angular=max(-params.turn, min(params.turn, 2.0 * angle)))
+        return drive_along(x, y, speed=params.speed, turn=params.turn)
 
     def _force(self, neighbors: Iterable[Neighbor]) -> tuple[float, float]:
         """The sum of all forces as a velocity in m/s, in the base frame."""

@@ -16,12 +16,14 @@ from typing import Annotated, Literal, NamedTuple
 from swarmd.api import (
     Context,
     Inputs,
+    Lease,
     Message,
     Outputs,
     Params,
     Pattern,
     Recovery,
     Scalar,
+    SharePeriod,
     Value,
     about,
 )
@@ -55,20 +57,8 @@ class HopGradientParams(Params, frozen=True, kw_only=True):
             source="ours: elected without any choice",
         ),
     ] = "elected"
-    share_period: Annotated[
-        float,
-        about("time between two messages: a round", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 0.5
-    expiry: Annotated[
-        float,
-        about(
-            "an older message of a neighbour does not count",
-            ge=0.2,
-            le=600.0,
-            unit="s",
-            source="ours: 10 messages; where a fifth is lost, one in ten million times all are",
-        ),
-    ] = 5.0
+    share_period: SharePeriod = 0.5
+    expiry: Lease = 5.0
     lease: Annotated[
         float,
         about(

@@ -20,11 +20,13 @@ from typing import Annotated
 from swarmd.api import (
     Context,
     Inputs,
+    Lease,
     Outputs,
     Params,
     Pattern,
     Recovery,
     Scalar,
+    SharePeriod,
     TopSpeed,
     TopTurn,
     Twist,
@@ -89,20 +91,8 @@ class LeaderFollowingParams(Params, frozen=True, kw_only=True):
             source="Ploeg et al. 2014, tau; the value: ours",
         ),
     ] = 0.3
-    lease: Annotated[
-        float,
-        about(
-            "a robot that is not sensed for longer is lost",
-            ge=0.2,
-            le=60.0,
-            unit="s",
-            source="ours: ten beacons",
-        ),
-    ] = 2.0
-    share_period: Annotated[
-        float,
-        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 0.5
+    lease: Lease = 2.0
+    share_period: SharePeriod = 0.5
     recovery: Recovery = False
 
 

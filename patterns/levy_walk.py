@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from typing import Annotated
 
 from swarmd.api import (
+    Ahead,
     Context,
     Inputs,
     MovementPattern,
@@ -26,12 +27,8 @@ from swarmd.api import (
     TopTurn,
     Twist,
     about,
-    nearest,
     of_threshold,
 )
-
-# rad to each side of ahead: the robot passes obstacles farther aside.
-_AHEAD_HALF_WIDTH = math.radians(60.0)
 
 
 class LevyWalkParams(Params, frozen=True, kw_only=True):
@@ -84,8 +81,7 @@ class LevyWalk(MovementPattern[LevyWalkParams]):
         self._left = 0.0  # rad to turn
         self._flight = 0.0  # m to drive
         self._last = Twist()
-        self._seq: int | None = None
-        self._ahead: Ray | None = None
+        self._ahead = Ahead()
 
     def report(self) -> Mapping[str, Scalar]:
         """Its state, and the m that are left of the flight."""
@@ -96,14 +92,9 @@ class LevyWalk(MovementPattern[LevyWalkParams]):
         dt, step = inputs.dt, 1.0 / self.rate
         self._left -= self._last.angular * dt
         self._flight -= self._last.linear * dt
-        if inputs.scan is not None and inputs.scan.seq != self._seq:
-            self._seq = inputs.scan.seq
-            self._ahead = nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH)
-        is_turning = abs(self._left) > 1e-6
-        if not is_turning:
+        blocking = self._ahead.within(self.params.clearance, inputs.scan)
+        if abs(self._left) <= 1e-6:
             self._left = 0.0
-            ray = self._ahead
-            blocking = ray if ray is not None and ray.range < self.params.clearance else None
             if blocking is not None or self._flight <= 0.0:
                 self._draw(blocking)
         if self._left:

@@ -33,6 +33,7 @@ from swarmd.api import (
     TopTurn,
     Twist,
     about,
+    drive_along,
 )
 
 # rad between two rays beyond which the floor between them counts as unseen.
@@ -100,13 +101,9 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
             self._seq = scan.seq
             self._centroid = self._find(scan, inputs.neighbors)
         x, y = self._centroid
-        distance = math.hypot(x, y)
-        if distance <= params.tolerance:
+        if math.hypot(x, y) <= params.tolerance:
             return ZERO
-        linear = max(-params.speed, min(params.speed, params.gain * x))
-        angle = math.atan2(y, x) if x >= 0.0 else math.atan2(-y, -x)
-        angular = max(-params.turn, min(params.turn, 2.0 * params.gain * angle))
-        return Twist(linear=linear, angular=angular)
+        return drive_along(x, y, speed=params.speed, turn=params.turn, gain=params.gain)
 
     def _find(self, scan: Scan, neighbors: Sequence[Neighbor]) -> tuple[float, float]:
         """The centroid of the cell, in the base frame; (0, 0) where there is none."""

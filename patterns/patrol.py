@@ -19,12 +19,14 @@ from typing import Annotated
 from swarmd.api import (
     Context,
     Inputs,
+    Lease,
     Message,
     NearPoints,
     Outputs,
     Params,
     Pattern,
     Scalar,
+    SharePeriod,
     TopSpeed,
     TopTurn,
     Value,
@@ -56,20 +58,8 @@ class PatrolParams(Params, frozen=True, kw_only=True):
         float,
         about("a nearer place is visited", ge=0.01, le=10.0, unit="m", source="ours: a body"),
     ] = 0.2
-    share_period: Annotated[
-        float,
-        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 0.5
-    lease: Annotated[
-        float,
-        about(
-            "a robot that is not heard for longer is on its way to no place",
-            ge=0.2,
-            le=600.0,
-            unit="s",
-            source="ours: ten messages",
-        ),
-    ] = 5.0
+    share_period: SharePeriod = 0.5
+    lease: Lease = 5.0
     speed: TopSpeed
     turn: TopTurn
 

@@ -26,10 +26,10 @@ from swarmd.api import (
     closest_points,
     of_threshold,
     polar_from_base,
+    turn_time,
 )
 
 _BRAKE = 0.3  # m before `spacing` over which the speed towards an obstacle falls to zero
-_LEAST_TURN = 0.01  # rad/s: with less a search takes no longer
 
 
 class PhototaxisParams(Params, frozen=True, kw_only=True):
@@ -113,11 +113,8 @@ class Phototaxis(TimedPattern[PhototaxisParams]):
         if state != "turn":
             self._side = float(self.context.rng.choice((-1.0, 1.0)))
             turns = float(self.context.rng.uniform(1.0, 2.0))
-            self.begin(
-                now,
-                turn=turns * 2.0 * math.pi / max(params.turn, _LEAST_TURN),
-                straight=params.straight,
-            )
+            turn = turn_time(turns * 2.0 * math.pi, params.turn)
+            self.begin(now, turn=turn, straight=params.straight)
         return Twist(angular=self._side * params.turn)
 
     def _towards(self, inputs: Inputs, bearing: float) -> Twist:

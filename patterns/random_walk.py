@@ -8,28 +8,25 @@ at once. Law "paper" starts after 5 s and uses no sensor, so that only protectio
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from swarmd.api import (
     ZERO,
+    Ahead,
     Context,
     Inputs,
     MovementPattern,
     Params,
     Ray,
     Scalar,
-    Scan,
     TopSpeed,
     Twist,
     about,
-    nearest,
+    away_from,
     of_threshold,
 )
 
-# rad to each side of ahead: the robot passes obstacles farther aside.
-_AHEAD_HALF_WIDTH = math.radians(60.0)
 # s for which law "paper" stands before it starts (ROS2swarm).
 _START_DELAY = 5.0
 
@@ -104,8 +101,7 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._until: float | None = None  # before the first step
         self._is_turning = False
         self._begin: float | None = None
-        self._scan: Scan | None = None
-        self._ahead: Ray | None = None
+        self._ahead = Ahead()
 
     def report(self) -> Mapping[str, Scalar]:
         """Its state: straight, turn or wait."""
@@ -119,7 +115,8 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._begin = inputs.now if self._begin is None else self._begin
         if is_original and self._until is None and inputs.now < self._begin + _START_DELAY:
             return ZERO
-        blocking = None if is_original else self._blocking(inputs)
+        clearance = self.params.clearance
+        blocking = None if is_original else self._ahead.within(clearance, inputs.scan)
         is_over = self._until is None or inputs.now >= self._until
         may_go_straight = self._is_turning or self._until is None
         if may_go_straight and is_over and blocking is None:
@@ -130,16 +127,6 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
             return Twist(angular=self._rate)
         return Twist(linear=self.params.speed)
 
-    def _blocking(self, inputs: Inputs) -> Ray | None:
-        """The nearest return ahead within the clearance."""
-        if inputs.scan is not self._scan:
-            self._scan, self._ahead = (
-                inputs.scan,
-                nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH),
-            )
-        ray = self._ahead
-        return ray if ray is not None and ray.range < self.params.clearance else None
-
     def _go_straight(self, now: float) -> None:
         self._is_turning = False
         low, high = self.params.straight_min, self.params.straight_max
@@ -149,7 +136,4 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._is_turning = True
         rng = self.context.rng
         self._until = now + float(rng.uniform(0.0, self.params.turn_time))
-        sign = float(rng.choice((-1.0, 1.0)))
-        if blocking is not None:
-            sign = -math.copysign(1.0, blocking.bearing) if blocking.bearing else sign
-        self._rate = sign * float(rng.uniform(0.2, 0.8)) * self.params.turn
+        self._rate = away_from(blocking, rng) * float(rng.uniform(0.2, 0.8)) * self.params.turn

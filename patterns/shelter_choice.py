@@ -27,10 +27,11 @@ from swarmd.api import (
     Pattern,
     Recovery,
     Scalar,
+    SharePeriod,
     TopSpeed,
     Value,
+    WalkClearance,
     about,
-    of_threshold,
 )
 
 _CHANNEL = "rest"
@@ -107,22 +108,9 @@ class ShelterChoiceParams(Params, frozen=True, kw_only=True):
         float,
         about("the floor is a shelter's below", ge=0.0, le=1e6, source="ours: halfway to white"),
     ] = 0.5
-    share_period: Annotated[
-        float,
-        about("time between two messages of a rest", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 1.0
+    share_period: SharePeriod = 1.0
     speed: TopSpeed
-    clearance: Annotated[
-        float,
-        about(
-            "the walk turns away from nearer obstacles ahead",
-            ge=0.0,
-            le=20.0,
-            unit="m",
-            source="ours: as collective_perception",
-            derived=of_threshold(0.9),
-        ),
-    ]
+    clearance: WalkClearance
     recovery: Recovery = False
 
 
@@ -135,7 +123,6 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
 
     def __init__(self, params: ShelterChoiceParams, context: Context) -> None:
         super().__init__(params, context)
-        self.channels = type(self).channels  # its part has none
         self._rests = False
         self._walk_until = self._share_at = 0.0
         self._heard: dict[str, float] = {}  # when it told that it rests, by neighbour

@@ -26,6 +26,7 @@ from swarmd.api import (
     Pattern,
     Recovery,
     Scalar,
+    SharePeriod,
     TopSpeed,
     TopTurn,
     Twist,
@@ -99,10 +100,7 @@ class ShepherdingParams(Params, frozen=True, kw_only=True):
     ] = 1.0
     speed: TopSpeed
     turn: TopTurn
-    share_period: Annotated[
-        float,
-        about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
-    ] = 1.0
+    share_period: SharePeriod = 1.0
     recovery: Recovery = False
 
 

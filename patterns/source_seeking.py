@@ -12,6 +12,7 @@ import math
 from typing import Annotated
 
 from swarmd.api import (
+    Ahead,
     Context,
     Inputs,
     Params,
@@ -21,12 +22,10 @@ from swarmd.api import (
     TopTurn,
     Twist,
     about,
-    nearest,
+    away_from,
     of_threshold,
+    turn_time,
 )
-
-_AHEAD_HALF_WIDTH = math.radians(60.0)
-_LEAST_TURN = 0.01  # rad/s: with less a tumble takes no longer
 
 
 class SourceSeekingParams(Params, frozen=True, kw_only=True):
@@ -99,6 +98,7 @@ class SourceSeeking(TimedPattern[SourceSeekingParams]):
         self._last = -math.inf
         self._compare_at = -math.inf
         self._side = 1.0
+        self._ahead = Ahead()
 
     def drive(self, inputs: Inputs) -> Twist:
         """Straight, or a turn on the spot."""
@@ -115,14 +115,10 @@ class SourceSeeking(TimedPattern[SourceSeekingParams]):
         if now >= self._compare_at:
             is_falling = value < self._last
             self._last, self._compare_at = value, now + params.period
-        ahead = nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH)
-        is_blocked = ahead is not None and ahead.range < params.clearance
-        if not (is_falling or is_blocked):
+        blocking = self._ahead.within(params.clearance, inputs.scan)
+        if not is_falling and blocking is None:
             return Twist(linear=params.speed)
-        rng = self.context.rng
-        self._side = float(rng.choice((-1.0, 1.0)))
-        if is_blocked and ahead is not None and ahead.bearing:
-            self._side = -math.copysign(1.0, ahead.bearing)
-        angle = float(rng.uniform(params.least_angle, params.most_angle))
-        self.begin(now, tumble=angle / max(params.turn, _LEAST_TURN))
+        self._side = away_from(blocking, self.context.rng)
+        angle = float(self.context.rng.uniform(params.least_angle, params.most_angle))
+        self.begin(now, tumble=turn_time(angle, params.turn))
         return Twist(angular=self._side * params.turn)

@@ -16,7 +16,17 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from swarmd.api import Context, Inputs, Message, Outputs, Params, Pattern, Recovery, about
+from swarmd.api import (
+    Context,
+    Inputs,
+    Lease,
+    Message,
+    Outputs,
+    Params,
+    Pattern,
+    Recovery,
+    about,
+)
 
 _CHANNEL = "value"
 # Larger values are not believed: sums of them must be finite.
@@ -57,16 +67,7 @@ class TrimmedConsensusParams(Params, frozen=True, kw_only=True):
             source="ours",
         ),
     ] = 0.5
-    expiry: Annotated[
-        float,
-        about(
-            "an older value of a neighbour does not count",
-            ge=0.2,
-            le=600.0,
-            unit="s",
-            source="ours: 6 messages",
-        ),
-    ] = 3.0
+    expiry: Lease = 3.0
     recovery: Recovery = False
 
 

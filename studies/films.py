@@ -74,6 +74,12 @@ SHOTS = MappingProxyType(
         "film_best_of_n": _shot(
             "best_of_n", "quality 0.6 and 0.9", 120.0, "report:opinion", **_OPTIONS
         ),
+        "film_chain_formation": Shot(
+            scenario="chain_formation",
+            title="chain_formation, from the nest in the middle to the goal on the right",
+            stop=150.0,
+            camera="top",
+        ),
         "film_circle_formation": Shot(
             scenario="circle_formation",
             title="circle_formation; one robot is removed",
@@ -96,6 +102,12 @@ SHOTS = MappingProxyType(
         "film_cross_inhibition": _shot(
             "cross_inhibition", "quality 0.6 and 0.9", 120.0, "report:opinion", **_OPTIONS
         ),
+        "film_cue_aggregation": Shot(
+            scenario="cue_aggregation",
+            title="cue_aggregation; the right is warmer",
+            stop=240.0,
+            camera="top",
+        ),
         "film_discussed_dispersion": Shot(
             scenario="paper_exp2", title="discussed_dispersion", stop=40.0, colour="opinion"
         ),
@@ -111,7 +123,15 @@ SHOTS = MappingProxyType(
             stop=120.0,
             camera="top",
         ),
+        "film_hexagonal_lattice": Shot(
+            scenario="hexagonal_lattice", title="hexagonal_lattice", stop=90.0, camera="top"
+        ),
         "film_hop_gradient": _shot("hop_gradient", "hops to the leader", 20.0, "report:hops"),
+        "film_leader_following": Shot(
+            scenario="leader_following",
+            title="leader_following; the leader is removed after 60 s",
+            stop=90.0,
+        ),
         "film_levy_walk": Shot(
             scenario="random_walk",
             title="levy_walk",
@@ -133,6 +153,9 @@ SHOTS = MappingProxyType(
         "film_one_bit_aggregation": Shot(
             scenario="one_bit_aggregation", title="one_bit_aggregation", stop=240.0
         ),
+        "film_patrol": Shot(
+            scenario="patrol", title="patrol, nine places", stop=150.0, camera="top"
+        ),
         "film_phototaxis": Shot(
             scenario="phototaxis", title="phototaxis, to a lamp on the right", stop=60.0
         ),
@@ -153,6 +176,38 @@ SHOTS = MappingProxyType(
             60.0,
             "report:works",
             fields=[{**_even("stimulus", 12.0), "sigma": 1.5}],
+        ),
+        "film_shelter_choice": Shot(
+            scenario="flocking",
+            title="shelter_choice, two equal shelters",
+            stop=240.0,
+            colour="report:state",
+            camera="top",
+            sets={
+                "groups.tb3.pattern": "shelter_choice",
+                "groups.tb3.count": 10,
+                "groups.tb3.parameters": {"capacity": 10, "near": 1.4},
+                "arena.size": [6, 4],
+                "start.size": [5, 3],
+                "radio": {"range_and_bearing": True},
+                "fields": [
+                    {
+                        "kind": "floor",
+                        "name": "ground",
+                        "patches": [
+                            {"disc": [-1.5, 0, 0.9], "colour": 0.2},
+                            {"disc": [1.5, 0, 0.9], "colour": 0.2},
+                        ],
+                    }
+                ],
+            },
+        ),
+        "film_shepherding": Shot(
+            scenario="shepherding",
+            title="shepherding, to the goal on the left",
+            stop=240.0,
+            colour="report:role",
+            camera="top",
         ),
         "film_source_seeking": Shot(
             scenario="source_seeking", title="source_seeking, up to the right", stop=120.0

@@ -30,12 +30,15 @@ from swarmd.kit.formation_geometry import place_on_circle, place_on_line, radius
 from swarmd.kit.formation_pattern import FormationParams, FormationPattern
 from swarmd.kit.params import (
     Avoidance,
+    Lease,
     ObjectWidth,
     P,
     Params,
     Recovery,
+    SharePeriod,
     TopSpeed,
     TopTurn,
+    WalkClearance,
     about,
     clear_distance,
     of_threshold,
@@ -43,7 +46,18 @@ from swarmd.kit.params import (
 )
 from swarmd.kit.policy_pattern import PolicyParams, PolicyPattern
 from swarmd.kit.robot_detection import robots_near
-from swarmd.kit.steering import NearPoints, from_base, keep_clear, polar_from_base, steer
+from swarmd.kit.steering import (
+    AHEAD_HALF_WIDTH,
+    Ahead,
+    NearPoints,
+    away_from,
+    drive_along,
+    from_base,
+    keep_clear,
+    polar_from_base,
+    steer,
+    turn_time,
+)
 from swarmd.kit.timed_pattern import TimedPattern
 from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
 from swarmd.kit.voting_pattern import (
@@ -67,7 +81,9 @@ from swarmd.sensing.rays import (
 )
 
 __all__ = [
+    "AHEAD_HALF_WIDTH",
     "ZERO",
+    "Ahead",
     "Annotated",
     "Array",
     "Avoidance",
@@ -85,6 +101,7 @@ __all__ = [
     "Gap",
     "Initial",
     "Inputs",
+    "Lease",
     "Make",
     "Message",
     "MovementPattern",
@@ -107,6 +124,7 @@ __all__ = [
     "Recovery",
     "Scalar",
     "Scan",
+    "SharePeriod",
     "TieRule",
     "Ties",
     "TimedPattern",
@@ -119,12 +137,15 @@ __all__ = [
     "VoteWindow",
     "VotingParams",
     "VotingPattern",
+    "WalkClearance",
     "WindowLength",
     "about",
+    "away_from",
     "clear_distance",
     "closest_points",
     "clusters",
     "difference",
+    "drive_along",
     "field_twist",
     "from_base",
     "gaps",
@@ -142,5 +163,6 @@ __all__ = [
     "steer",
     "tally",
     "threshold",
+    "turn_time",
     "wrap",
 ]

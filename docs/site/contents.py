@@ -35,6 +35,7 @@ CONTENTS = {
         "docs/patterns/lloyd_coverage",
         "docs/patterns/hexagonal_lattice",
         "docs/patterns/leader_following",
+        "docs/patterns/chain_formation",
         "docs/patterns/patrol",
         "docs/patterns/shelter_choice",
         "docs/patterns/cue_aggregation",

@@ -76,7 +76,7 @@ from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
 from swarmd.sim.world.scalar_fields import Field
-from swarmd.texts.values import number
+from swarmd.texts.values import short_number
 from swarmd.texts.why import SENTENCES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -582,7 +582,7 @@ def _shown_default(one: msgspec.inspect.Field) -> str:
 
 
 def _default(spec: dict[str, Any]) -> str:
-    return "required" if spec["is_required"] else f"`{number(spec['default'])}`"
+    return "required" if spec["is_required"] else f"`{short_number(spec['default'])}`"
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -25,12 +25,21 @@ def blamed(layers: Layered, *keys: str | int, prefix: str = "") -> Iterator[None
         raise layers.error(keys, f"{prefix}{error}") from error
 
 
-def arena_of(layers: Layered, section: ArenaSection, items: Sequence[ItemKind] = ()) -> Arena:
-    """The arena; ConfigError for duplicate names and for places outside the walls."""
-    known = {HELD, DELIVERED}
+def arena_of(
+    layers: Layered,
+    section: ArenaSection,
+    items: Sequence[ItemKind] = (),
+    fields: Sequence[Field] = (),
+) -> Arena:
+    """The arena; ConfigError for duplicate names and for places outside the walls.
+
+    No reading of `items` may have the name of one of the `fields`, nor that of its sensors.
+    """
+    known, sensed = {HELD, DELIVERED}, {field.name for field in fields}
     for index, kind in enumerate(items):
         own = kind.readings[:3]
-        taken = next((name for name in own if name in known), None)
+        of_fields = (name for name in own if name in sensed or _sensor_of(name) in sensed)
+        taken = next((name for name in own if name in known), next(of_fields, None))
         if taken is not None:
             text = f"items[{index}].name gives a reading {taken!r} a second time; expected another"
             raise layers.error(("items", index, "name"), f"{text} name")
@@ -68,6 +77,12 @@ def arena_of(layers: Layered, section: ArenaSection, items: Sequence[ItemKind] =
             segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
             items=tuple(item for kind in items for item in kind.things),
         )
+
+
+def _sensor_of(reading: str) -> str:
+    """The field of a reading `<field>_<number>`, as robots with several sensors of it have."""
+    name, _, number = reading.rpartition("_")
+    return name if number.isdigit() else ""
 
 
 def check_inside(

@@ -129,7 +129,8 @@ def _overridden(
     file = layers.build(ScenarioFile)
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
-    arena, fields = arena_of(layers, file.arena, file.items), fields_of(layers, file.fields)
+    fields = fields_of(layers, file.fields)
+    arena = arena_of(layers, file.arena, file.items, fields)
     with blamed(layers, "radio"):
         check_radio(file.radio)
     groups = groups_of(layers, file, fields)

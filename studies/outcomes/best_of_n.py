@@ -77,8 +77,8 @@ def won(choices: Sequence[Choice]) -> float:
 
 
 def taken(choices: Sequence[Choice]) -> float:
-    """The mean time in s."""
-    return float(np.mean([one.at for one in choices]))
+    """The mean time in s; at least so long where a run has not ended after `SECONDS`."""
+    return float(np.mean([min(one.at, SECONDS) for one in choices]))
 
 
 def choose(setting: _Setting) -> Choice:

@@ -13,7 +13,7 @@ from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, print_section, print_table, warn
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
-from swarmd.texts.values import NOTHING, number, printable
+from swarmd.texts.values import NOTHING, printable, short_number
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -132,6 +132,6 @@ def _about(row: Record) -> list[tuple[str, str]]:
 
 
 def _param(spec: dict[str, Any]) -> tuple[str, ...]:
-    default = "required" if spec["is_required"] else number(spec["default"])
+    default = "required" if spec["is_required"] else short_number(spec["default"])
     source = "platform" if spec["is_derived"] else spec["source"]
     return (spec["name"], default, spec["wanted"], spec["description"], source or NOTHING)

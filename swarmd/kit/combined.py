@@ -16,7 +16,7 @@ from swarmd.kit.params import P
 class CombinedPattern(Pattern[P]):
     """Steps its parts and combines their outputs; each part receives only its own channels.
 
-    `needs` and `channels` of the object (not of the class) are those of all parts together. A
+    `needs` and `channels` of the object are those of the class and of all parts together. A
     channel of a part is named `<pattern>/<channel>` if it is shared with the stand-alone pattern,
     and `<part>-<channel>` if the part is private.
     """
@@ -27,7 +27,7 @@ class CombinedPattern(Pattern[P]):
         super().__init__(params, context)
         self.parts = self.make_parts()
         self.needs = frozenset[str]().union(self.needs, *(p.needs for p in self.parts.values()))
-        self.channels = {
+        self.channels = dict(self.channels) | {
             outer_name(part, channel): kind
             for part in self.parts.values()
             for channel, kind in part.channels.items()

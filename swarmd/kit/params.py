@@ -130,6 +130,31 @@ ObjectWidth = Annotated[
         derived=object_width,
     ),
 ]
+SharePeriod = Annotated[
+    float,
+    about("time between two messages", ge=0.1, le=60.0, unit="s", source="ours"),
+]
+Lease = Annotated[
+    float,
+    about(
+        "what was heard or sensed of a robot longer ago does not count",
+        ge=0.2,
+        le=600.0,
+        unit="s",
+        source="ours: several messages, so that a lost one does not matter",
+    ),
+]
+WalkClearance = Annotated[
+    float,
+    about(
+        "the walk turns away from nearer obstacles ahead",
+        ge=0.0,
+        le=20.0,
+        unit="m",
+        source="ours: that of random_walk leaves no way through 20 robots in 16 m2",
+        derived=of_threshold(0.9),
+    ),
+]
 
 
 @dataclass(frozen=True, slots=True)

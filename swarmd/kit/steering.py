@@ -5,12 +5,15 @@ Vectors are in the base frame (x forward, y left), of length 0 (stand) to 1 (ful
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.random import Generator
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Twist
+from swarmd.core.values import Array, Scan, Twist
+from swarmd.sensing.rays import Ray, nearest
 
 if TYPE_CHECKING:
     from swarmd.kit.points import NearPoints, polar_from_base
@@ -18,7 +21,22 @@ else:
     _kernel = load_kernel("swarmd.kit.points")
     NearPoints, polar_from_base = _kernel.NearPoints, _kernel.polar_from_base
 
-__all__ = ["NearPoints", "from_base", "keep_clear", "polar_from_base", "steer"]
+__all__ = [
+    "AHEAD_HALF_WIDTH",
+    "Ahead",
+    "NearPoints",
+    "away_from",
+    "drive_along",
+    "from_base",
+    "keep_clear",
+    "polar_from_base",
+    "steer",
+    "turn_time",
+]
+
+AHEAD_HALF_WIDTH = math.radians(60.0)
+"""To each side of ahead, in rad: a robot passes obstacles farther aside."""
+_LEAST_TURN = 0.01  # rad/s: with less a turn takes no longer
 
 
 def from_base(points: Array, offset: tuple[float, float]) -> Array:
@@ -56,3 +74,40 @@ def steer(
     return NearPoints(points.tolist()).steer(
         x, y, linear_max, angular_max, spacing=spacing, brake=brake, may_back=may_back
     )
+
+
+class Ahead:
+    """The nearest return ahead, within `AHEAD_HALF_WIDTH`; it looks at each scan once."""
+
+    def __init__(self) -> None:
+        self._scan: Scan | None = None
+        self._ray: Ray | None = None
+
+    def within(self, distance: float, scan: Scan | None) -> Ray | None:
+        """The return of `scan` if it is nearer to the sensor than `distance` m."""
+        if scan is not self._scan:
+            self._scan, self._ray = scan, nearest(scan, half_width=AHEAD_HALF_WIDTH)
+        ray = self._ray
+        return ray if ray is not None and ray.range < distance else None
+
+
+def away_from(ray: Ray | None, rng: Generator) -> float:
+    """The side to turn to, away from `ray`: 1.0 left, -1.0 right; by chance if it is ahead."""
+    side = float(rng.choice((-1.0, 1.0)))
+    return -math.copysign(1.0, ray.bearing) if ray is not None and ray.bearing else side
+
+
+def turn_time(angle: float, turn: float) -> float:
+    """The time in s of a turn by `angle` rad at `turn` rad/s, which may be zero."""
+    return angle / max(turn, _LEAST_TURN)
+
+
+def drive_along(x: float, y: float, *, speed: float, turn: float, gain: float = 1.0) -> Twist:
+    """The command along a vector, forward or backward, whichever needs less of a turn.
+
+    The speeds are `gain` times the forward part of the vector and 2 `gain` times the angle to it,
+    at most `speed` m/s and `turn` rad/s.
+    """
+    angle = math.atan2(y, x) if x >= 0.0 else math.atan2(-y, -x)
+    linear = max(-speed, min(speed, gain * x))
+    return Twist(linear=linear, angular=max(-turn, min(turn, 2.0 * gain * angle)))

@@ -14,7 +14,7 @@ from swarmd.core.messages import (
     Status,
 )
 from swarmd.texts.keys import day
-from swarmd.texts.values import NOTHING, megabytes, number, sandbox_text, seconds
+from swarmd.texts.values import NOTHING, megabytes, sandbox_text, seconds, short_number
 from swarmd.texts.why import activity, obstacles
 
 
@@ -28,7 +28,7 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("Protection", _protection(status)),
         ("Peers", [(f.robot, f"{'holds it: ' * f.holds}{f.text}") for f in status.peers]),
         ("Parameters", _parameters(status)),
-        (_report_title(status), [(name, number(value)) for name, value in status.report.items()]),
+        (_report_title(status), [(name, short_number(one)) for name, one in status.report.items()]),
         ("Readings", _readings(status)),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
@@ -38,7 +38,7 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
 
 def _readings(status: Status) -> list[tuple[str, str]]:
     stale = "stale: no fresh value; patterns get none"
-    found = {name: number(value) for name, value in status.readings.items()}
+    found = {name: short_number(value) for name, value in status.readings.items()}
     return sorted({**found, **dict.fromkeys(status.stale_readings, stale)}.items())
 
 
@@ -144,9 +144,9 @@ def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:
 
 
 def _parameters(status: Status) -> list[tuple[str, str]]:
-    width = max((len(number(param.value)) for param in status.params.values()), default=0)
+    width = max((len(short_number(param.value)) for param in status.params.values()), default=0)
     return [
-        (name, f"{number(param.value).ljust(width)}  from {param.source}")
+        (name, f"{short_number(param.value).ljust(width)}  from {param.source}")
         for name, param in status.params.items()
     ]
 

@@ -35,3 +35,10 @@ def megabytes(value: int, digits: int = 0) -> str:
 def number(value: object) -> str:
     """A value in short: floats with six digits, and never `-0`."""
     return f"{value + 0.0:.6g}" if isinstance(value, float) else str(value)
+
+
+def short_number(value: object) -> str:
+    """As `number`, but floats below 1000 with four digits, for people who only look."""
+    if isinstance(value, float) and abs(value) < 1000.0:
+        return f"{value + 0.0:.4g}"
+    return number(value)

@@ -90,9 +90,12 @@ def test_the_pattern_in_the_readme_is_the_example() -> None:
     assert (ROOT / "examples" / "shy.py").read_text() in blocks(ROOT / "README.md", "python")
 
 
-def test_the_pattern_in_the_tutorial_is_the_example() -> None:
-    page = ROOT / "docs" / "tutorial" / "2-own-behaviour.md"
-    assert (ROOT / "examples" / "beeclust.py").read_text() in blocks(page, "python")
+@pytest.mark.parametrize(
+    ("page", "name"),
+    [("tutorial/2-own-behaviour.md", "beeclust.py"), ("patterns.md", "waiting_walk.py")],
+)
+def test_the_pattern_on_the_page_is_the_example(page: str, name: str) -> None:
+    assert (ROOT / "examples" / name).read_text() in blocks(ROOT / "docs" / page, "python")
 
 
 def test_that_pattern_is_at_most_15_lines_of_code() -> None:

@@ -42,6 +42,23 @@ class TestShy(PatternContract):
     pattern = load("shy")
 
 
+class TestWaitingWalk(PatternContract):
+    pattern = load("waiting_walk")
+
+
+@pytest.mark.parametrize(("temperature", "seconds"), [(20.0, 0), (25.0, 6), (1000.0, 12)])
+def test_a_walk_waits_at_a_meeting_the_longer_the_warmer(temperature: float, seconds: int) -> None:
+    platform = TestWaitingWalk.subject("burger").platform
+    pattern = Subject(load("waiting_walk"), platform, {"wait": 12.0}).make()
+    readings, states = {"temperature": temperature}, []
+    for k in range(14):
+        near = [Disc(0.3, 0.0)] if k == 0 else []
+        scan = scan_of(platform, near, seq=k)
+        states.append(pattern.step(Inputs(float(k), 1.0, scan, readings=readings)).report["state"])
+    assert states.count("wait") == seconds
+    assert states[:seconds] == ["wait"] * seconds
+
+
 def test_the_grant_in_the_docstring_of_push_covers_its_zone() -> None:
     granted = TouchZone(0.0, math.radians(20.0), 0.1)  # as its docstring configures it
     assert "touch: {push: {half_width_deg: 20, speed: 0.1}}" in (EXAMPLES / "push.py").read_text()

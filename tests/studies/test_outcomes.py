@@ -14,6 +14,7 @@ from studies.outcomes.outcome import Outcome, at_least, at_most
 SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "attraction": {"duration": 40.0},
     "best_of_n": {"has_hard": False},
+    "chain_formation": {"has_more": False},
     "cooperative_transport": {"shapes": ((0.5, 0.5),), "duration": 80.0},
     "cross_inhibition": {"has_bounds": False},
     "circle_formation": {"settings": (SHORT,)},

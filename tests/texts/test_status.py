@@ -142,3 +142,13 @@ def test_findings_of_the_assumption_monitor_are_lines_of_protection() -> None:
     lines = dict(sections(member, member.status))["Protection"]
     assert ("slowed by", found[0]) in lines
     assert ("", found[1]) in lines
+
+
+def test_shows_floats_in_short() -> None:
+    report = {"width": 0.833607, "far": 12345.678, "whole": 3.0, "count": 123456}
+    assert shown(make_member(report=report))["Report"] == {
+        "width": "0.8336",
+        "far": "12345.7",
+        "whole": "3",
+        "count": "123456",
+    }

@@ -91,6 +91,30 @@ CARRIED = {
     ],
 }  # fmt: skip
 
+# Robots recognise robots of the other process, a box that they push, and a lamp that it hides.
+SEEN = {
+    **CARRIED,
+    "platforms": {
+        "burger": {
+            "extends": "burger", "protection": {"mode": "off"},
+            "sensors": {
+                "detections": [
+                    {"at": [0, 0], "bearing_deg": 0, "field_of_view_deg": 360, "range": 5}
+                ]
+            },
+        }
+    },
+    "arena": {
+        "size": [7.0, 7.0],
+        "boxes": [{"name": "crate", "at": [0.4, 0.0], "size": [0.5, 0.5], "mass": 0.5}],
+    },
+    "groups": {
+        "all": {"platform": "burger", "count": 3, "prefix": "r", "pattern": "cooperative_transport"}
+    },
+    "fields": [{"name": "light", "kind": "light", "center": [2.5, 0]}],
+    "items": [],
+}  # fmt: skip
+
 
 def same_bits(a: Trace, b: Trace) -> None:
     for field in fields(Trace):
@@ -105,8 +129,8 @@ def same_bits(a: Trace, b: Trace) -> None:
 
 @pytest.mark.parametrize(
     ("data", "cores"),
-    [(MIXED, 3), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3), (CARRIED, 2)],
-    ids=["mixed", "at_once", "boxes", "latches", "carried"],
+    [(MIXED, 3), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3), (CARRIED, 2), (SEEN, 2)],
+    ids=["mixed", "at_once", "boxes", "latches", "carried", "seen"],
 )
 def test_processes_give_the_bits_of_one_process(data: dict[str, Any], cores: int) -> None:
     whole = simulate_run(scenario_of(data), 4)
@@ -120,6 +144,11 @@ def test_robots_carry_their_items_from_the_first_steps_on() -> None:
     assert trace.box_pose is not None
     ahead = trace.box_pose[-1, 1:4, :2] - trace.pose[-1, :, :2]
     assert np.hypot(*ahead.T) == pytest.approx(0.038, abs=1e-9)
+
+
+def test_robots_of_both_processes_recognise_the_box_and_the_lamp() -> None:
+    trace = simulate_run(scenario_of(SEEN), 4, cores=2)
+    assert trace.words["state"][-1].tolist() == ["push", "around", "around"]
 
 
 @pytest.mark.parametrize("robot", ["r-01", "r-02"])

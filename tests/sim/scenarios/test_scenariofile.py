@@ -141,6 +141,9 @@ def test_paths_are_relative_to_their_file(
         ("extends: paper_exp1_burgr", ": extends: .*'paper_exp1_burger'"),
         ("extends: 5", ": extends"),
         ("extends: paper_exp1_burger\nduration: -1", ": duration"),
+        ("extends: foraging\nitems: [{name: light, at: [[1, 0]]}]", r": items\[0\].*'light'"),
+        ("extends: foraging\nitems: [{name: light_1, at: [[1, 0]]}]", r": items\[0\].*'light_1'"),
+        ("extends: foraging\nitems: [{name: held, at: [[1, 0]]}]", r": items\[0\].*'held'"),
     ],
 )
 def test_an_invalid_file_is_refused_in_one_line(
