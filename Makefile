@@ -28,7 +28,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean, .PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes tuning voting films screens mutants kernel-mutants ros2-router ros-study lock clean, .PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench bench-suite budget network network-scale paper safety outcomes voting films screens mutants kernel-mutants ros2-router ros-study lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
