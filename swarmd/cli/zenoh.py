@@ -10,7 +10,8 @@ import click
 
 from swarmd.cli.options import FILE, CommonOptions, common_options
 from swarmd.cli.output import print_json, warn
-from swarmd.cli.send import known_members, unreachable
+from swarmd.cli.send import known_members
+from swarmd.client.session import unreachable
 from swarmd.core.errors import ConfigError, NetworkError
 
 
