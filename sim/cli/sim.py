@@ -17,7 +17,6 @@ from swarmd.client.network_options import DEFAULT_SWARM
 from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
-from swarmd.sim.live.simulated_swarm import check_free, kept_folder
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
@@ -72,6 +71,7 @@ def up(
     """
     need("mujoco")
     from swarmd.core.keys import check_id
+    from swarmd.sim.live.simulated_swarm import kept_folder
 
     given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
@@ -91,6 +91,7 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.fleet import Fleet, end_on_signals
+    from swarmd.sim.live.simulated_swarm import check_free
     from swarmd.sim.live.starting import await_robots, statuses_of
 
     end_on_signals()

@@ -13,7 +13,6 @@ import click
 
 from swarmd.cli.output import warn
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
-from swarmd.sim.live.simulated_swarm import kept_folder
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,6 +52,8 @@ def tour(ctx: click.Context, /, yes: bool, **world: Any) -> None:
     if not yes and not sys.stdin.isatty():
         raise click.UsageError("the tour waits for Enter, and this is no terminal; give --yes")
     need("mujoco")
+    from swarmd.sim.live.simulated_swarm import kept_folder
+
     with kept_folder(None) as folder:
         ctx.exit(_toured(folder, is_waiting=not yes, **world))
 

@@ -126,3 +126,4 @@ async def _from_thread(
             yield taking.result()
     finally:
         cancelled.set()
+        done.cancel()  # its thread may end after the loop

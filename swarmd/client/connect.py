@@ -105,8 +105,7 @@ def connect(
 
     The options are those of swarmctl, with its defaults: `$SWARM`, `$SWARM_CONFIG` and the context
     in use (`context` names another one), else swarm `default` of robots on this machine. `config`:
-    a swarm file. `profile`: dev, field or
-    routed. `identity`: the folder of your identity; by
+    a swarm file. `profile`: dev, field or routed. `identity`: the folder of your identity; by
     default that of this user or machine for the swarm. `timeout` in s bounds each method that
     states none. `tell` takes lines for the user, such as robots that did not answer; by default
     they are warnings of the logger `swarmd.client`.

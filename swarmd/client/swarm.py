@@ -21,8 +21,8 @@ from swarmd.network.exit_codes import TIMEOUT
 if TYPE_CHECKING:
     from swarmd.client.event_feed import EventLine
     from swarmd.client.operator_pool import OperatorPool
-    from swarmd.core.values import Value
     from swarmd.network.operator.outcome import Outcome
+    from swarmd.texts.assignments import Value
     from swarmd.texts.goal import Difference
 
 Words: TypeAlias = str | Iterable[str]
