@@ -131,8 +131,7 @@ def tune(
     is held against the present values on seeds that no race has used. Prints a scenario's file with
     the values and their evidence, which is also in DIR/tuned.yaml.
     """
-    need("mujoco")
-    need("optuna", extra="sim,plot,tune")
+    need("mujoco", "optuna", extra="sim,plot,tune")
     from swarmd.sim.experiments import tune as tuning
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
     from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs

@@ -86,7 +86,7 @@ def _shown(one: Difference, a: str, b: str, goal: Goal) -> str:
         text += f", p {number(one.p)}"
     if one.never_a or one.never_b:
         text += f"; never: {one.never_b} {b}, {one.never_a} {a}"
-    if not one.differs:
+    if not one.holds:
         return f"{text}. No difference is shown."
     is_less = one.difference is not None and one.difference < 0.0
     return f"{text}. Better: {b if is_less == (goal == 'min') else a}."
