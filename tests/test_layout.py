@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from studies import kernel_mutants
 from swarmd.core import kernels
@@ -229,6 +230,22 @@ def test_every_package_has_an_init_that_only_reexports() -> None:
     ]
     assert missing == []
     assert busy == []
+
+
+def test_the_citation_is_of_this_version_and_licence() -> None:
+    """The keys that CFF 1.2.0 requires, and those that the project's metadata repeats."""
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)
+    assert cited["cff-version"] == "1.2.0"
+    assert cited["title"] == PROJECT["project"]["name"]
+    assert str(cited["version"]) == PROJECT["project"]["version"]
+    assert cited["license"] == PROJECT["project"]["license"]
+    assert cited["abstract"] == PROJECT["project"]["description"]
+    assert cited["keywords"] == PROJECT["project"]["keywords"]
+    for work in (cited, *cited["references"]):
+        assert work["authors"]
+        assert all({"name"} <= set(one) or {"family-names"} <= set(one) for one in work["authors"])
+        assert work["title"]
 
 
 def test_entry_points_lead_to_names() -> None:
