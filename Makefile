@@ -32,7 +32,7 @@ ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo      seven simulated robots gather; the first time installs, for a minute or more"
+	@echo "make demo      seven simulated robots gather; the first time installs, for some 15 s"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"

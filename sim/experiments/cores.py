@@ -20,7 +20,9 @@ def usable_cores(root: Path = Path("/")) -> int:
     """
     quotas = [_quota(folder) for folder in _groups(root)]
     limits = [math.ceil(quota) for quota in quotas if quota < math.inf]
-    return max(1, min(len(os.sched_getaffinity(0)), *limits, MAX_PROCESSES))
+    has_mask = hasattr(os, "sched_getaffinity")  # not on macOS
+    cores = len(os.sched_getaffinity(0)) if has_mask else os.cpu_count() or 1
+    return max(1, min(cores, *limits, MAX_PROCESSES))
 
 
 def cores_of_a_run(cores: int, runs: int, robots: int) -> int:

@@ -15,7 +15,6 @@ there.
 from __future__ import annotations
 
 import csv
-import fcntl
 import io
 import json
 import math
@@ -278,6 +277,8 @@ def _refuse_other_files(folder: Path) -> None:
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
     """Hold an exclusive lock of the folder; ConfigError if another process holds it."""
+    import fcntl  # not on Windows, where results can be read
+
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import resource
 import signal
 import struct
 import sys
@@ -24,10 +23,10 @@ def die_with_parent(parent: int) -> None:
 
     `parent` is the expected parent's id; if it has ended already, this process exits now. The
     kernel sends the signal when the *thread* that spawned this process ends, so spawn from a
-    thread that stays.
+    thread that stays. Without prctl(2), as on macOS, the process notices the end by its pipe.
     """
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+    if hasattr(libc, "prctl") and libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
     if os.getppid() != parent:
         sys.exit(0)
@@ -57,6 +56,8 @@ def how_it_ended(returncode: int | None) -> str:
 
 def limit_growth(growth: int) -> None:
     """Let this process grow by so many bytes from its present size; beyond it MemoryError."""
+    import resource  # not on Windows, where lockstep runs without workers
+
     with open("/proc/self/statm") as file:
         limit = growth + int(file.read().split()[0]) * resource.getpagesize()
     _, hard = resource.getrlimit(resource.RLIMIT_AS)

@@ -6,7 +6,6 @@ is read once, and a wheel is imported from a sealed copy in memory (memfd_create
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import importlib
 import importlib.util
@@ -24,7 +23,6 @@ from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
 from swarmd.plugins import IN_WHEEL, MISSION
 
-_SEALS = fcntl.F_SEAL_WRITE | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL
 _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
 
@@ -115,10 +113,13 @@ def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
 
 def _sealed_copy(name: str, content: bytes) -> str:
     """A path in `/proc` of a copy in memory, which no process can change."""
+    import fcntl  # Linux alone has it with seals, and pushed code runs under a daemon
+
     file = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     with open(file, "wb", closefd=False) as copy:
         copy.write(content)
-    fcntl.fcntl(file, fcntl.F_ADD_SEALS, _SEALS)
+    seals = fcntl.F_SEAL_WRITE | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL
+    fcntl.fcntl(file, fcntl.F_ADD_SEALS, seals)
     return f"/proc/self/fd/{file}"
 
 

@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NoReturn
 
 import numpy as np
@@ -92,9 +93,9 @@ class _NoConsole(io.StringIO):
 
 
 def _guards() -> Iterator[tuple[Any, str, Any, Callable[..., Any]]]:
-    """(owner, name, function, replacement) of each forbidden function."""
+    """(owner, name, function, replacement) of each forbidden function that this system has."""
     for owner, names, hint in _FORBIDDEN:
-        for name in names:
+        for name in filter(partial(hasattr, owner), names):
             yield owner, name, getattr(owner, name), _raiser(f"{owner.__name__}.{name}", hint)
     for module in (random, np.random):
         for name in module.__all__:

@@ -156,7 +156,12 @@ class PatternContract:
     seconds: ClassVar[float] = 20.0
 
     def setup_method(self) -> None:
-        """Limit a test to `seconds` of processor time, for patterns that loop for ever."""
+        """Limit a test to `seconds` of processor time, for patterns that loop for ever.
+
+        Windows has no such alarm.
+        """
+        if not hasattr(signal, "setitimer"):
+            return
 
         def on_alarm(number: int, frame: FrameType | None) -> None:
             raise TimeoutError(f"not done after {self.seconds:g} s of processor time")
@@ -166,7 +171,8 @@ class PatternContract:
 
     def teardown_method(self) -> None:
         """Lift the limit."""
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
 
     @classmethod
     def pytest_generate_tests(cls, metafunc: Any) -> None:
