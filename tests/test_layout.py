@@ -236,7 +236,6 @@ def test_every_package_has_an_init_that_only_reexports() -> None:
     assert busy == []
 
 
-<<<<<<< HEAD
 def test_public_names_are_imported_when_they_are_used() -> None:
     names = set(swarmd._PUBLIC)
     typed = {
@@ -256,8 +255,6 @@ def test_public_names_are_imported_when_they_are_used() -> None:
         swarmd.conect  # type: ignore[attr-defined]  # noqa: B018  # a name that is misspelt
 
 
-||||||| 3de44946
-=======
 def test_the_citation_is_of_this_version_and_licence() -> None:
     """The keys that CFF 1.2.0 requires, and those that the project's metadata repeats."""
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text())
@@ -274,7 +271,6 @@ def test_the_citation_is_of_this_version_and_licence() -> None:
         assert work["title"]
 
 
->>>>>>> afccc83f0d5066f01b9db2634ae9fdd8e2cc495e
 def test_entry_points_lead_to_names() -> None:
     groups = PROJECT["project"]["entry-points"] | {"scripts": PROJECT["project"]["scripts"]}
     values = [value for entries in groups.values() for value in entries.values()]

@@ -43,9 +43,9 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
     return [f"{o.what}: {o.shown}; expected {o.wanted}" for o in outcomes if not o.is_reached]
 
 
-<<<<<<< HEAD
-# test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
-ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
+# test_paper.py, test_paper_exp2.py, tests/sim/lockstep/test_order.py and
+# tests/patterns/test_policy.py run these four.
+ELSEWHERE = {"attraction", "discussed_dispersion", "policy", "voter_model"}
 # Four to seventeen seconds of processor time each; tests/patterns has their rules, and
 # tests/sim/lockstep/test_matrix.py runs each of them in a swarm.
 LONG = {
@@ -62,18 +62,6 @@ LONG = {
     "source_seeking",
     "vicsek_alignment",
 }
-||||||| 0b814e62
-# test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
-ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
-# Four to ten seconds of processor time each; tests/patterns has their rules.
-LONG = {"collective_perception", "cooperative_transport", "cue_aggregation", "response_threshold"}
-=======
-# test_paper.py, test_paper_exp2.py, tests/sim/lockstep/test_order.py and
-# tests/patterns/test_policy.py run these four.
-ELSEWHERE = {"attraction", "discussed_dispersion", "policy", "voter_model"}
-# Four to ten seconds of processor time each; tests/patterns has their rules.
-LONG = {"collective_perception", "cooperative_transport", "cue_aggregation", "response_threshold"}
->>>>>>> 4076d74a333b30d7e5f13b66b76abc4a79203461
 
 
 @pytest.mark.parametrize(
