@@ -25,7 +25,7 @@ from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, un
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint, EntryPoints
+    from importlib.metadata import Distribution, EntryPoint, EntryPoints
 
     import click
 
@@ -196,8 +196,11 @@ def need(*modules: str, extra: str) -> None:
 
 
 def _installed() -> Iterator[tuple[str, Origin]]:
+    sources: dict[Distribution | None, str] = {}  # to read the metadata of one takes 1 ms
     for point in _entry_points(group=PATTERNS):
-        yield point.name, Origin(point.value, _source(point))
+        if point.dist is None or point.dist not in sources:
+            sources[point.dist] = _source(point)
+        yield point.name, Origin(point.value, sources[point.dist])
     for path in mission_files(Path(swarmd.config.__path__[0]) / "missions"):
         yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
 
