@@ -134,6 +134,14 @@ def test_a_member_keeps_its_distance_in_line() -> None:
     assert far.twist.linear > 0.0
 
 
+def test_a_member_of_a_chain_that_leads_to_the_goal_stands() -> None:
+    robot = Robot(join=SURE, leave=0.0)
+    robot.joined(nest=(0.6, 0.0, NEST))
+    found = robot.step(nest=(0.9, 0.0, NEST), b=(0.6, math.pi, [2, "robot-1", True]))
+    assert found.twist == Twist()
+    assert found.report["leads"]
+
+
 def test_of_two_members_at_one_place_the_higher_id_leaves() -> None:
     a: tuple[float, float, list[Value]] = (0.6, 0.0, [1, "nest", False])
     lower, higher = Robot(join=SURE, leave=0.0), Robot(join=SURE, leave=0.0)
