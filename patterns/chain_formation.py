@@ -147,8 +147,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """The command of the state, and what members tell."""
         now, params = inputs.now, self.params
         self._hear(inputs)
+        state: str = params.role
         if params.role != "robot":
-            twist, state = ZERO, params.role
+            twist = ZERO
             hops = 0 if params.role == "nest" else _GOAL
             self._own = _Member(hops, "", self._leads(), now)
         elif inputs.scan is None:
@@ -222,9 +223,11 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         if leads:
             return ZERO
         x, y = self._beyond(own.before)
-        if params.sweep > 0.0 and self._own.hops == 1:
+        if math.hypot(x, y) <= _SLACK * params.distance:
+            x = y = 0.0
+        if self._own.hops == 1:
             x, y = x + params.sweep * before[1], y - params.sweep * before[0]
-        elif math.hypot(x, y) <= _SLACK * params.distance:
+        if not (x or y):
             return ZERO
         return drive_along(x, y, speed=params.speed, turn=params.turn)
 

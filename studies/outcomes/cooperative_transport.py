@@ -18,7 +18,7 @@ ARRIVED = 0.5
 SHARE, WAY, ALONE = 0.85, 1.3, 0.05
 """The least share of runs in which the box arrives; the longest way of the box as a multiple of the
 straight one; the most that one robot moves it, m."""
-DURATION, LONE = 100.0, 30.0
+DURATION, LONE = 120.0, 30.0
 SHAPES = ((0.5, 0.5), (0.3, 0.7))
 """Sides of the box in m."""
 

@@ -20,6 +20,8 @@ class TestChainFormation(PatternContract):
 PLATFORM = TestChainFormation.subject("burger").platform
 SCAN = empty_scan(PLATFORM, 0, 0.0)
 SURE = 10.0  # 1/s: in a step of 0.1 s it happens
+Other = tuple[float, float, list[Value]]
+"""The distance and bearing of another robot, and what it tells."""
 NEST: list[Value] = [0, "", False]
 GOAL: list[Value] = [-1, "", True]
 
@@ -31,7 +33,7 @@ class Robot:
         self.pattern: Any = Subject(ChainFormation, PLATFORM, {"distance": 0.6, **params}).make()
         self.now = 0.0
 
-    def step(self, **others: tuple[float, float, list[Value]]) -> Outputs:
+    def step(self, **others: Other) -> Outputs:
         """A step with others by name: distance, bearing and what each tells."""
         self.now += 0.1
         found: Outputs = self.pattern.step(
@@ -47,7 +49,7 @@ class Robot:
         )
         return found
 
-    def joined(self, **others: tuple[float, float, list[Value]]) -> Outputs:
+    def joined(self, **others: Other) -> Outputs:
         """The step after it has joined."""
         for _ in range(3):
             found = self.step(**others)
@@ -80,7 +82,7 @@ def test_drives_to_the_nest_and_joins_it_at_the_distance() -> None:
 
 
 def test_joins_at_the_tail_and_is_a_hop_farther() -> None:
-    chain = {"nest": (1.2, 0.0, NEST), "a": (0.6, 0.0, [1, "nest", False])}
+    chain: dict[str, Other] = {"nest": (1.2, 0.0, NEST), "a": (0.6, 0.0, [1, "nest", False])}
     robot = Robot(join=SURE)
     assert robot.joined(**chain).report["hops"] == 2
 
@@ -110,7 +112,7 @@ def test_the_tail_leaves_by_chance_and_a_member_inside_does_not() -> None:
 
 def test_a_tail_that_sees_the_goal_stays_and_tells_so() -> None:
     robot = Robot(join=SURE, leave=SURE, sight=0.9)
-    ends = {"a": (0.6, math.pi, [1, "nest", False]), "goal": (0.8, 0.0, GOAL)}
+    ends: dict[str, Other] = {"a": (0.6, math.pi, [1, "nest", False]), "goal": (0.8, 0.0, GOAL)}
     for _ in range(20):
         found = robot.step(**ends)
     assert found.report == {"state": "chain", "hops": 2, "leads": True}
@@ -118,7 +120,7 @@ def test_a_tail_that_sees_the_goal_stays_and_tells_so() -> None:
 
 def test_a_member_tells_what_those_behind_it_found() -> None:
     robot = Robot(join=SURE)
-    nest = {"nest": (0.6, math.pi, NEST)}
+    nest: dict[str, Other] = {"nest": (0.6, math.pi, NEST)}
     robot.joined(**nest)
     assert robot.step(**nest, b=(0.6, 0.0, [2, "robot-1", True])).report["leads"]
     assert not robot.step(**nest, b=(0.6, 0.0, [2, "other", True])).report["leads"]
@@ -134,8 +136,16 @@ def test_a_member_keeps_its_distance_in_line() -> None:
     assert far.twist.linear > 0.0
 
 
+def test_a_member_of_a_chain_that_leads_to_the_goal_stands() -> None:
+    robot = Robot(join=SURE, leave=0.0)
+    robot.joined(nest=(0.6, 0.0, NEST))
+    found = robot.step(nest=(0.9, 0.0, NEST), b=(0.6, math.pi, [2, "robot-1", True]))
+    assert found.twist == Twist()
+    assert found.report["leads"]
+
+
 def test_of_two_members_at_one_place_the_higher_id_leaves() -> None:
-    a: tuple[float, float, list[Value]] = (0.6, 0.0, [1, "nest", False])
+    a: Other = (0.6, 0.0, [1, "nest", False])
     lower, higher = Robot(join=SURE, leave=0.0), Robot(join=SURE, leave=0.0)
     lower.joined(a=a)
     higher.joined(a=a)
@@ -151,7 +161,7 @@ def test_a_member_whose_member_before_is_gone_leaves() -> None:
 
 
 def test_the_chain_turns_about_the_nest_until_it_leads() -> None:
-    nest = {"nest": (0.6, math.pi / 2.0, NEST)}
+    nest: dict[str, Other] = {"nest": (0.6, math.pi / 2.0, NEST)}
     turning, standing = Robot(join=SURE, leave=0.0), Robot(join=SURE, leave=0.0, sweep=0.0)
     turning.joined(**nest)
     standing.joined(**nest)
@@ -165,7 +175,7 @@ def test_the_chain_turns_about_the_nest_until_it_leads() -> None:
 
 def test_an_explorer_rests_at_the_tail_of_a_chain_that_leads_to_the_goal() -> None:
     robot = Robot(join=SURE)
-    chain = {"nest": (1.2, math.pi, NEST), "a": (0.6, math.pi, [1, "nest", True])}
+    chain: dict[str, Other] = {"nest": (1.2, math.pi, NEST), "a": (0.6, math.pi, [1, "nest", True])}
     found = [robot.step(**chain) for _ in range(5)][-1]
     assert found.report["state"] == "rest"
     assert found.twist == Twist()
