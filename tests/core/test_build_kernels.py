@@ -31,3 +31,18 @@ def test_build_goes_on_without_a_kernel_that_does_not_compile(tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     assert "protection._barrier" in done.stderr  # it says so
     assert not list(tmp_path.glob("built/**/*.so"))
+
+
+def test_nothing_is_compiled_if_that_is_not_wanted(tmp_path: Path) -> None:
+    """No Cython, no sources: `make demo` starts before the kernels are compiled."""
+    shutil.copy(SETUP, tmp_path)
+    (tmp_path / "Cython.py").write_text("raise ImportError('not installed yet')\n")
+    command = [sys.executable, "setup.py", "build_ext", "--inplace"]
+    environment = {**os.environ, "SWARMD_COMPILED": "0"}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "build").exists()
+    refused = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "not installed yet" in refused.stderr

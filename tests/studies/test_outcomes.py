@@ -46,7 +46,7 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 # test_paper.py, test_paper_exp2.py, tests/sim/lockstep/test_order.py and
 # tests/patterns/test_policy.py run these four.
 ELSEWHERE = {"attraction", "discussed_dispersion", "policy", "voter_model"}
-# Four to seventeen seconds of processor time each; tests/patterns has their rules, and
+# Three to seventeen seconds of processor time each; tests/patterns has their rules, and
 # tests/sim/lockstep/test_matrix.py runs each of them in a swarm.
 LONG = {
     "collective_perception",
@@ -54,11 +54,14 @@ LONG = {
     "cross_inhibition",
     "cue_aggregation",
     "foraging",
+    "hexagonal_lattice",
     "levy_walk",
     "lloyd_coverage",
+    "majority_rule",
     "one_bit_aggregation",
     "phototaxis",
     "response_threshold",
+    "shepherding",
     "source_seeking",
     "vicsek_alignment",
 }
