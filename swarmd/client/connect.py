@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, get_args
 
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
-from swarmd.client.swarm import Places, Swarm, Tell
+from swarmd.client.swarm import Places, Swarm, Tell, check_time
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.network.settings import Profile
 
@@ -114,6 +114,11 @@ def connect(
     """
     if profile is not None and profile not in get_args(Profile):
         raise ConfigError(unknown("profile", profile, get_args(Profile)))
+    check_time("timeout", timeout)
+    texts = {"swarm": swarm, "context": context, "interface": interface}
+    for name, value in texts.items():
+        if value is not None and not isinstance(value, str):
+            raise ConfigError(f"{name} is {value!r}; expected a text")
     if config is None and context is None:
         config = NetworkOptions.of_environment().config
     given = NetworkOptions(

@@ -97,9 +97,8 @@ def follow_states(
                 if targets.matching([one.robot]):
                     yield one
     finally:
-        operator.unwatch("motion")
         watch.close()
-        operator.unwatch("status")
+        operator.unwatch("motion")
 
 
 def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:

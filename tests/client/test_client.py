@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -84,6 +86,24 @@ def test_a_stop_is_lent_an_operator_where_a_request_is_refused() -> None:
         assert again is not None
 
 
+def test_no_lease_outlives_the_connection_or_a_later_run_of_its_robots() -> None:
+    pool, ended = OperatorPool(Counted()), list[str]()
+
+    def lease(name: str) -> ExitStack:
+        opened = ExitStack()
+        opened.callback(ended.append, name)
+        return opened
+
+    pool.keep_lease(["r1"], lease("one"))
+    pool.keep_lease(["r2", "r3"], lease("two"))
+    pool.keep_lease(["r1", "r2"], lease("three"))
+    assert ended == ["one"]  # r3 runs on under the second one
+    pool.close()
+    assert sorted(ended) == ["one", "three", "two"]
+    pool.keep_lease(["r1"], lease("late"))  # of a run that was under way as the pool closed
+    assert ended[-1] == "late"
+
+
 def test_a_context_by_name_and_a_swarm_file_of_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,6 +143,42 @@ def test_values_that_can_be_sent() -> None:
             _plain({"speed": wrong})
 
 
+WRONG: dict[str, Callable[[Swarm], object]] = {
+    "pattern name": lambda swarm: swarm.run(5),  # type: ignore[arg-type]
+    "on_join": lambda swarm: swarm.run("drive", on_join="maybe"),  # type: ignore[arg-type]
+    "robots is 5": lambda swarm: swarm.stop(5),  # type: ignore[arg-type]
+    "robots is b'r1'": lambda swarm: swarm.run("drive", b"r1"),  # type: ignore[arg-type]
+    "labels is": lambda swarm: swarm.run("drive", labels=[None]),  # type: ignore[list-item]
+    "parameters are": lambda swarm: swarm.run("drive", params="a=1"),  # type: ignore[arg-type]
+    "parameters are {1": lambda swarm: swarm.param({1: 0.1}),  # type: ignore[dict-item]
+    "64 bits": lambda swarm: swarm.param({"speed": 10**30}),
+    "seconds is '3'": lambda swarm: swarm.run("drive", seconds="3"),  # type: ignore[arg-type]
+    "seconds is nan": lambda swarm: list(swarm.states(seconds=math.nan)),
+    "at is -1": lambda swarm: swarm.run("drive", at=-1),
+    "lease is inf": lambda swarm: swarm.run("drive", lease=math.inf),
+    "lease: .* most": lambda swarm: swarm.run("drive", lease=4000.0),
+    "canary_time is nan": lambda swarm: swarm.run("drive", canary=1, canary_time=math.nan),
+    "canary_time is -1": lambda swarm: swarm.run("drive", canary=1, canary_time=-1.0),
+    "since is 'x'": lambda swarm: list(swarm.events(since="x")),  # type: ignore[arg-type]
+    "timeout is nan": lambda swarm: swarm.wait("state=idle", timeout=math.nan),
+    "timeout is 0": lambda swarm: swarm.stop(timeout=0),
+    "needs a condition": lambda swarm: swarm.wait([]),
+    "conditions is": lambda swarm: swarm.wait(3),  # type: ignore[arg-type]
+    "conditions foo": lambda swarm: swarm.wait("foo"),
+    "changes is": lambda swarm: swarm.label(3),  # type: ignore[arg-type]
+    "robot is": lambda swarm: swarm.describe(["r1"]),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("subject", WRONG)
+def test_a_wrong_value_is_one_line_and_reaches_no_robot(subject: str) -> None:
+    made = Counted()
+    with pytest.raises(ConfigError, match=subject) as caught:
+        WRONG[subject](Swarm(OperatorPool(made)))
+    assert "\n" not in str(caught.value)
+    assert made.made == 0
+
+
 @pytest.mark.parametrize(
     ("values", "subject"),
     [
@@ -138,8 +194,9 @@ def test_values_of_a_run_that_do_not_go_together(values: dict[str, Any], subject
     none = dict.fromkeys(("valid", "lease", "at", "canary", "canary_time"))
     with pytest.raises(ConfigError, match=subject):
         check_run(**{"on_join": "offer", **none, **values})
-    with pytest.raises(ConfigError):
-        choose_canaries(0, ["r1", "r2"])
+    for wrong in (0, True, 1.5):
+        with pytest.raises(ConfigError):
+            choose_canaries(wrong, ["r1", "r2"])  # type: ignore[arg-type]
 
 
 def test_what_robots_send_is_text_in_a_page() -> None:
@@ -190,7 +247,10 @@ async def test_an_iterator_that_is_left_tells_its_thread_to_end() -> None:
             ended.set()
 
     items = _from_thread(endless, cancelled)
+    before = asyncio.all_tasks()
     assert await anext(items) == 1
     await items.aclose()
+    await asyncio.sleep(0)
+    assert asyncio.all_tasks() == before
     assert cancelled.is_set()
     assert await asyncio.to_thread(ended.wait, 10.0)
