@@ -493,7 +493,7 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Value]:
     for key, value in values.items():
         if isinstance(value, bool | str) or value is None:
             found[key] = value
-        elif isinstance(value, Integral) and -(2**63) <= value < 2**63:
+        elif isinstance(value, Integral) and -(2**63) <= int(value) < 2**63:
             found[key] = int(value)
         elif isinstance(value, Real) and not isinstance(value, Integral) and math.isfinite(value):
             found[key] = float(value)
