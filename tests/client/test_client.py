@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
@@ -20,14 +20,20 @@ from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
 from swarmd.client.runs import check_run
+from swarmd.client.session import Session
 from swarmd.client.states import RobotState
 from swarmd.client.swarm import Swarm, _plain, _targets
+from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.messages import State
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.contexts import Context, add_context
 from tests.support.statuses import make_member
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.operator import Operator
 
 
 class Counted:
@@ -199,6 +205,37 @@ def test_values_of_a_run_that_do_not_go_together(values: dict[str, Any], subject
             choose_canaries(wrong, ["r1", "r2"])  # type: ignore[arg-type]
 
 
+def test_a_request_whose_caller_has_gone_is_not_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cancelled = threading.Event()
+
+    def members(**_: object) -> MembersView:
+        cancelled.set()  # during the look
+        return MembersView({"r1": make_member("r1")})
+
+    operator = SimpleNamespace(
+        settings=NetworkSettings(swarm="s"), notices=[], members=members, close=lambda: None
+    )
+    pool = OperatorPool(lambda: cast("Operator", operator))
+    swarm = Swarm(pool, cancelled=cancelled)
+    for ask in (lambda: swarm.run("drive"), swarm.reset, swarm.undo):
+        cancelled.clear()
+        with pytest.raises(SwarmError, match="not sent"):
+            ask()
+    cancelled.clear()
+    assert swarm.members().alive == ("r1",)
+
+
+def test_a_verb_that_follows_robots_tells_whom_it_waits_for() -> None:
+    told = list[str]()
+    session = Session(cast("Operator", None), tell=told.append)
+    session.tell_awaited(MembersView({"r1": make_member("r1")}), Targets(("r*", "r2")))
+    session.tell_awaited(MembersView({}), Targets())
+    assert told == ["no robot 'r2'; there are: r1; waits for it", "no robot is heard yet"]
+
+
 def test_what_robots_send_is_text_in_a_page() -> None:
     member = make_member("r1", reason=None, detail="<b>", pattern="<script>")
     shown = Members(MembersView({"r1": member}), {"r1": (1.0, 2.0, 0.5), "<r2>": (0.0, 0.0, 0.0)})
@@ -222,6 +259,8 @@ def test_a_frame_has_a_row_for_each_state() -> None:
     table = Swarm(OperatorPool(Counted())).frame(states)
     assert list(table["state"]) == ["idle", "running"]
     assert list(table["reading.battery"].dropna()) == [0.5]
+    with pytest.raises(ConfigError, match="RobotState"):
+        Swarm(OperatorPool(Counted())).frame([1])  # type: ignore[list-item]
     assert table["time"].diff().iloc[1].total_seconds() == 1.0
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +162,10 @@ def test_a_viewer_of_a_secured_swarm_reads_states_with_its_certificate(tmp_path:
         _check_what_a_hostile_viewer_reads(swarm, found, tmp_path)
 
 
+def _note(keys: set[str], sample: zenoh.Sample) -> None:
+    keys.add(str(sample.key_expr))
+
+
 def _check_what_a_hostile_viewer_reads(
     swarm: SecuredSwarm, found: dict[str, Any], folder: Path
 ) -> None:
@@ -174,7 +179,7 @@ def _check_what_a_hostile_viewer_reads(
     ):
         for wanted in ("**", f"swarm/{swarm.name}/**", f"swarm/{swarm.name}/*/state/*"):
             keys = heard.setdefault(wanted, set())
-            session.declare_subscriber(wanted, lambda one, to=keys: to.add(str(one.key_expr)))
+            session.declare_subscriber(wanted, partial(_note, keys))
         states = heard[f"swarm/{swarm.name}/*/state/*"]
         names = {"status", "decision"}
         wait_until(
