@@ -48,7 +48,8 @@ class Swarm:
     `refused`, `failed`, `missing`, `replies` with the code and text of each robot, `exit_code`. A
     robot that refuses or does not answer raises no error. RequestError (with the exit code of
     swarmctl) if no robot is targeted, NetworkError if no daemon is reached, ConfigError for a
-    wrong value: nothing was sent then. Several threads may use one object; a stop waits for no
+    wrong value: nothing was sent then. SwarmError, the base of all, if the connection is closed or
+    8 requests are under way. Several threads may use one object; a stop waits for no
     other method.
     """
 
@@ -263,7 +264,7 @@ class Swarm:
                 # The operator goes on renewing the lease until the connection is closed.
                 opened.callback(keeper.close)
                 outcome = runs.start(targeted, goal)
-                if outcome.applied:
+                if outcome.applied and not session.is_cancelled():
                     self._pool.keep_lease(outcome.applied, opened.pop_all())
             elif canary is not None:
                 from swarmd.client.canary import CANARY_TIME, choose_canaries

@@ -16,6 +16,7 @@ import pytest
 import swarmd
 from swarmd.client.async_swarm import _from_thread
 from swarmd.client.canary import choose_canaries
+from swarmd.client.connect import Connection
 from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
@@ -90,6 +91,40 @@ def test_a_stop_is_lent_an_operator_where_a_request_is_refused() -> None:
     held[0].__exit__(None, None, None)
     with pool.lend_for_request() as again:
         assert again is not None
+
+
+def test_a_connection_is_in_one_block_at_a_time() -> None:
+    made = Counted()
+    connection = Connection(lambda _: made())
+    with connection, pytest.raises(ConfigError, match="in a block already"), connection:
+        pass
+    with connection:
+        assert made.open == 1
+    assert made.open == 0
+
+
+async def test_a_task_that_is_cancelled_while_it_connects_leaves_nothing_open() -> None:
+    made, begun, go_on = Counted(), threading.Event(), threading.Event()
+    closed = threading.Event()
+
+    def make(_: object) -> Any:
+        begun.set()
+        go_on.wait(10.0)
+        operator = made()
+        return SimpleNamespace(close=lambda: (operator.close(), closed.set()))
+
+    async def enter() -> None:
+        async with Connection(make):
+            pass
+
+    task = asyncio.create_task(enter())
+    assert await asyncio.to_thread(begun.wait, 10.0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    go_on.set()
+    assert await asyncio.to_thread(closed.wait, 10.0)
+    assert (made.made, made.open) == (1, 0)
 
 
 def test_no_lease_outlives_the_connection_or_a_later_run_of_its_robots() -> None:
