@@ -68,6 +68,7 @@ def follow_states(
     news: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
     last: dict[str, tuple[Status, Motion | None]] = {}
     lock = threading.Lock()
+    has_looked = False
 
     def on_status(status: Status) -> None:
         with lock:
@@ -91,7 +92,6 @@ def follow_states(
             has_looked = True
             session.tell_awaited(view, targets)
 
-    has_looked = False
     operator = session.operator
     targets = session.named_now(targets)
     until = math.inf if seconds is None else boottime() + seconds

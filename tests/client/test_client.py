@@ -111,7 +111,12 @@ async def test_a_task_that_is_cancelled_while_it_connects_leaves_nothing_open() 
         begun.set()
         go_on.wait(10.0)
         operator = made()
-        return SimpleNamespace(close=lambda: (operator.close(), closed.set()))
+
+        def close() -> None:
+            operator.close()
+            closed.set()
+
+        return SimpleNamespace(close=close)
 
     async def enter() -> None:
         async with Connection(make):
@@ -255,7 +260,8 @@ def test_a_request_whose_caller_has_gone_is_not_sent(
     )
     pool = OperatorPool(lambda: cast("Operator", operator))
     swarm = Swarm(pool, cancelled=cancelled)
-    for ask in (lambda: swarm.run("drive"), swarm.reset, swarm.undo):
+    asks: list[Callable[[], object]] = [lambda: swarm.run("drive"), swarm.reset, swarm.undo]
+    for ask in asks:
         cancelled.clear()
         with pytest.raises(SwarmError, match="not sent"):
             ask()
@@ -321,10 +327,29 @@ async def test_an_iterator_that_is_left_tells_its_thread_to_end() -> None:
             ended.set()
 
     items = _from_thread(endless, cancelled)
-    before = asyncio.all_tasks()
     assert await anext(items) == 1
     await items.aclose()
-    await asyncio.sleep(0)
-    assert asyncio.all_tasks() == before
     assert cancelled.is_set()
     assert await asyncio.to_thread(ended.wait, 10.0)
+
+
+async def test_a_task_that_is_cancelled_at_an_iterator_leaves_no_task_in_the_loop() -> None:
+    cancelled, begun = threading.Event(), threading.Event()
+
+    def silent() -> Generator[int, None, None]:
+        begun.set()
+        cancelled.wait(10.0)
+        yield 1
+
+    before = asyncio.all_tasks()
+
+    async def wait() -> int:
+        return await anext(_from_thread(silent, cancelled))
+
+    waiting = asyncio.create_task(wait())
+    assert await asyncio.to_thread(begun.wait, 10.0)
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    await asyncio.sleep(0)
+    assert asyncio.all_tasks() == before
