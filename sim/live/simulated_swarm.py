@@ -136,8 +136,8 @@ def demo(
     need("mujoco", extra="sim")
     name = check_id(f"demo-{secrets.token_hex(3)}" if swarm is None else swarm, "swarm")
     tell = logging.getLogger("swarmd.client").info
-    if not 1 <= robots <= MAX_ROBOTS:
-        raise ConfigError(f"robots is {robots}; expected 1 to {MAX_ROBOTS}")
+    if not isinstance(robots, int) or not 1 <= robots <= MAX_ROBOTS:
+        raise ConfigError(f"robots is {robots!r}; expected 1 to {MAX_ROBOTS}")
 
     def make(folder: Path) -> FleetSpec:
         if scenario is not None:

@@ -126,4 +126,5 @@ async def _from_thread(
             yield taking.result()
     finally:
         cancelled.set()
+        taking.cancel()  # it would wait on in a loop that goes on, such as that of a notebook
         done.cancel()  # its thread may end after the loop

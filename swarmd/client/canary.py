@@ -30,7 +30,8 @@ def choose_canaries(
     for afterwards; each names `option`.
     """
     known = tuple(names)
-    if isinstance(wanted, int) and wanted < 1:
+    is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)
+    if is_wrong or (isinstance(wanted, int) and wanted < 1):
         raise ConfigError(f"{option} {wanted}: expected a number of robots, or a robot's name")
     if not isinstance(wanted, int) and wanted not in known:
         targets = ", ".join(known) or "none"

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, get_args
 
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
-from swarmd.client.swarm import Places, Swarm, Tell
+from swarmd.client.swarm import Places, Swarm, Tell, check_time
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.network.settings import Profile
 
@@ -58,6 +59,7 @@ class Connection:
         return Swarm(pool, timeout=self._timeout, tell=tell, places=self._places)
 
     def __enter__(self) -> Swarm:
+        self._check_free()
         self._opened = swarm = self.open()
         return swarm
 
@@ -68,13 +70,24 @@ class Connection:
         trace: TracebackType | None,
     ) -> None:
         assert isinstance(self._opened, Swarm)
-        self._opened.close()
+        opened, self._opened = self._opened, None
+        opened.close()
 
     async def __aenter__(self) -> AsyncSwarm:
-        from swarmd.client.async_swarm import AsyncSwarm
-        from swarmd.client.hand_over import in_thread
+        import asyncio
 
-        self._opened = swarm = AsyncSwarm(await in_thread(self.open))
+        from swarmd.client.async_swarm import AsyncSwarm
+        from swarmd.client.hand_over import begin
+
+        self._check_free()
+        opening = begin(self.open)
+        try:
+            opened = await asyncio.wrap_future(opening)
+            self._check_free()  # another task may have been faster
+        except (asyncio.CancelledError, ConfigError):
+            opening.add_done_callback(_close_opened)
+            raise
+        self._opened = swarm = AsyncSwarm(opened)
         return swarm
 
     async def __aexit__(
@@ -85,7 +98,18 @@ class Connection:
     ) -> None:
         assert self._opened is not None
         assert not isinstance(self._opened, Swarm)
-        await self._opened.close()
+        opened, self._opened = self._opened, None
+        await opened.close()
+
+    def _check_free(self) -> None:
+        if self._opened is not None:
+            raise ConfigError("this connection is in a block already; `connect` gives another one")
+
+
+def _close_opened(opening: Future[Swarm]) -> None:
+    """Close what was opened for a caller that has gone."""
+    if opening.exception() is None:
+        opening.result().close()
 
 
 def connect(
@@ -114,6 +138,11 @@ def connect(
     """
     if profile is not None and profile not in get_args(Profile):
         raise ConfigError(unknown("profile", profile, get_args(Profile)))
+    check_time("timeout", timeout)
+    texts = {"swarm": swarm, "context": context, "interface": interface}
+    for name, value in texts.items():
+        if value is not None and not isinstance(value, str):
+            raise ConfigError(f"{name} is {value!r}; expected a text")
     if config is None and context is None:
         config = NetworkOptions.of_environment().config
     given = NetworkOptions(

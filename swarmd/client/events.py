@@ -48,8 +48,7 @@ def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterat
                 early += lines
                 if one is None or isinstance(one, Status):
                     continue
-                if not one.members:
-                    session.tell("no robot is heard yet")
+                session.tell_awaited(one, targets)
                 lines, early = sorted(early), None
             yield [line for line in lines if targets.matching([line.robot])]
     finally:

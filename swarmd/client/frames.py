@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import asdict
 
+from swarmd.client.states import RobotState
+from swarmd.core.errors import ConfigError
 from swarmd.plugins import need
 
 if TYPE_CHECKING:
     from swarmd.client.members import Members
-    from swarmd.client.states import RobotState
 
 
 def states_frame(states: Iterable[RobotState]) -> Any:
@@ -19,7 +20,10 @@ def states_frame(states: Iterable[RobotState]) -> Any:
     need("pandas", extra="table")
     import pandas
 
-    table = pandas.DataFrame([_flat(one) for one in states])
+    rows = list(states)
+    if not all(isinstance(one, RobotState) for one in rows):
+        raise ConfigError("frame takes what `states` gives: a list of RobotState")
+    table = pandas.DataFrame([_flat(one) for one in rows])
     if len(table):
         table["time"] = pandas.to_datetime(table["time"], unit="s", utc=True)
     return table

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from swarmd.core.errors import SwarmError
@@ -25,17 +25,21 @@ class OperatorPool:
         self._make = make
         self._lock = threading.Lock()
         self._idle: list[Operator] = []
+        self._leases: list[tuple[frozenset[str], ExitStack]] = []
         self._requests = 0
         self._is_closed = False
 
     def close(self) -> None:
-        """Close idle operators, within 0.2 s each; one that is in use closes when it is given back.
+        """End leases and close idle operators, within 0.2 s each; nothing is lent afterwards.
 
-        Nothing is lent afterwards.
+        An operator that is in use closes when it is given back.
         """
         with self._lock:
             self._is_closed = True
             idle, self._idle = self._idle, []
+            leases, self._leases = self._leases, []
+        for _, lease in leases:
+            lease.close()
         for operator in idle:
             operator.close()
 
@@ -57,6 +61,21 @@ class OperatorPool:
         finally:
             if not is_kept:
                 operator.close()
+
+    def keep_lease(self, robots: Collection[str], lease: ExitStack) -> None:
+        """Close `lease` with the pool, or once a later one is for all of its `robots`.
+
+        At once if the pool is closed: no lease outlives the connection.
+        """
+        with self._lock:
+            ended = [one for one in self._leases if one[0] <= frozenset(robots)]
+            self._leases = [one for one in self._leases if one not in ended]
+            if self._is_closed:
+                ended.append((frozenset(robots), lease))
+            else:
+                self._leases.append((frozenset(robots), lease))
+        for _, one in ended:
+            one.close()
 
     @contextmanager
     def lend_for_request(self) -> Iterator[Operator]:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
 
-MIN_LEASE = 1.0
+MIN_LEASE, MAX_LEASE = 1.0, 3600.0  # s
 
 
 def check_run(
@@ -50,8 +50,10 @@ def check_run(
     if valid is not None and on_join != "run":
         add = f"add {option('on_join')} run"
         raise ConfigError(f"{option('valid')} is how long robots that join run it: {add}")
-    if lease is not None and lease < MIN_LEASE:
-        raise ConfigError(f"{option('lease')}: expected at least {MIN_LEASE:.0f}s")
+    if lease is not None and not MIN_LEASE <= lease <= MAX_LEASE:
+        raise ConfigError(
+            f"{option('lease')}: expected at least {MIN_LEASE:.0f}s, at most {MAX_LEASE:.0f}s"
+        )
     if at is not None and not 0.0 < at <= MAX_AHEAD:
         raise ConfigError(f"{option('at')}: expected at most {MAX_AHEAD:.0f} s from now on")
     if canary is None and canary_time is not None:

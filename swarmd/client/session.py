@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from swarmd.client.known_robots import remember
 from swarmd.client.targets import Targets, named, targets_of, unlabelled
-from swarmd.core.errors import NetworkError
+from swarmd.core.errors import NetworkError, SwarmError, unknown
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import AnyRequest
@@ -38,7 +38,8 @@ class Session:
         """The swarm, once all have answered or after `timeout`; tells what is missing.
 
         With `is_request_next` half of `timeout` is left for a request (see `time_left`).
-        NetworkError, naming the swarms that were found, if no daemon was reached.
+        NetworkError, naming the swarms that were found, if no daemon was reached; SwarmError if
+        a request would be sent for a caller who does not wait any more.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:
@@ -49,6 +50,8 @@ class Session:
         if not view.members:
             raise unreachable(self.operator)
         self.tell_gaps(view, view.missing)
+        if is_request_next and self.is_cancelled():
+            raise SwarmError("not sent: its caller has gone, or the connection was closed")
         return view
 
     def time_left(self, view: MembersView) -> float | None:
@@ -69,6 +72,15 @@ class Session:
     def named_now(self, targets: Targets) -> Targets:
         """The targets by name alone, as a look shows labels now. For verbs that follow robots."""
         return named(self.look(), targets) if targets.labels else targets
+
+    def tell_awaited(self, view: MembersView, targets: Targets) -> None:
+        """Tell whom a verb that follows robots waits for: any robot, or a name that none has."""
+        known = view.members.keys() | view.roster
+        if not view.members:
+            self.tell("no robot is heard yet")
+        for glob in targets.names if known else ():
+            if not Targets((glob,)).matching(known):
+                self.tell(f"{unknown('robot', glob, known)}; waits for it")
 
     def tell_notices(self) -> None:
         """Tell what the operator noted about rosters."""

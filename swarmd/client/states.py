@@ -21,6 +21,7 @@ from swarmd.core.values import Scalar
 if TYPE_CHECKING:
     from swarmd.client.session import Session
     from swarmd.client.targets import Targets
+    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
 PERIOD = 0.2  # s after which a wait for news is interrupted
@@ -67,6 +68,7 @@ def follow_states(
     news: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
     last: dict[str, tuple[Status, Motion | None]] = {}
     lock = threading.Lock()
+    has_looked = False
 
     def on_status(status: Status) -> None:
         with lock:
@@ -84,10 +86,16 @@ def follow_states(
         if poses:
             _put(news, status, motion)
 
+    def on_view(view: MembersView) -> None:
+        nonlocal has_looked
+        if not has_looked:
+            has_looked = True
+            session.tell_awaited(view, targets)
+
     operator = session.operator
     targets = session.named_now(targets)
     until = math.inf if seconds is None else boottime() + seconds
-    watch = SwarmWatch(operator, on_status=on_status)
+    watch = SwarmWatch(operator, on_status=on_status, on_view=on_view)
     operator.watch("motion", on_motion)
     watch.start()
     try:
@@ -97,9 +105,8 @@ def follow_states(
                 if targets.matching([one.robot]):
                     yield one
     finally:
-        operator.unwatch("motion")
         watch.close()
-        operator.unwatch("status")
+        operator.unwatch("motion")
 
 
 def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:

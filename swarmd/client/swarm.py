@@ -14,7 +14,7 @@ from swarmd.client.members import Description, Members
 from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
-from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.errors import ConfigError, RequestError, SwarmError, unknown
 from swarmd.core.keys import is_id
 from swarmd.network.exit_codes import TIMEOUT
 
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
     from swarmd.texts.goal import Difference
+
+ON_JOIN = ("offer", "run")
+MAX_TIME = 1e7  # s
 
 Words: TypeAlias = str | Iterable[str]
 """One word, or several."""
@@ -45,7 +48,8 @@ class Swarm:
     `refused`, `failed`, `missing`, `replies` with the code and text of each robot, `exit_code`. A
     robot that refuses or does not answer raises no error. RequestError (with the exit code of
     swarmctl) if no robot is targeted, NetworkError if no daemon is reached, ConfigError for a
-    wrong value: nothing was sent then. Several threads may use one object; a stop waits for no
+    wrong value: nothing was sent then. SwarmError, the base of all, if the connection is closed or
+    8 requests are under way. Several threads may use one object; a stop waits for no
     other method.
     """
 
@@ -57,11 +61,9 @@ class Swarm:
         tell: Tell = lambda text: None,
         places: Places | None = None,
         cancelled: threading.Event | None = None,
-        leases: ExitStack | None = None,
     ) -> None:
         self._pool, self._timeout, self._tell, self._places = pool, timeout, tell, places
         self._cancelled = cancelled or threading.Event()
-        self._leases = leases or ExitStack()
         self._parents: tuple[threading.Event, ...] = ()
 
     def __enter__(self) -> Self:
@@ -78,7 +80,6 @@ class Swarm:
     def close(self) -> None:
         """Leave the network, within a second; robots go on, except those of runs with a lease."""
         self._cancelled.set()
-        self._leases.close()
         self._pool.close()
 
     # Look
@@ -98,6 +99,8 @@ class Swarm:
 
     def describe(self, robot: str, *, timeout: float | None = None) -> Description:
         """One robot in detail, and why it does not move."""
+        if not isinstance(robot, str):
+            raise ConfigError(f"robot is {robot!r}; expected the name of a robot")
         return self.members(timeout=timeout).describe(robot)
 
     def goal(
@@ -151,6 +154,8 @@ class Swarm:
         from swarmd.client.events import follow_events
 
         targets = _targets(robots, labels, exclude)
+        if since != 0.0:
+            check_time("since", since)
         with self._session(None) as session:
             chosen = session.named_now(targets)
             for lines in follow_events(session, EventFeed(since), chosen):
@@ -171,6 +176,7 @@ class Swarm:
         """
         from swarmd.client.states import follow_states
 
+        check_time("seconds", seconds)
         targets = _targets(robots, labels, exclude)
         with self._session(None) as session:
             yield from follow_states(session, targets, seconds=seconds, poses=poses)
@@ -216,9 +222,14 @@ class Swarm:
         """
         from swarmd.client import runs
 
-        if not is_id(pattern):
+        if not isinstance(pattern, str) or not is_id(pattern):
             raise ConfigError(f"{pattern!r} is no pattern name; expected a-z, 0-9, _ and -")
-        conditions = _words(until)
+        if on_join not in ON_JOIN:
+            raise ConfigError(unknown("on_join", str(on_join), ON_JOIN))
+        times = {"seconds": seconds, "at": at, "lease": lease, "valid": valid}
+        for name, value in {**times, "canary_time": canary_time}.items():
+            check_time(name, value)
+        conditions = _words(until, "until")
         if conditions:
             from swarmd.kit.conditions import parse_conditions
 
@@ -253,8 +264,8 @@ class Swarm:
                 # The operator goes on renewing the lease until the connection is closed.
                 opened.callback(keeper.close)
                 outcome = runs.start(targeted, goal)
-                if outcome.applied:
-                    self._leases.push(opened.pop_all())
+                if outcome.applied and not session.is_cancelled():
+                    self._pool.keep_lease(outcome.applied, opened.pop_all())
             elif canary is not None:
                 from swarmd.client.canary import CANARY_TIME, choose_canaries
 
@@ -292,7 +303,8 @@ class Swarm:
 
         `until_all`: it is repeated until every expected robot has acknowledged it.
         """
-        return self._stop("estop", _targets(robots, labels, exclude), reason, until_all, timeout)
+        targets = _targets(robots, labels, exclude)
+        return self._stop("estop", targets, str(reason), until_all, timeout)
 
     def reset(
         self,
@@ -314,7 +326,7 @@ class Swarm:
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
             targeted = session.target(targets, needs_status=True)
-            return targeted.counted(reset(targeted, reason=reason, findings=findings))
+            return targeted.counted(reset(targeted, reason=str(reason), findings=findings))
 
     def param(
         self,
@@ -348,7 +360,7 @@ class Swarm:
         from swarmd.client.changes import change_labels
         from swarmd.texts.labels import read_changes
 
-        words = changes.split() if isinstance(changes, str) else changes
+        words = changes.split() if isinstance(changes, str) else _words(changes, "changes")
         added, removed = read_changes(words)
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
@@ -396,7 +408,10 @@ class Swarm:
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited
 
-        awaited, targets = read_awaited(_words(conditions)), _targets(robots, labels, exclude)
+        words, targets = _words(conditions, "conditions"), _targets(robots, labels, exclude)
+        if not words:
+            raise ConfigError("wait needs a condition, such as 'state=running'")
+        awaited = read_awaited(words, "conditions")
         with self._session(timeout) as session:
             done = wait_for(session, targets, awaited)
             if session.is_cancelled():
@@ -429,13 +444,13 @@ class Swarm:
             tell=self._tell,
             places=self._places,
             cancelled=cancelled,
-            leases=self._leases,
         )
         one._parents = (self._cancelled,)
         return one
 
     @contextmanager
     def _session(self, timeout: float | None, *, is_request: bool = False) -> Iterator[Session]:
+        check_time("timeout", timeout)
         events = (self._cancelled, *self._parents)
         lend = self._pool.lend_for_request if is_request else self._pool.lend
         with lend() as operator:
@@ -447,28 +462,43 @@ class Swarm:
             )
 
 
-def _words(words: Words) -> tuple[str, ...]:
-    return (words,) if isinstance(words, str) else tuple(words)
+def check_time(name: str, value: float | None) -> None:
+    """ConfigError unless a time that is given is a finite number of seconds above 0."""
+    is_number = isinstance(value, Real) and not isinstance(value, bool)
+    if value is not None and not (is_number and 0.0 < value <= MAX_TIME):
+        raise ConfigError(
+            f"{name} is {value!r}; expected a number of seconds above 0, at most {MAX_TIME:.0e}"
+        )
+
+
+def _words(words: Words, what: str) -> tuple[str, ...]:
+    some = tuple(words) if isinstance(words, Iterable) and not isinstance(words, str) else (words,)
+    if not all(isinstance(word, str) for word in some):
+        raise ConfigError(f"{what} is {words!r}; expected a text, or a list of texts")
+    return some
 
 
 def _targets(robots: Words | None, labels: Words, exclude: Words) -> Targets:
-    names, labels = () if robots is None else _words(robots), _words(labels)
+    names = () if robots is None else _words(robots, "robots")
+    labels, exclude = _words(labels, "labels"), _words(exclude, "exclude")
     if robots is not None and not names and not labels:
         raise no_target("the list of robots is empty")
-    return make_targets(names, _words(exclude), labels)
+    return make_targets(names, exclude, labels)
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Value]:
     """Values that can be sent: numbers of numpy as those of Python. ConfigError for any other."""
+    if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
+        raise ConfigError(f"parameters are {values!r}; expected a dict, such as {{'speed': 0.15}}")
     found: dict[str, Value] = {}
     for key, value in values.items():
         if isinstance(value, bool | str) or value is None:
             found[key] = value
-        elif isinstance(value, Integral):
+        elif isinstance(value, Integral) and -(2**63) <= int(value) < 2**63:
             found[key] = int(value)
-        elif isinstance(value, Real) and math.isfinite(value):
+        elif isinstance(value, Real) and not isinstance(value, Integral) and math.isfinite(value):
             found[key] = float(value)
         else:
-            wanted = "a finite number, a text, True, False or None"
+            wanted = "a finite number of at most 64 bits, a text, True, False or None"
             raise ConfigError(f"parameter {key} is {value!r}; expected {wanted}")
     return found

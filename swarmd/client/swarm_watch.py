@@ -48,9 +48,10 @@ class SwarmWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """End."""
+        """End; robots publish no status for this watch any more."""
         self._ending.set()
         self._thread.join(2.0 * LOOK_TIME)
+        self._operator.unwatch("status")  # a look that dials subscribes to what is watched
 
     @property
     def view(self) -> MembersView:

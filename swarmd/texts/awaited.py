@@ -30,24 +30,24 @@ class Awaited:
     count: int | None = None
 
 
-def read_awaited(words: Iterable[str]) -> Awaited:
-    """The conditions in words such as `state=running`. ConfigError for a wrong one."""
+def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
+    """Conditions in words such as `state=running`. ConfigError for a wrong one, with `option`."""
     found: dict[str, str] = {}
     for word in words:
         kind, sign, value = word.partition("=")
         if kind not in KINDS:
-            raise ConfigError(f"--for {word}: {unknown('condition', kind, KINDS)}")
+            raise ConfigError(f"{option} {word}: {unknown('condition', kind, KINDS)}")
         if kind in found:
-            raise ConfigError(f"--for {word}: {kind} is there already; keep one")
+            raise ConfigError(f"{option} {word}: {kind} is there already; keep one")
         if bool(sign) == (kind == "goal"):
             wanted = "goal, without a value" if kind == "goal" else f"{kind}=VALUE"
-            raise ConfigError(f"--for {word}: expected {wanted}")
+            raise ConfigError(f"{option} {word}: expected {wanted}")
         if kind in _VALUES and value not in _VALUES[kind]:
-            raise ConfigError(f"--for {word}: {unknown(kind, value, _VALUES[kind])}")
+            raise ConfigError(f"{option} {word}: {unknown(kind, value, _VALUES[kind])}")
         if kind == "pattern" and not is_id(value):
-            raise ConfigError(f"--for {word}: {value!r} is no pattern name")
+            raise ConfigError(f"{option} {word}: {value!r} is no pattern name")
         if kind == "count" and not (value.isdecimal() and int(value) > 0):
-            raise ConfigError(f"--for {word}: expected a number of robots, such as count=5")
+            raise ConfigError(f"{option} {word}: expected a number of robots, such as count=5")
         found[kind] = value
     return Awaited(
         state=found.get("state"),

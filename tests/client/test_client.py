@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
 import swarmd
 from swarmd.client.async_swarm import _from_thread
 from swarmd.client.canary import choose_canaries
+from swarmd.client.connect import Connection
 from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
 from swarmd.client.runs import check_run
+from swarmd.client.session import Session
 from swarmd.client.states import RobotState
 from swarmd.client.swarm import Swarm, _plain, _targets
+from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.messages import State
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.contexts import Context, add_context
 from tests.support.statuses import make_member
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.operator import Operator
 
 
 class Counted:
@@ -84,6 +93,63 @@ def test_a_stop_is_lent_an_operator_where_a_request_is_refused() -> None:
         assert again is not None
 
 
+def test_a_connection_is_in_one_block_at_a_time() -> None:
+    made = Counted()
+    connection = Connection(lambda _: made())
+    with connection, pytest.raises(ConfigError, match="in a block already"), connection:
+        pass
+    with connection:
+        assert made.open == 1
+    assert made.open == 0
+
+
+async def test_a_task_that_is_cancelled_while_it_connects_leaves_nothing_open() -> None:
+    made, begun, go_on = Counted(), threading.Event(), threading.Event()
+    closed = threading.Event()
+
+    def make(_: object) -> Any:
+        begun.set()
+        go_on.wait(10.0)
+        operator = made()
+
+        def close() -> None:
+            operator.close()
+            closed.set()
+
+        return SimpleNamespace(close=close)
+
+    async def enter() -> None:
+        async with Connection(make):
+            pass
+
+    task = asyncio.create_task(enter())
+    assert await asyncio.to_thread(begun.wait, 10.0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    go_on.set()
+    assert await asyncio.to_thread(closed.wait, 10.0)
+    assert (made.made, made.open) == (1, 0)
+
+
+def test_no_lease_outlives_the_connection_or_a_later_run_of_its_robots() -> None:
+    pool, ended = OperatorPool(Counted()), list[str]()
+
+    def lease(name: str) -> ExitStack:
+        opened = ExitStack()
+        opened.callback(ended.append, name)
+        return opened
+
+    pool.keep_lease(["r1"], lease("one"))
+    pool.keep_lease(["r2", "r3"], lease("two"))
+    pool.keep_lease(["r1", "r2"], lease("three"))
+    assert ended == ["one"]  # r3 runs on under the second one
+    pool.close()
+    assert sorted(ended) == ["one", "three", "two"]
+    pool.keep_lease(["r1"], lease("late"))  # of a run that was under way as the pool closed
+    assert ended[-1] == "late"
+
+
 def test_a_context_by_name_and_a_swarm_file_of_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,6 +189,42 @@ def test_values_that_can_be_sent() -> None:
             _plain({"speed": wrong})
 
 
+WRONG: dict[str, Callable[[Swarm], object]] = {
+    "pattern name": lambda swarm: swarm.run(5),  # type: ignore[arg-type]
+    "on_join": lambda swarm: swarm.run("drive", on_join="maybe"),  # type: ignore[arg-type]
+    "robots is 5": lambda swarm: swarm.stop(5),  # type: ignore[arg-type]
+    "robots is b'r1'": lambda swarm: swarm.run("drive", b"r1"),  # type: ignore[arg-type]
+    "labels is": lambda swarm: swarm.run("drive", labels=[None]),  # type: ignore[list-item]
+    "parameters are": lambda swarm: swarm.run("drive", params="a=1"),  # type: ignore[arg-type]
+    "parameters are {1": lambda swarm: swarm.param({1: 0.1}),  # type: ignore[dict-item]
+    "64 bits": lambda swarm: swarm.param({"speed": 10**30}),
+    "seconds is '3'": lambda swarm: swarm.run("drive", seconds="3"),  # type: ignore[arg-type]
+    "seconds is nan": lambda swarm: list(swarm.states(seconds=math.nan)),
+    "at is -1": lambda swarm: swarm.run("drive", at=-1),
+    "lease is inf": lambda swarm: swarm.run("drive", lease=math.inf),
+    "lease: .* most": lambda swarm: swarm.run("drive", lease=4000.0),
+    "canary_time is nan": lambda swarm: swarm.run("drive", canary=1, canary_time=math.nan),
+    "canary_time is -1": lambda swarm: swarm.run("drive", canary=1, canary_time=-1.0),
+    "since is 'x'": lambda swarm: list(swarm.events(since="x")),  # type: ignore[arg-type]
+    "timeout is nan": lambda swarm: swarm.wait("state=idle", timeout=math.nan),
+    "timeout is 0": lambda swarm: swarm.stop(timeout=0),
+    "needs a condition": lambda swarm: swarm.wait([]),
+    "conditions is": lambda swarm: swarm.wait(3),  # type: ignore[arg-type]
+    "conditions foo": lambda swarm: swarm.wait("foo"),
+    "changes is": lambda swarm: swarm.label(3),  # type: ignore[arg-type]
+    "robot is": lambda swarm: swarm.describe(["r1"]),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("subject", WRONG)
+def test_a_wrong_value_is_one_line_and_reaches_no_robot(subject: str) -> None:
+    made = Counted()
+    with pytest.raises(ConfigError, match=subject) as caught:
+        WRONG[subject](Swarm(OperatorPool(made)))
+    assert "\n" not in str(caught.value)
+    assert made.made == 0
+
+
 @pytest.mark.parametrize(
     ("values", "subject"),
     [
@@ -138,8 +240,41 @@ def test_values_of_a_run_that_do_not_go_together(values: dict[str, Any], subject
     none = dict.fromkeys(("valid", "lease", "at", "canary", "canary_time"))
     with pytest.raises(ConfigError, match=subject):
         check_run(**{"on_join": "offer", **none, **values})
-    with pytest.raises(ConfigError):
-        choose_canaries(0, ["r1", "r2"])
+    for wrong in (0, True, 1.5):
+        with pytest.raises(ConfigError):
+            choose_canaries(wrong, ["r1", "r2"])  # type: ignore[arg-type]
+
+
+def test_a_request_whose_caller_has_gone_is_not_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cancelled = threading.Event()
+
+    def members(**_: object) -> MembersView:
+        cancelled.set()  # during the look
+        return MembersView({"r1": make_member("r1")})
+
+    operator = SimpleNamespace(
+        settings=NetworkSettings(swarm="s"), notices=[], members=members, close=lambda: None
+    )
+    pool = OperatorPool(lambda: cast("Operator", operator))
+    swarm = Swarm(pool, cancelled=cancelled)
+    asks: list[Callable[[], object]] = [lambda: swarm.run("drive"), swarm.reset, swarm.undo]
+    for ask in asks:
+        cancelled.clear()
+        with pytest.raises(SwarmError, match="not sent"):
+            ask()
+    cancelled.clear()
+    assert swarm.members().alive == ("r1",)
+
+
+def test_a_verb_that_follows_robots_tells_whom_it_waits_for() -> None:
+    told = list[str]()
+    session = Session(cast("Operator", None), tell=told.append)
+    session.tell_awaited(MembersView({"r1": make_member("r1")}), Targets(("r*", "r2")))
+    session.tell_awaited(MembersView({}), Targets())
+    assert told == ["no robot 'r2'; there are: r1; waits for it", "no robot is heard yet"]
 
 
 def test_what_robots_send_is_text_in_a_page() -> None:
@@ -165,6 +300,8 @@ def test_a_frame_has_a_row_for_each_state() -> None:
     table = Swarm(OperatorPool(Counted())).frame(states)
     assert list(table["state"]) == ["idle", "running"]
     assert list(table["reading.battery"].dropna()) == [0.5]
+    with pytest.raises(ConfigError, match="RobotState"):
+        Swarm(OperatorPool(Counted())).frame([1])  # type: ignore[list-item]
     assert table["time"].diff().iloc[1].total_seconds() == 1.0
 
 
@@ -194,3 +331,25 @@ async def test_an_iterator_that_is_left_tells_its_thread_to_end() -> None:
     await items.aclose()
     assert cancelled.is_set()
     assert await asyncio.to_thread(ended.wait, 10.0)
+
+
+async def test_a_task_that_is_cancelled_at_an_iterator_leaves_no_task_in_the_loop() -> None:
+    cancelled, begun = threading.Event(), threading.Event()
+
+    def silent() -> Generator[int, None, None]:
+        begun.set()
+        cancelled.wait(10.0)
+        yield 1
+
+    before = asyncio.all_tasks()
+
+    async def wait() -> int:
+        return await anext(_from_thread(silent, cancelled))
+
+    waiting = asyncio.create_task(wait())
+    assert await asyncio.to_thread(begun.wait, 10.0)
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    await asyncio.sleep(0)
+    assert asyncio.all_tasks() == before

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -162,6 +163,64 @@ def test_a_viewer_of_a_secured_swarm_reads_states_with_its_certificate(tmp_path:
         with program("print_states", file, swarm.name, "--count", 2, cwd=tmp_path) as states:
             lines = sorted(finished(states))
         assert [line.split()[:2] for line in lines] == [[robot, "idle"] for robot in RUNNING]
+        _check_what_a_hostile_viewer_reads(swarm, found, tmp_path)
+
+
+def _note(keys: set[str], sample: zenoh.Sample) -> None:
+    keys.add(str(sample.key_expr))
+
+
+def _check_what_a_hostile_viewer_reads(
+    swarm: SecuredSwarm, found: dict[str, Any], folder: Path
+) -> None:
+    """A viewer that drops its own access rules reads `state`, asks as itself, and sends nothing."""
+    del found["access_control"]
+    (folder / "hostile.json5").write_text(json.dumps(found))
+    heard, queries = dict[str, set[str]](), list[str]()
+    with (
+        zenoh.open(zenoh.Config.from_file(str(folder / "hostile.json5"))) as session,
+        swarm.operator() as anna,
+    ):
+        for wanted in ("**", f"swarm/{swarm.name}/**", f"swarm/{swarm.name}/*/state/*"):
+            keys = heard.setdefault(wanted, set())
+            session.declare_subscriber(wanted, partial(_note, keys))
+        states = heard[f"swarm/{swarm.name}/*/state/*"]
+        names = {"status", "decision"}
+        wait_until(
+            lambda: states >= {build(swarm.name, r, STATE, n) for r in RUNNING for n in names},
+            "the viewer reads states and decisions",
+        )
+        planes = {key.split("/")[3] for keys in heard.values() for key in keys}
+        assert planes == {STATE}
+        answers = {
+            name: [
+                str(reply.ok.key_expr)
+                for reply in session.get(
+                    f"swarm/{swarm.name}/*/{name}", target=zenoh.QueryTarget.ALL, timeout=1.0
+                )
+                if reply.ok is not None
+            ]
+            for name in (
+                "control/members/class",
+                "control/members/anna",
+                "control/audit/class",
+                "control/run/class",
+                "control/run/anna",
+                "control/*/anna",
+            )
+        }
+        assert len(answers.pop("control/members/class")) == len(RUNNING)
+        assert not any(answers.values()), answers
+        everything = f"swarm/{swarm.name}/**"
+        session.declare_queryable(everything, lambda one: queries.append(str(one.key_expr)))
+        told = list[bytes]()
+        anna.watch("status", lambda robot, payload: told.append(payload))
+        assert anna.members().answered == set(RUNNING)
+        session.put(build(swarm.name, "r1", STATE, "status"), b"\x01\x80")
+        count = len(told) + 2 * len(RUNNING)
+        wait_until(lambda: len(told) >= count, "the operator hears both robots")
+        assert b"\x01\x80" not in told
+        assert not queries
 
 
 def test_without_robots_the_configuration_is_an_error(swarm: Swarm) -> None:
