@@ -138,7 +138,7 @@ class Look:
         count = len(self.candidates)
         return (
             f"{self.runs} of {self.budget} runs, race {self.race}, {count} candidates,"
-            f" {self.alive} new ones in the race"
+            f" {self.alive} of them new in the race"
         )
 
     @property

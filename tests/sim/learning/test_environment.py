@@ -227,7 +227,7 @@ def test_a_base_that_moves_sideways_has_a_third_action() -> None:
         (lambda: make(reward={"contacts": "much"}), "weight of contacts"),
         (lambda: make(reward={"contacts": math.nan}), "weight of contacts"),
         (lambda: over().step({}), "call reset"),
-        (lambda: reset(lambda state: None).step({}), "reward: .* by robot"),  # type: ignore[arg-type, return-value]
+        (lambda: reset(lambda state: None).step({}), "reward: .* by robot"),
         (lambda: reset(lambda state: {"tb3-9": 1.0}).step({}), "tb3-9"),
         (lambda: reset(lambda state: {"tb3-01": math.nan}).step({}), "reward of tb3-01 is nan"),
     ],
