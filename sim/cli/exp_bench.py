@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import time
 from collections.abc import Sequence
@@ -102,13 +103,13 @@ def bench(
             raise ConfigError(f"list stands alone; leave out {tasks[1]}, or list")
         _print_tasks([benchmark.load_task(name) for name in benchmark.task_names()], is_json)
         return
-    if len(set(tasks)) < len(tasks):
-        raise ConfigError("a task is given twice; keep one")
     loaded = [benchmark.load_task(name) for name in tasks or benchmark.task_names()]
     known = [task.name for task in loaded]
+    if len(set(known)) < len(known):
+        raise ConfigError("a task is given twice, or two files have one name; keep one")
     names, plugin_dir = _named(patterns)
     entries, misfits = benchmark.entries_of(loaded, names, plugin_dir)
-    values = _of_others(others, known, {entry.pattern for entry in entries})
+    values = _of_others(others, loaded, {entry.pattern for entry in entries})
     given = None if seeds is None else parse_seeds(seeds)
     for one in misfits:
         warn(f"{one.pattern} does not fit {one.task}: {one.why}")
@@ -138,7 +139,8 @@ def bench(
                     on_progress=stack.enter_context(progress()),
                 )
             by_seed = zip(results.seeds(""), results.metric(metric).tolist(), strict=True)
-            values[entry.pattern, task.name] = dict(by_seed)
+            missing = dict.fromkeys(plan.seeds, math.nan)  # of runs that failed
+            values[entry.pattern, task.name] = missing | dict(by_seed)
             planned, finished = planned + len(plan.runs), finished + len(results.runs)
             for run, reason in list(results.failures.items())[:1]:
                 warn(f"failed: {len(results.failures)} runs; the first, {run}: {reason}")
@@ -178,14 +180,17 @@ def _named(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
 
 
 def _of_others(
-    files: Sequence[Path], tasks: Sequence[str], taken: set[str]
+    files: Sequence[Path], loaded: Sequence[Task], taken: set[str]
 ) -> dict[tuple[str, str], dict[int, float]]:
     """The values of CSV files by (row, task), of these tasks; ConfigError for a name twice."""
     from swarmd.sim.experiments.benchmark import read_results, task_names
 
     found: dict[tuple[str, str], dict[int, float]] = {}
+    tasks = {task.name: task.file.metric.bounds for task in loaded}
     for file in files:
-        theirs = read_results(file, {*tasks, *task_names()})
+        theirs = read_results(file, {*tasks, *task_names()}, tasks)
+        if not any(task in tasks for _, task in theirs):
+            warn(f"{file} has no run of {', '.join(tasks)}, and no row in the table")
         for row, task in theirs:
             if row in taken or (row, task) in found:
                 text = f"{file}: {row} is the name of another row of {task}"

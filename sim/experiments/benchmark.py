@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import msgspec
@@ -38,6 +39,7 @@ SUITE = 1
 """The version of the suite: results of different versions do not compare."""
 COLUMNS = ("task", "seed", "value")
 """The columns of results from elsewhere; a column `name` may name several programs."""
+Bounds = tuple[float | None, float | None]
 _STAND_IN = "drive"  # in place of the pattern that is judged, while a file is checked
 
 
@@ -54,7 +56,7 @@ class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     source: str
     unit: str
     better: Better
-    bounds: tuple[float | None, float | None] = (None, None)
+    bounds: Bounds = (None, None)
 
 
 class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -282,26 +284,33 @@ def _summary(values: Mapping[int, float]) -> statistics.Summary:
 
 
 def cell_text(cell: Cell | None) -> str:
-    """Median, its 95 % interval and the rank, such as `0.71 (0.6 to 0.8) #2`."""
+    """Median, its 95 % interval and the rank, such as `0.71 (0.6 to 0.8) #2`.
+
+    `0.71 (0.6 to 0.8) #2 of 3/20`: only three of twenty runs have a value.
+    """
     if cell is None:
         return ""
     median, interval = cell.summary.median, cell.summary.median_interval
+    n, runs = cell.summary.n, len(cell.values)
     if median is None:
         return statistics.NOTHING
     between = "" if interval is None else f" ({interval.low:.3g} to {interval.high:.3g})"
-    return f"{median:.3g}{between} #{cell.rank}"
+    return f"{median:.3g}{between} #{cell.rank}" + f" of {n}/{runs}" * (n < runs)
 
 
-def read_results(path: Path, tasks: Iterable[str]) -> dict[tuple[str, str], dict[int, float]]:
+def read_results(
+    path: Path, tasks: Iterable[str], bounds: Mapping[str, Bounds] = MappingProxyType({})
+) -> dict[tuple[str, str], dict[int, float]]:
     """Values of another program by (row, task) and seed, from a CSV file with COLUMNS.
 
-    An empty value is a run without one. Rows of a column `name` have its name, others the file's.
+    `bounds`: of the metrics, by task; a value beyond them is in another unit, or wrong. An empty
+    value is a run without one. Rows of a column `name` have its name, others the file's.
     ConfigError with file and line for anything else.
     """
     known = tuple(tasks)
     found: dict[tuple[str, str], dict[int, float]] = {}
     try:
-        with path.open(newline="", encoding="utf-8") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
             lacking = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if lacking:
@@ -309,10 +318,17 @@ def read_results(path: Path, tasks: Iterable[str]) -> dict[tuple[str, str], dict
                 raise ConfigError(f"{text}; expected {','.join(COLUMNS)}")
             for line in reader:
                 where = f"{path}:{reader.line_num}"
-                task, name = line["task"] or "", line.get("name") or path.stem
+                if None in line or None in line.values():
+                    wanted = ",".join(reader.fieldnames or ())
+                    raise ConfigError(f"{where}: expected as many cells as the head: {wanted}")
+                task, name = line["task"], line.get("name") or path.stem
                 if task not in known:
                     raise ConfigError(f"{where}: {unknown('benchmark task', task, known)}")
                 seed, value = _seed(where, line["seed"]), _value(where, line["value"])
+                low, high = bounds.get(task, (None, None))
+                if (low is not None and value < low) or (high is not None and value > high):
+                    text = f"{where}: value is {value:g}; expected {low} to {high}"
+                    raise ConfigError(f"{text} in the unit of the task's metric")
                 if seed in found.setdefault((name, task), {}):
                     raise ConfigError(f"{where}: {name} has seed {seed} of {task} twice; keep one")
                 found[name, task][seed] = value
@@ -322,13 +338,13 @@ def read_results(path: Path, tasks: Iterable[str]) -> dict[tuple[str, str], dict
     return found
 
 
-def _seed(where: str, text: str | None) -> int:
-    if text is None or not text.isdecimal() or int(text) > MAX_SEED:
+def _seed(where: str, text: str) -> int:
+    if not text.isdecimal() or int(text) > MAX_SEED:
         raise ConfigError(f"{where}: seed is {text!r}; expected a whole number 0 to {MAX_SEED}")
     return int(text)
 
 
-def _value(where: str, text: str | None) -> float:
+def _value(where: str, text: str) -> float:
     try:
         value = float(text) if text else math.nan
     except ValueError:

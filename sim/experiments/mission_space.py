@@ -11,7 +11,6 @@ controller is a mission: a sequence that repeats, or a switch, as in Maple (J. K
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +20,7 @@ import yaml
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import whole_file
 from swarmd.plugins import pattern_names
-from swarmd.sim.experiments.search_space import SOURCE
+from swarmd.sim.experiments.search_space import SOURCE, parse_range
 from swarmd.sim.scenarios.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ MAX_STATES = 4
 RANGES: Mapping[str, tuple[float, float]] = {"timeout": (2.0, 60.0), "nearer": (0.3, 1.5)}
 """Bounds of conditions that every robot can evaluate, in s and m."""
 READING = "reading:"
-_RANGE = re.compile(r"\s*(\S+?)\s*\.\.\s*(\S+?)\s*")
 _HEAD = "mission: Found by a tuning; runs {parts}\n"
 
 
@@ -128,6 +126,8 @@ def mission_space(
     """
     modules = tuple(dict.fromkeys(name.strip() for name in modules if name.strip()))
     known = pattern_names(None)
+    if not modules:
+        raise ConfigError("--mission names no pattern; expected some, such as drive,random_walk")
     for name in modules:
         if name not in known:
             raise ConfigError(f"--mission: {unknown('pattern', name, known)}")
@@ -149,17 +149,16 @@ def mission_space(
             )
     ranges = dict(RANGES)
     for word in words:
-        key, _, text = word.partition("=")
-        match = _RANGE.fullmatch(text)
+        key = word.partition("=")[0]
         if key not in RANGES and not (key.startswith(READING) and key != READING):
             wanted = ", ".join((*RANGES, f"{READING}NAME"))
             raise ConfigError(f"{SOURCE} {key}: with --mission it is one of {wanted}")
-        try:
-            low, high = map(float, match.groups() if match else ())
-        except ValueError:
-            low = high = 0.0
-        if not low < high or (key in RANGES and low <= 0.0):
-            raise ConfigError(f"{SOURCE} {word}: expected bounds such as {key}=0.5..1.5")
+        low, high = parse_range(word)
+        if key in RANGES and low <= 0.0:
+            raise ConfigError(f"{SOURCE} {word}: expected bounds above 0, such as {key}=0.5..1.5")
+        for robot in (robot for name in groups for robot in scenario.groups[name]):
+            if key not in RANGES and key not in scenario.robots[robot].provides:
+                raise ConfigError(f"{SOURCE} {key}: {robot} has no such reading; leave it out")
         ranges[key] = (low, high)
     return MissionSpace(tuple(groups), modules, ranges, folder)
 

@@ -171,6 +171,18 @@ def parameter_space(
     return ParameterSpace(found)
 
 
+def parse_range(word: str) -> tuple[float, float]:
+    """The bounds of KEY=LO..HI; ConfigError unless both are finite, and LO is below HI."""
+    match = _RANGE.fullmatch(word.partition("=")[2])
+    try:
+        low, high = map(float, match.groups() if match else ())
+    except ValueError:
+        low = high = math.nan
+    if not -math.inf < low < high < math.inf:
+        raise ConfigError(f"{SOURCE} {word}: expected LO..HI with LO below HI, such as 0.1..0.5")
+    return low, high
+
+
 def patterns_of(scenario: Scenario) -> tuple[str, ...]:
     """The patterns that its robots run, from the start or by an event."""
     groups = scenario.effective["groups"].values()
@@ -277,12 +289,7 @@ def _parameter(
         return replace(one, choices=tuple(dict.fromkeys(values)))
     if is_choice:
         raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")
-    try:
-        low, high = map(float, match.groups())
-    except ValueError:
-        low = high = math.nan
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise ConfigError(f"{SOURCE} {word}: expected LO..HI with LO below HI, such as 0.1..0.5")
+    low, high = parse_range(word)
     whole = all(re.fullmatch(r"[+-]?\d+", end) for end in match.groups())
     is_int = one.is_int if one.param else whole
     if is_int and not whole:

@@ -138,7 +138,7 @@ class Look:
         count = len(self.candidates)
         return (
             f"{self.runs} of {self.budget} runs, race {self.race}, {count} candidates,"
-            f" {self.alive} new ones in the race"
+            f" {self.alive} of them new in the race"
         )
 
     @property
@@ -685,7 +685,7 @@ def _importance(study: Study) -> dict[str, float]:
     """The share of each parameter, by PED-ANOVA of S. Watanabe et al., IJCAI 2023.
 
     It asks which parameters the best tenth of the candidates has narrowed. Of those that every
-    candidate has; empty below ten candidates.
+    candidate has; empty below ten candidates, and if all are equal.
     """
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState
@@ -695,6 +695,8 @@ def _importance(study: Study) -> dict[str, float]:
         return {}
     common = [key for key in complete[0].params if all(key in t.params for t in complete)]
     if not common:
+        return {}
+    if len({trial.value for trial in complete}) < 2:
         return {}
     evaluator = PedAnovaImportanceEvaluator()
     return dict(get_param_importances(study, evaluator=evaluator, params=common))

@@ -16,7 +16,7 @@ from swarmd.sim.experiments.statistics import interval, number
 from swarmd.sim.scenarios.overrides import nested
 
 if TYPE_CHECKING:
-    from swarmd.sim.experiments.tune import Goal, Space, Tuning
+    from swarmd.sim.experiments.tune import Space, Tuning
 
 _SOFTWARE = ("swarmd", "python", "numpy", "mujoco", "kernels")
 
@@ -65,12 +65,12 @@ def _evidence(found: Tuning, manifest: Manifest) -> Iterator[str]:
             " values, so this difference is too good."
         )
     if found.gain is not None:
-        text = _shown(found.gain, "present", "tuned", found.goal)
+        text = _shown(found.gain, "present", "tuned", found)
         yield f"Held-out seeds {_seeds(found.held_out)}: {text}"
     elif found.best.number and not found.held_out:
         yield "No seeds were held out: nothing is claimed."
     for name, drop in found.drops.items():
-        text = _shown(drop, "nominal", "pseudo-reality", found.goal)
+        text = _shown(drop, "nominal", "pseudo-reality", found)
         yield f"In pseudo-reality, {name} values: {text}"
     software = [f"{name} {manifest.made_with[name]}" for name in _SOFTWARE]
     git = manifest.git.get("swarmd")
@@ -78,7 +78,7 @@ def _evidence(found: Tuning, manifest: Manifest) -> Iterator[str]:
     yield f"Made with {', '.join((*software, *commit))}; code {manifest.made_with['code'][:12]}."
 
 
-def _shown(one: Difference, a: str, b: str, goal: Goal) -> str:
+def _shown(one: Difference, a: str, b: str, found: Tuning) -> str:
     """Both means, their difference and its interval, and the conclusion."""
     text = f"mean {number(one.mean_b)} {b}, {number(one.mean_a)} {a}, of {one.n_a} seeds"
     text += f"; difference {number(one.difference)}, 95 % interval {interval(one.interval)}"
@@ -86,10 +86,12 @@ def _shown(one: Difference, a: str, b: str, goal: Goal) -> str:
         text += f", p {number(one.p)}"
     if one.never_a or one.never_b:
         text += f"; never: {one.never_b} {b}, {one.never_a} {a}"
+    if lost := len(found.held_out) - min(one.n_a, one.n_b):
+        text += f"; {lost} seeds more have no value on both sides"
     if not one.holds:
         return f"{text}. No difference is shown."
     is_less = one.difference is not None and one.difference < 0.0
-    return f"{text}. Better: {b if is_less == (goal == 'min') else a}."
+    return f"{text}. Better: {b if is_less == (found.goal == 'min') else a}."
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -25,9 +25,10 @@ import numpy as np
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
-from swarmd.kit.observation import Observation, PolicySpec, default_spec
+from swarmd.kit.observation import Observation, PolicySpec, check_spec, default_spec
+from swarmd.sim.experiments.plan import check_seeds
 from swarmd.sim.learning.agents import (
     PATTERN,
     Seat,
@@ -39,12 +40,10 @@ from swarmd.sim.learning.agents import (
     with_agents,
 )
 from swarmd.sim.learning.rewards import (
-    CONTACTS,
-    LIMITED,
     Reward,
     Rewards,
     State,
-    check_metric,
+    check_weights,
     default_reward,
 )
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -94,6 +93,7 @@ def env(
         found = load_scenario(scenario, set, source="set")
     learners = learners_of(found, agents)
     spec = spec or default_spec(found.robots[learners[0]])
+    check_spec(spec)
     for robot in learners:
         missing = sorted(spec.needs - found.robots[robot].provides)
         if missing:
@@ -103,9 +103,7 @@ def env(
             )
     terms = default_reward(found.name) if reward is None else reward
     if not callable(terms):
-        for name in terms:
-            if name not in (CONTACTS, LIMITED):
-                check_metric(name)
+        check_weights(terms)
     return SwarmEnv(with_agents(found, learners), learners, spec, terms, seed)
 
 
@@ -119,6 +117,8 @@ class _Episode:
     episodes: ContactEpisodes
     lives: dict[str, int]
     contacts: NDArray[np.int64]
+    present: dict[str, bool]
+    is_over: bool = False
 
 
 class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # it has no types
@@ -147,8 +147,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         self.possible_agents = lives_of(scenario, learners)
         self.agents: list[str] = []
         self._learners, self._reward = learners, reward
-        self._seeds = np.random.default_rng(seed)
-        self._next_seed = seed
+        self._next_seed = None if seed is None else check_seeds([seed])[0]
+        self._seeds = np.random.default_rng(self._next_seed)
         self.seed: int | None = None
         """Of the run that the last `reset` began: `exp run` with it has the same start."""
         shapes = (spec.size,), (spec.actions,)
@@ -177,7 +177,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         last. ConfigError if there is no room for the robots.
         """
         if seed is not None:
-            self._next_seed, self._seeds = seed, np.random.default_rng(seed)
+            self._next_seed = check_seeds([seed])[0]
+            self._seeds = np.random.default_rng(self._next_seed)
         if self._next_seed is None:
             self._next_seed = int(self._seeds.integers(2**31))
         self.seed, self._next_seed = self._next_seed, None
@@ -192,6 +193,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
             ContactEpisodes(),
             {robot: int(robot not in self.scenario.absent) for robot in self._learners},
             np.zeros(n, dtype=np.int64),
+            {robot: robot not in self.scenario.absent for robot in self._learners},
         )
         present = [robot for robot, life in episode.lives.items() if life]
         waited = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
@@ -207,32 +209,33 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     def step(self, actions: dict[str, Array]) -> Step:
         """Hand each agent's action over and simulate a period.
 
-        An agent without an action repeats its last. ConfigError before the first `reset`, and for
-        an action that is not (spec.actions,) finite numbers.
+        An agent without an action repeats its last; the action of one that is not there has no
+        effect. ConfigError before the first `reset`, after the end of a run, and for an action that
+        is not (spec.actions,) finite numbers or of no agent; then no action is taken.
         """
         episode = self._running()
-        for agent, action in actions.items():
-            if agent in self.agents:
-                episode.seats[_robot_of(agent)].action = self._checked(agent, action)
+        if episode.is_over:
+            raise ConfigError("the run is over; call reset for the next one")
+        if strange := sorted({*map(str, actions)} - {*self.possible_agents}):
+            raise ConfigError(f"actions: {unknown('agent', strange[0], self.possible_agents)}")
+        checked = {a: self._checked(a, one) for a, one in actions.items() if a in self.agents}
+        for agent, action in checked.items():
+            episode.seats[_robot_of(agent)].action = action
         before = list(self.agents)
         start = episode.swarm.world.time
-        was_present = self._present()
         episode.contacts[:] = 0
         self._advance(self.spec.period)
-        joined = [robot for robot, there in self._present().items() if there]
-        new = [robot for robot in joined if not was_present[robot]]
-        for robot in new:
-            episode.lives[robot] += 1
+        joined = [robot for robot, there in episode.present.items() if there]
         now_alive = [name_of(robot, episode.lives[robot]) for robot in joined]
         seen = [*before, *(agent for agent in now_alive if agent not in before)]
-        is_over = episode.swarm.world.time > self.scenario.duration - 0.5 * self.spec.period
+        is_over = episode.is_over = (
+            episode.swarm.world.time > self.scenario.duration - 0.5 * self.spec.period
+        )
         state = self._state(episode.swarm.world.time - start)
         rewards = episode.rewards.of(state)
         terminations = {agent: agent not in now_alive for agent in seen}
         self.agents = [] if is_over else now_alive
         observations = {agent: self._observed(agent) for agent in seen}
-        for robot in {_robot_of(agent) for agent in seen if terminations[agent]}:
-            episode.seats[robot].leave()
         return (
             observations,
             {
@@ -263,6 +266,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         world = episode.swarm.world
 
         def count(now: float) -> None:
+            self._follow_daemons()
             for contact in world.contacts():
                 if episode.episodes.add(now, contact.a, contact.b):
                     for name in (contact.a, contact.b):
@@ -271,10 +275,15 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
 
         episode.swarm.advance(seconds, count)
 
-    def _present(self) -> dict[str, bool]:
-        swarm = self._running().swarm
-        there = dict(zip(swarm.world.ids, swarm.has_daemon, strict=True))
-        return {robot: there[robot] for robot in self._learners}
+    def _follow_daemons(self) -> None:
+        """Empty the seats of robots that have gone, and count the lives of those that came."""
+        episode = self._running()
+        for robot, there in zip(episode.swarm.world.ids, episode.swarm.has_daemon, strict=True):
+            if episode.present.get(robot, there) != there:
+                episode.present[robot] = there
+                episode.lives[robot] += there
+                if not there:
+                    episode.seats[robot].leave()
 
     def _observed(self, agent: str) -> Observation:
         """The observation from the newest inputs; zeros before an agent has any."""
@@ -284,7 +293,10 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         return seat.pattern.observed(seat.inputs)
 
     def _checked(self, agent: str, action: Array) -> Array:
-        found = np.array(action, dtype=np.float64)
+        try:
+            found = np.array(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            found = np.empty(0)
         if found.shape != (self.spec.actions,) or not np.isfinite(found).all():
             wanted = f"{self.spec.actions} finite numbers in [-1, 1]"
             raise ConfigError(f"the action of {agent} is {action!r}; expected {wanted}")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.metrics.catalog import metric_of
 from swarmd.sim.metrics.metric import Metric
@@ -102,7 +104,7 @@ class Rewards:
     def of(self, state: State) -> Mapping[str, float]:
         """The reward of each robot for the step that led to `state`."""
         if self._function is not None:
-            return {robot: float(value) for robot, value in self._function(state).items()}
+            return _checked(self._function(state), state.ids)
         values, shared = self._values(state), 0.0
         if np.array_equal(state.present, self._last_present):
             for (_, weight), value, last in zip(self._metrics, values, self._last, strict=True):
@@ -127,6 +129,15 @@ class Rewards:
         return [_at(metric, trace) for metric, _ in self._metrics]
 
 
+def check_weights(weights: Mapping[str, float]) -> None:
+    """ConfigError for a term that does not exist, or a weight that is no finite number."""
+    for name, weight in weights.items():
+        if name not in (CONTACTS, LIMITED):
+            check_metric(name)
+        if not isinstance(weight, Real) or not math.isfinite(weight):
+            raise ConfigError(f"reward: the weight of {name} is {weight!r}; expected a number")
+
+
 def check_metric(name: str) -> Metric:
     """The metric of that name; ConfigError if it has no value at an instant."""
     metric = metric_of(name)
@@ -136,6 +147,18 @@ def check_metric(name: str) -> Metric:
             " such as mean_distance_to_centroid_end, or a function of the state"
         )
     return metric
+
+
+def _checked(given: Any, ids: tuple[str, ...]) -> dict[str, float]:
+    """What a user's function returned; ConfigError for anything but finite numbers by robot."""
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"reward: the function returned {given!r}; expected numbers by robot")
+    for robot, value in given.items():
+        if robot not in ids:
+            raise ConfigError(f"reward: {unknown('robot', str(robot), ids)}")
+        if not isinstance(value, Real) or not math.isfinite(value):
+            raise ConfigError(f"reward: the reward of {robot} is {value!r}; expected a number")
+    return {robot: float(value) for robot, value in given.items()}
 
 
 def _at(metric: Metric, trace: Trace) -> float:

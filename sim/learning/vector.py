@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
 from swarmd.kit.observation import Observation
+from swarmd.sim.experiments.plan import check_seeds
 from swarmd.sim.learning.environment import SwarmEnv, env
 from swarmd.sim.scenarios.scenario import Scenario
 
@@ -93,11 +94,9 @@ def vector_env(
     """
     if n < 1:
         raise ConfigError(f"vector_env of {n}; expected 1 or more")
+    seeds = [None] * n if seed is None else check_seeds(seed + index for index in range(n))
     env(scenario, seed, **options)  # a fault is raised here, not in a process
-    makers = [
-        partial(_make, scenario, None if seed is None else seed + index, options)
-        for index in range(n)
-    ]
+    makers = [partial(_make, scenario, one, options) for one in seeds]
     return AsyncVectorEnv(makers, context="forkserver")
 
 

@@ -99,7 +99,7 @@ class PolicySpec(Struct, frozen=True, forbid_unknown_fields=True):
                 f"the observation has {self.size} numbers; expected {MAX_SIZE} or less"
             )
         for part in self.parts:
-            if isinstance(part, ReadingPart) and not part.low < part.high < math.inf:
+            if isinstance(part, ReadingPart) and not -math.inf < part.low < part.high < math.inf:
                 raise ValueError(
                     f"reading {part.name} is from {part.low:g} to {part.high:g}; low must be lower"
                 )
@@ -149,6 +149,15 @@ def decode_spec(data: bytes) -> PolicySpec:
         return msgspec.json.decode(data, type=PolicySpec)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError(f"declaration of a policy: {error}") from error
+
+
+def check_spec(spec: PolicySpec) -> None:
+    """ConfigError for a declaration that a file could not give back, such as a period of 0."""
+    try:
+        data = encode_spec(spec)
+    except TypeError as error:
+        raise ConfigError(f"declaration of a policy: {error}; expected plain numbers") from error
+    decode_spec(data)
 
 
 def observe(spec: PolicySpec, inputs: Inputs, platform: Platform) -> Observation:

@@ -16,11 +16,12 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
-from swarmd.kit.observation import Observation, PolicySpec, decode_spec, encode_spec
+from swarmd.kit.observation import Observation, PolicySpec, check_spec, decode_spec, encode_spec
 
 Activation = Literal["tanh", "relu"]
 MAX_BYTES = 512 * 1024
 """Of a file; as text it fits into one pushed behaviour."""
+_MAX_UNPACKED = 16 * MAX_BYTES  # a small file of zeros else fills the memory of a robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +29,8 @@ class PolicyNetwork:
     """A network of dense layers; the last one ends in tanh, so that actions are in [-1, 1].
 
     `weights[i]` is (outputs, inputs) and `biases[i]` (outputs,). The first layer takes the
-    observation of `spec`, the last gives its action. ConfigError if the shapes do not fit.
+    observation of `spec`, the last gives its action. ConfigError if the shapes do not fit, or if a
+    file could not give the network back.
     """
 
     spec: PolicySpec
@@ -37,7 +39,15 @@ class PolicyNetwork:
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
-        """Check the shapes."""
+        """Check it as a file is checked."""
+        if self.activation not in get_args(Activation):
+            raise ConfigError(f"policy: activation is {self.activation!r}; expected tanh or relu")
+        check_spec(self.spec)
+        arrays = (*self.weights, *self.biases)
+        if not all(isinstance(one, np.ndarray) and one.dtype.kind in "fiu" for one in arrays):
+            raise ConfigError("policy: weights and biases must be arrays of real numbers")
+        if any(w.ndim != 2 for w in self.weights) or any(b.ndim != 1 for b in self.biases):
+            raise ConfigError("policy: weights must be matrices and biases vectors")
         shapes = [weight.shape for weight in self.weights]
         sizes = [self.spec.size, *(len(bias) for bias in self.biases)]
         wanted = list(zip(sizes[1:], sizes[:-1], strict=True))
@@ -46,7 +56,9 @@ class PolicyNetwork:
                 f"policy: layers {shapes} with biases of {sizes[1:]}; expected {sizes[0]} inputs,"
                 f" {self.spec.actions} outputs, and each layer to fit the one before"
             )
-        if not all(np.isfinite(one).all() for one in (*self.weights, *self.biases)):
+        with np.errstate(over="ignore"):  # a file holds float32
+            is_finite = all(np.isfinite(one.astype(np.float32)).all() for one in arrays)
+        if not is_finite:
             raise ConfigError("policy: a weight is not finite; train it again")
 
     def act(self, observation: Observation) -> Array:
@@ -60,7 +72,7 @@ class PolicyNetwork:
         return values
 
     def to_bytes(self) -> bytes:
-        """The content of its file, with weights as float32."""
+        """The content of its file, with weights as float32; ConfigError if it is too large."""
         arrays: dict[str, Any] = {
             "spec": np.frombuffer(encode_spec(self.spec), dtype=np.uint8),
             "activation": np.array(self.activation),
@@ -70,7 +82,12 @@ class PolicyNetwork:
             arrays |= {f"bias_{i}": bias.astype(np.float32)}
         file = io.BytesIO()
         np.savez_compressed(file, **arrays)
-        return file.getvalue()
+        if len(data := file.getvalue()) > MAX_BYTES:
+            raise ConfigError(
+                f"policy: a file of {len(data)} bytes; robots take {MAX_BYTES} or less: train a"
+                " smaller network"
+            )
+        return data
 
 
 def parameter_count(spec: PolicySpec, hidden: Sequence[int] = ()) -> int:
@@ -99,25 +116,35 @@ def network_of(
 
 def network_from_bytes(data: bytes) -> PolicyNetwork:
     """The network in the content of a file; ConfigError if it is none, or does not fit itself."""
-    from zipfile import BadZipFile  # few hosts run a policy
+    import zlib  # few hosts run a policy
+    from zipfile import BadZipFile, ZipFile
 
     if len(data) > MAX_BYTES:
         raise ConfigError(f"policy: {len(data)} bytes; expected {MAX_BYTES} or less")
     try:
+        with ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(one.file_size for one in archive.infolist())
+        if unpacked > _MAX_UNPACKED:
+            raise ConfigError(
+                f"policy: {unpacked} bytes unpacked; expected {_MAX_UNPACKED} or less"
+            )
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         spec, activation = arrays.pop("spec").tobytes(), str(arrays.pop("activation"))
         count, rest = divmod(len(arrays), 2)
         if rest:
             raise ValueError("a weight without its bias")
-        weights = tuple(arrays[f"weight_{i}"].astype(np.float64) for i in range(count))
-        biases = tuple(arrays[f"bias_{i}"].astype(np.float64) for i in range(count))
-    except (KeyError, ValueError, OSError, EOFError, BadZipFile) as error:
+        weights, biases = (
+            tuple(
+                arrays[f"{kind}_{i}"].astype(np.float64, casting="same_kind") for i in range(count)
+            )
+            for kind in ("weight", "bias")
+        )
+    except (
+        BadZipFile, EOFError, KeyError, MemoryError, NotImplementedError, OSError, RuntimeError,
+        TypeError, ValueError, zlib.error,
+    ) as error:  # fmt: skip
         raise ConfigError("policy: not a file of PolicyNetwork.to_bytes, or damaged") from error
-    if activation not in get_args(Activation):
-        raise ConfigError(f"policy: activation is {activation!r}; expected tanh or relu")
-    if any(one.ndim != 2 for one in weights) or any(one.ndim != 1 for one in biases):
-        raise ConfigError("policy: weights must be matrices and biases vectors")
     return PolicyNetwork(decode_spec(spec), weights, biases, activation)  # type: ignore[arg-type]
 
 

@@ -124,6 +124,12 @@ def test_a_wrong_declaration_is_named(text: bytes, word: str) -> None:
         decode_spec(text)
 
 
+@pytest.mark.parametrize(("low", "high"), [(-math.inf, 1.0), (0.0, math.inf), (1.0, 1.0)])
+def test_a_reading_needs_a_finite_range(low: float, high: float) -> None:
+    with pytest.raises(ValueError, match="reading x"):
+        PolicySpec((ReadingPart("x", low=low, high=high),))
+
+
 def test_an_action_is_a_share_of_the_limits_and_no_more() -> None:
     limits = Limits(0.2, 2.0, 0.1)
     assert requested_twist(ALL, np.array([0.5, -2.0, -1.0]), limits) == Twist(0.1, -2.0, -0.1)

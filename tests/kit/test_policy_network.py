@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+import zipfile
+from typing import Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
 from swarmd.kit.observation import PolicySpec, ReadingPart, ScanPart, encode_spec
 from swarmd.kit.policy_network import (
     MAX_BYTES,
@@ -57,6 +60,34 @@ def npz(**changes: object) -> bytes:
     return file.getvalue()
 
 
+def npy() -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.zeros(3))
+    return file.getvalue()
+
+
+def packed(array: Array | None = None, shape: tuple[int, ...] = ()) -> bytes:
+    """A compressed file with one array, or with a header alone that promises `shape`."""
+    content, file = io.BytesIO(), io.BytesIO()
+    if array is not None:
+        np.save(content, array)
+    else:
+        header = {"descr": "<f4", "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(content, header)
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("weight_0.npy", content.getvalue())
+    return file.getvalue()
+
+
+def broken_stream() -> bytes:
+    """A file of to_bytes whose compressed data are no longer any."""
+    network = network_of(SPEC, np.zeros(parameter_count(SPEC)))
+    data = bytearray(network.to_bytes())
+    start = 30 + data[26] + data[28]  # of the first member, after its local header
+    data[start : start + 8] = b"\xff" * 8
+    return bytes(data)
+
+
 def test_a_file_of_numpy_is_taken() -> None:
     assert network_from_bytes(npz()).act(np.zeros(2, dtype=np.float32)).tolist() == [0.0, 0.0]
 
@@ -77,6 +108,12 @@ def test_a_file_of_numpy_is_taken() -> None:
         (npz(weight_0=np.zeros((3, 2)), bias_0=np.zeros(3)), "2 outputs"),
         (npz(weight_0=np.array([["a", "b"]] * 2)), "damaged"),
         (npz(activation=np.array([{}], dtype=object)), "damaged"),  # would be unpickled
+        (npz(weight_0=np.zeros((2, 2), [("a", float), ("b", int)])), "damaged"),
+        (npz(weight_0=np.zeros((2, 2), complex)), "damaged"),
+        (npy(), "damaged"),
+        (packed(np.zeros((4000, 2000))), "unpacked"),  # 64 MB of zeros in a few kB
+        (packed(shape=(10**12,)), "damaged"),
+        (broken_stream(), "damaged"),
     ],
 )
 def test_what_is_no_network_is_refused(data: bytes, text: str) -> None:
@@ -91,3 +128,26 @@ def test_text_that_is_none_and_parameters_of_another_number_are_refused() -> Non
         network_of(SPEC, np.zeros(5))
     with pytest.raises(ConfigError, match="expected 2 inputs"):
         PolicyNetwork(SPEC, (), ())
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"activation": "sigmoid"}, "sigmoid"),
+        ({"biases": (np.zeros((2, 1)),)}, "vectors"),
+        ({"weights": ([[0.0, 0.0], [0.0, 0.0]],)}, "arrays"),
+        ({"weights": (np.full((2, 2), 1e39),)}, "not finite"),  # as float32, as a file holds it
+        ({"spec": PolicySpec(SPEC.parts, period=0.05)}, "period"),
+    ],
+)
+def test_what_a_file_cannot_give_back_is_no_network(change: dict[str, Any], text: str) -> None:
+    whole = {"spec": SPEC, "weights": (np.zeros((2, 2)),), "biases": (np.zeros(2),)}
+    with pytest.raises(ConfigError, match=text):
+        PolicyNetwork(**{**whole, **change})
+
+
+def test_a_network_that_no_file_can_hold_is_refused_when_it_is_saved() -> None:
+    hidden = (600, 600)
+    values = np.random.default_rng(1).normal(size=parameter_count(SPEC, hidden))
+    with pytest.raises(ConfigError, match="smaller network"):
+        network_of(SPEC, values, hidden).to_bytes()

@@ -147,12 +147,15 @@ def test_ranks_follow_the_direction_and_ties_share_one() -> None:
     assert table["a"]["far"].summary.median == 2.0
     assert benchmark.cell_text(table["c"]["far"]) == "0.5 #1"
     assert benchmark.cell_text(table["d"]["far"]) == "-"
+    some = benchmark.table_of({("e", "far"): {0: 1.0, 1: math.nan}}, {"far": "less"})
+    assert benchmark.cell_text(some["e"]["far"]) == "1 #1 of 1/2"
     assert benchmark.cell_text(None) == ""
 
 
 def test_results_of_another_program_are_read_by_row_and_task(tmp_path: Path) -> None:
     path = tmp_path / "argos.csv"
-    path.write_text("task,seed,value,name\ndoorway,0,0.5,\ndoorway,1,,\nshelter,0,1,fsm\n")
+    text = "task,seed,value,name\ndoorway,0,0.5,\ndoorway,1,,\nshelter,0,1,fsm\n"
+    path.write_text(text, encoding="utf-8-sig")  # as spreadsheets write it
     found = benchmark.read_results(path, task_names())
     assert found["argos", "doorway"].keys() == {0, 1}
     assert found["argos", "doorway"][0] == 0.5
@@ -168,6 +171,9 @@ def test_results_of_another_program_are_read_by_row_and_task(tmp_path: Path) -> 
         ("task,seed,value\ndoorway,-1,1\n", ":2: seed"),
         ("task,seed,value\ndoorway,0,fast\n", ":2: value is 'fast'"),
         ("task,seed,value\ndoorway,0,1\ndoorway,0,2\n", ":3: "),
+        ("task,seed,value\ndoorway,0\n", ":2: expected as many cells"),
+        ("task,seed,value\ndoorway,0,1,2\n", ":2: expected as many cells"),
+        ("task,seed,value\ndoorway,0,41\n", ":2: value is 41; expected 0.0 to 1.0"),  # per cent
     ],
 )
 def test_faulty_results_are_one_line_with_file_and_line(
@@ -175,8 +181,9 @@ def test_faulty_results_are_one_line_with_file_and_line(
 ) -> None:
     path = tmp_path / "other.csv"
     path.write_text(text)
+    bounds = {"doorway": load_task("doorway").file.metric.bounds}
     with pytest.raises(ConfigError) as refusal:
-        benchmark.read_results(path, task_names())
+        benchmark.read_results(path, task_names(), bounds)
     assert f"{path}{subject}" in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
@@ -259,6 +266,7 @@ def test_bench_prints_one_table_resumes_and_takes_other_results(tmp_path: Path) 
     [
         (["dorway"], "doorway"),
         (["doorway", "doorway"], "twice"),
+        (["doorway", str(SUITE / "doorway.yaml")], "twice"),
         (["list", "doorway"], "list"),
         (["doorway", "--pattern", "foraging"], "fits none"),
         (["doorway", "--pattern", "mine.py"], "no such file"),

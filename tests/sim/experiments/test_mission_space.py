@@ -123,8 +123,11 @@ def test_a_tuning_gives_a_mission_that_robots_run(tmp_path: Path) -> None:
     [
         (("atraction",), [], "--mission: no pattern 'atraction'"),
         (MODULES, ["speed=0..1"], "--param speed: with --mission it is one of timeout"),
-        (MODULES, ["nearer=1..0.5"], "expected bounds such as nearer"),
-        (MODULES, ["timeout=0..9"], "expected bounds such as timeout"),
+        (MODULES, ["nearer=1..0.5"], "nearer=1..0.5: expected LO..HI"),
+        (MODULES, ["timeout=1..inf"], "timeout=1..inf: expected LO..HI"),
+        (MODULES, ["timeout=0..9"], "expected bounds above 0, such as timeout"),
+        (MODULES, ["reading:light=0..9"], "tb3-01 has no such reading"),
+        ((" ",), [], "--mission names no pattern"),
     ],
 )
 def test_a_wrong_word_is_named(

@@ -174,6 +174,38 @@ def test_nothing_better_is_no_claim(duo: Path, tmp_path: Path) -> None:
     assert load_results(tmp_path / "t" / HELD_OUT).variants == ("candidate=present",)
 
 
+class Even(Bench):
+    """All values are equal."""
+
+    def run(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+        for job in jobs:
+            yield JobResult(job.run, {**NOTHING, "path_length": 1.0}, 0.01)
+
+
+def test_equal_candidates_have_no_winner_and_no_importance(duo: Path, tmp_path: Path) -> None:
+    found = tuned(duo, tmp_path / "t", Even(), budget=120, held_out=0)
+    assert len(found.candidates) > 10
+    assert (found.best.number, found.importance) == (0, {})
+
+
+class Fragile(Bench):
+    """Tuned values fail on most held-out seeds."""
+
+    def run(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+        for result, job in zip(super().run(jobs), jobs, strict=True):
+            is_lost = job.seed >= 10 and speed_of(job.effective) > 0.1
+            yield JobResult(job.run, reason="broke") if is_lost else result
+
+
+def test_the_claim_names_the_seeds_without_a_value(duo: Path, tmp_path: Path) -> None:
+    found = tuned(duo, tmp_path / "t", Fragile())
+    assert found.gain is not None
+    assert found.gain.n_a == 4
+    assert "16 seeds more have no value on both sides" in " ".join(
+        line.lstrip("# ") for line in found.document.splitlines()
+    )
+
+
 def test_all_failed_is_one_line(duo: Path, tmp_path: Path) -> None:
     with pytest.raises(SwarmError, match=r"all runs of race 1 failed; the first, .*: too fast"):
         tuned(duo, tmp_path / "t", Bench(fails_above=-1.0))

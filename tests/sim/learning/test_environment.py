@@ -220,6 +220,16 @@ def test_a_base_that_moves_sideways_has_a_third_action() -> None:
         (lambda: make(spec=PolicySpec((ReadingPart("light"),))), "reading:light, which tb3-01"),
         (lambda: swarmd.env("drive"), "reward: scenario drive"),
         (lambda: make().step({}), "call reset first"),
+        (lambda: make(seed=-1), "-1 is no seed"),
+        (lambda: make().reset(seed=1.5), "1.5 is no seed"),  # type: ignore[arg-type]
+        (lambda: make(spec=PolicySpec((ScanPart(),), period=0.0)), "period"),
+        (lambda: make(spec=PolicySpec((ScanPart(sectors=0),))), "sectors"),
+        (lambda: make(reward={"contacts": "much"}), "weight of contacts"),
+        (lambda: make(reward={"contacts": math.nan}), "weight of contacts"),
+        (lambda: over().step({}), "call reset"),
+        (lambda: reset(lambda state: None).step({}), "reward: .* by robot"),
+        (lambda: reset(lambda state: {"tb3-9": 1.0}).step({}), "tb3-9"),
+        (lambda: reset(lambda state: {"tb3-01": math.nan}).step({}), "reward of tb3-01 is nan"),
     ],
 )
 def test_a_fault_is_named(call: Callable[[], object], text: str) -> None:
@@ -236,9 +246,51 @@ def test_without_its_packages_the_remedy_is_named() -> None:
     assert "pip install 'swarmd[learn]'" in done.stderr.splitlines()[-1]
 
 
-@pytest.mark.parametrize("action", [[math.nan, 0.0], [1.0], [0.0, 0.0, 0.0]])
-def test_an_action_that_is_none_is_refused(action: list[float]) -> None:
+@pytest.mark.parametrize("action", [[math.nan, 0.0], [1.0], [0.0, 0.0, 0.0], "left", {}, [[1], []]])
+def test_an_action_that_is_none_is_refused(action: Any) -> None:
     env = make(seed=1)
     env.reset()
     with pytest.raises(SwarmError, match="the action of tb3-02"):
-        env.step({"tb3-02": np.array(action)})
+        env.step({"tb3-01": np.ones(2), "tb3-02": action})
+    env.step({})
+    env.step({})
+    assert not env.trace().requested.any()  # type: ignore[union-attr]  # none was taken
+
+
+def test_an_action_of_no_agent_is_refused_and_of_one_that_is_gone_ignored() -> None:
+    env = make({"events": EVENTS[:1], "duration": 2}, seed=1)
+    env.reset()
+    with pytest.raises(ConfigError, match="tb3_01"):
+        env.step({"tb3_01": np.zeros(2)})
+    while "tb3-01" in env.agents:
+        env.step({})
+    env.step({"tb3-01": np.zeros(2)})
+
+
+def test_a_seed_of_numpy_is_a_seed() -> None:
+    (first, _), (second, _) = make().reset(3), make(seed=np.int64(3)).reset()
+    np.testing.assert_array_equal(first["tb3-01"], second["tb3-01"])
+
+
+def test_a_robot_that_comes_back_within_a_step_is_another_agent() -> None:
+    events = [{"at": 0.4, "leave": "tb3-02"}, {"at": 0.6, "join": "tb3-02"}]
+    env = make({"events": events, "duration": 3}, spec=PolicySpec((ScanPart(),), period=1.0))
+    env.reset(1)
+    assert env.agents == ["tb3-01", "tb3-02", "tb3-03"]
+    _, _, terminations, _, _ = env.step({"tb3-02": np.ones(2)})
+    assert env.agents == ["tb3-01", "tb3-02#2", "tb3-03"]
+    assert terminations == {"tb3-01": False, "tb3-02": True, "tb3-03": False, "tb3-02#2": False}
+
+
+def reset(reward: Any) -> SwarmEnv:
+    env = make(reward=reward)
+    env.reset(1)
+    return env
+
+
+def over() -> SwarmEnv:
+    env = make({"duration": 0.5})
+    env.reset(1)
+    while env.agents:
+        env.step({})
+    return env

@@ -58,3 +58,5 @@ def test_a_fault_is_raised_before_any_process_starts() -> None:
         vector_env(2, "no_such")
     with pytest.raises(ConfigError, match="vector_env of 0"):
         vector_env(0, "aggregation")
+    with pytest.raises(ConfigError, match="4294967296 is no seed"):
+        vector_env(2, "aggregation", seed=2**32 - 1)
