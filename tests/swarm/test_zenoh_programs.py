@@ -69,7 +69,9 @@ def program(name: str, *words: object, cwd: Path) -> Iterator[subprocess.Popen[s
     command = [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, words)]
     pipe = subprocess.PIPE
     env = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=cwd, env=env) as process:
+    with subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, cwd=cwd, env=env
+    ) as process:
         try:
             yield process
         finally:
