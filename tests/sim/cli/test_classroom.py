@@ -54,7 +54,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Lesson:
 
 
 def checked(folder: Path, lesson: str, *options: str) -> Result:
-    words = ["check", str(folder), "--lesson", lesson, "-j", "2", *options]
+    words = ["check", str(folder), "--lesson", lesson, "-j", "1", *options]
     return CliRunner().invoke(classroom, words)
 
 

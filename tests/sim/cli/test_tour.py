@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -30,23 +31,28 @@ def test_the_tour_runs_all_commands_and_leaves_nothing_behind(tmp_path: Path) ->
 
 
 @pytest.mark.integration
-def test_each_command_waits_for_enter(tmp_path: Path) -> None:
+def test_each_command_waits_for_enter_and_ctrl_c_ends_the_tour(tmp_path: Path) -> None:
     ours, theirs = pty.openpty()
     with subprocess.Popen(
         [SWARMCTL, "tour", "-n", "1"],
         stdin=theirs, stdout=theirs, stderr=theirs, cwd=tmp_path,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
     ) as process:  # fmt: skip
         os.close(theirs)
-        text, answered = "", 0
+        text, waits = "", 0
         while chunk := _read(ours):
             text += chunk
-            if text.count("[Enter]") > answered:
-                assert text.count("\n$ swarmctl ") == answered + 1, "no command came too early"
-                answered += 1
-                os.write(ours, b"\n")
+            if text.count("[Enter]") > waits:
+                waits += 1
+                assert text.count("\n$ swarmctl ") == waits, "no command came too early"
+                if waits == 1:
+                    os.write(ours, b"\n")
+                else:
+                    process.send_signal(signal.SIGINT)
         os.close(ours)
-        assert process.wait(TIMEOUT) == 0, text
-    assert answered == 5
+        assert process.wait(TIMEOUT) == 130, text
+    assert waits == 2
+    assert list(tmp_path.iterdir()) == []
 
 
 def _read(terminal: int) -> str:

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -21,6 +20,7 @@ from swarmd.sim.cli.demo import report
 from swarmd.sim.live.summary import Numbers, Summary
 from tests.sim.conftest import Refusal
 from tests.support.processes import run_command, unique_swarm, wait_until
+from tests.support.swarmctl import swarmctl
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
 RAISES = '''
@@ -59,7 +59,7 @@ def named(name: str, folder: Path) -> list[int]:
 @pytest.mark.integration
 def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) -> None:
     (tmp_path / "clumsy.py").write_text(RAISES)
-    words = ("-n", "2", "--seconds", "3", "--pattern", "clumsy", "--plugin-dir", str(tmp_path))
+    words = ("-n", "2", "--seconds", "1", "--pattern", "clumsy", "--plugin-dir", str(tmp_path))
     done = demo(tmp_path, *words)
     assert done.returncode == 1
     assert done.stdout.startswith("Summary\n")
@@ -143,7 +143,6 @@ def test_without_matplotlib_only_the_picture_is_missing(
 @pytest.mark.integration
 def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> None:
     swarm = unique_swarm()
-    swarmctl = partial(run_command, "swarmctl", cwd=tmp_path, SWARM=swarm)
     command = [SWARMCTL, "sim", "up", "-n", "2", "--swarm", swarm, "--keep", str(tmp_path)]
     pipe = subprocess.PIPE
     with (
@@ -160,8 +159,8 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
         config = str(tmp_path / "tb3-02.yaml")
         try:
             assert "2 robots are up" in process.stdout.readline()
-            run = swarmctl("run", "dispersion", "--all")
-            again = swarmctl("sim", "up", "-n", "2")
+            run = swarmctl("run", "dispersion", "--all", environ={"SWARM": swarm})
+            again = run_command("swarmctl", "sim", "up", "-n", "2", cwd=tmp_path, SWARM=swarm)
             (daemon,) = named("tb3-02", tmp_path)
             os.kill(daemon, signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL (log: ")
@@ -173,8 +172,7 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
         finally:
             process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "2 targeted, 2 applied" in run.stdout
+    assert run.outcome == (0, "2 targeted, 2 applied"), run
     assert again.returncode == 2
     assert f"swarm '{swarm}' already has tb3-01, tb3-02" in again.stderr
     assert named("", tmp_path) == []

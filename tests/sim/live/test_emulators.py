@@ -181,7 +181,7 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
     """As Jazzy has it: commands are TwistStamped; the floor is read at four places of the robot."""
     file = tmp_path / "tiles.yaml"
     file.write_text(
-        "description: two TurtleBots on tiles\n"
+        "description: a TurtleBot on tiles\n"
         "duration: 60\n"
         "arena: {size: [5, 5]}\n"
         "fields:\n"
@@ -190,8 +190,7 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
         "    patches: [{rectangle: [0, 0, 5, 5], tiles: 0.3, share: 0.6, colour: 0, seed: 1}]\n"
         "platforms:\n"
         "  tb4: {extends: turtlebot4, drivers: {ros2dds: {cmd_vel_type: twist_stamped}}}\n"
-        "groups: {all: {platform: tb4, count: 2, prefix: tb4, pattern: random_walk}}\n"
-        "start: {layout: row, spacing: 1.5}\n"
+        "groups: {all: {platform: tb4, count: 1, prefix: tb4, pattern: random_walk}}\n"
     )
     scenario = load_scenario(file)
     spec = FleetSpec(
@@ -206,7 +205,7 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
     with on(spec) as show:
         for pattern in ("policy", "random_walk", "attraction", "collective_perception"):
             show.run(pattern)
-            wait_until(lambda: show.is_moving(0) or show.is_moving(1), f"{pattern} drives")
+            wait_until(lambda: show.is_moving(0), f"{pattern} drives")
 
         def read() -> list[Mapping[str, Value]]:
             return [one.readings for one in statuses_of(show.operator.members()).values()]
