@@ -209,11 +209,12 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """Keep the place in the chain, or leave it."""
         params, before = self.params, self._places.get(own.before)
         robot, near = self.context.robot, _NEAR * params.distance
-        is_double = any(
-            name < robot and math.hypot(*self._places[name]) < near
+        leads = self._leads()
+        is_double = any(  # one that leads stays, else the lower id
+            (not self._heard[name].leads, name) < (not leads, robot)
+            and math.hypot(*self._places[name]) < near
             for name in self._after(own.before)
         )
-        leads = self._leads()
         is_loose = not self._after(robot) and not leads
         is_over = is_loose and float(self.context.rng.random()) < params.leave * inputs.dt
         if before is None or is_double or is_over:

@@ -77,7 +77,8 @@ SHOTS = MappingProxyType(
         "film_chain_formation": Shot(
             scenario="chain_formation",
             title="chain_formation, from the nest in the middle to the goal on the right",
-            stop=150.0,
+            stop=200.0,
+            seed=1,
             camera="top",
         ),
         "film_circle_formation": Shot(
@@ -180,23 +181,23 @@ SHOTS = MappingProxyType(
         "film_shelter_choice": Shot(
             scenario="flocking",
             title="shelter_choice, two equal shelters",
-            stop=240.0,
+            stop=400.0,
             colour="report:state",
             camera="top",
             sets={
                 "groups.tb3.pattern": "shelter_choice",
                 "groups.tb3.count": 10,
-                "groups.tb3.parameters": {"capacity": 10, "near": 1.4},
-                "arena.size": [6, 4],
-                "start.size": [5, 3],
+                "groups.tb3.parameters": {"capacity": 10, "near": 1.8},
+                "arena.size": [8, 4],
+                "start.size": [7, 3],
                 "radio": {"range_and_bearing": True},
                 "fields": [
                     {
                         "kind": "floor",
                         "name": "ground",
                         "patches": [
-                            {"disc": [-1.5, 0, 0.9], "colour": 0.2},
-                            {"disc": [1.5, 0, 0.9], "colour": 0.2},
+                            {"disc": [-2, 0, 0.9], "colour": 0.2},
+                            {"disc": [2, 0, 0.9], "colour": 0.2},
                         ],
                     }
                 ],

@@ -153,6 +153,16 @@ def test_of_two_members_at_one_place_the_higher_id_leaves() -> None:
     assert higher.step(a=a, c=(0.1, 1.0, [2, "a", False])).report["state"] == "home"
 
 
+def test_of_two_members_at_one_place_the_one_that_leads_to_the_goal_stays() -> None:
+    nest: Other = (0.6, math.pi, NEST)
+    leading, other = Robot(join=SURE, leave=0.0), Robot(join=SURE, leave=0.0)
+    leading.joined(nest=nest)
+    other.joined(nest=nest)
+    found = leading.step(nest=nest, goal=(0.5, 0.0, GOAL), c=(0.1, 1.0, [1, "nest", False]))
+    assert found.report == {"state": "chain", "hops": 1, "leads": True}
+    assert other.step(nest=nest, z=(0.1, 1.0, [1, "nest", True])).report["state"] == "home"
+
+
 def test_a_member_whose_member_before_is_gone_leaves() -> None:
     robot = Robot(join=SURE, leave=0.0)
     robot.joined(nest=(0.6, 0.0, NEST))
