@@ -21,9 +21,9 @@ LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
 # Not $(MAKE), which `make -n` would run, too.
 REST := env -u MAKEFLAGS make --no-print-directory
 ARGS ?=
-# Test files at a time; six for two cores, since tests wait and compute nothing more than half of the
-# time. 0: one after the other, in this process.
-JOBS ?= 6
+# Test files at a time; four for two cores: with six, daemons on slow cores stall for more than 1 s, which
+# refuses their runs. 0: one after the other, in this process.
+JOBS ?= 4
 
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router

@@ -29,8 +29,9 @@ from tests.support.swarmctl import SWARMCTL, Finished, swarmctl
 
 pytestmark = pytest.mark.integration
 ROBOT = "r01"
-DISTURBED = 7
-"""Exit code of a calibration whose robot was held, as for scans that a busy machine delays."""
+FAILED, DISTURBED = 1, 7
+"""Exit codes of a calibration whose robot was held, as for scans that a busy machine delays: the
+first if the hold ended its run."""
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +121,7 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(
     for _ in range(5):  # the drives are in real time, so that other work may disturb some
         file.unlink(missing_ok=True)
         done = calibrate(swarm, *options)
-        if done.code == DISTURBED and "held: " in done.err:
+        if done.code in (FAILED, DISTURBED) and "held: " in done.err:
             continue
         assert done.code == 0, done
         figures = {name: one["value"] for name, one in done.json["figures"].items()}
