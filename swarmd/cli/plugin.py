@@ -58,7 +58,7 @@ def plugin() -> None:
 @click.option(
     "--policy",
     type=EXISTING_FILE,
-    help="A learned policy, an .npz of docs/learning.md: NAME.py holds it and runs it.",
+    help="A learned policy, .npz or .onnx of docs/learning.md: NAME.py holds it and runs it.",
 )
 @local_options
 def new(options: CommonOptions, name: str, folder: Path, kind: str, policy: Path | None) -> None:
@@ -174,9 +174,12 @@ def write_plugin(
 def _network_text(policy: Path) -> str:
     """The network in a file as text; ConfigError names the file."""
     from swarmd.kit.policy_network import network_from_bytes, to_text  # it imports numpy
+    from swarmd.kit.policy_onnx import network_from_onnx
 
     try:
-        return to_text(network_from_bytes(policy.read_bytes()))
+        data = policy.read_bytes()
+        is_onnx = policy.suffix == ".onnx"
+        return to_text(network_from_onnx(data) if is_onnx else network_from_bytes(data))
     except (ConfigError, OSError) as error:
         raise ConfigError(f"{policy}: {error}") from error
 

@@ -1,0 +1,104 @@
+"""A policy in an ONNX file, as libraries for learning export it, made into our network.
+
+The graph is a chain of dense layers: Gemm, or MatMul and Add, with Tanh or Relu between them and
+Tanh at the end. The declaration of the observation is in the model's property `swarmd_spec`. The
+package `onnx` reads the file on the operator's machine; robots get the network and need no onnx.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.values import Array
+from swarmd.kit.observation import decode_spec
+from swarmd.kit.policy_network import MAX_BYTES, Activation, PolicyNetwork
+
+SPEC_PROPERTY = "swarmd_spec"
+"""The model's property that holds `encode_spec(spec)` as text."""
+
+
+def network_from_onnx(data: bytes) -> PolicyNetwork:
+    """The network in the content of an ONNX file.
+
+    PluginError without the package onnx. ConfigError for a damaged file, a missing declaration, or
+    a graph that is no chain of dense layers; it names the first node that does not fit.
+    """
+    try:
+        import onnx
+        from onnx import numpy_helper
+    except ModuleNotFoundError as error:
+        text = "policy: this needs onnx, which is not installed; run: pip install 'swarmd[onnx]'"
+        raise PluginError(text) from error
+    if len(data) > 8 * MAX_BYTES:
+        raise ConfigError(f"policy: {len(data)} bytes; expected {8 * MAX_BYTES} or less")
+    try:
+        model = onnx.load_model_from_string(data)
+        values = {one.name: numpy_helper.to_array(one) for one in model.graph.initializer}
+    except Exception as error:  # protobuf and onnx have errors of their own for damaged files
+        raise ConfigError("policy: not an ONNX file, damaged, or its weights are apart") from error
+    told = {one.key: one.value for one in model.metadata_props}
+    if SPEC_PROPERTY not in told:
+        raise ConfigError(
+            f"policy: the model has no property {SPEC_PROPERTY!r}; set it to encode_spec(spec)"
+        )
+    spec = decode_spec(told[SPEC_PROPERTY].encode())
+    inputs = [one.name for one in model.graph.input if one.name not in values]
+    outputs = [one.name for one in model.graph.output]
+    if len(inputs) != 1 or len(outputs) != 1:
+        raise ConfigError(f"policy: inputs {inputs}, outputs {outputs}; expected one of each")
+    weights, biases, functions, end = _layers_of(model.graph.node, values, inputs[0])
+    if end != outputs[0] or not functions or functions[-1] != "Tanh":
+        raise ConfigError("policy: the graph does not end in Tanh, which bounds the actions")
+    inner = {one.lower() for one in functions[:-1]} or {"tanh"}
+    if len(inner) > 1 or len(functions) != len(weights):
+        raise ConfigError(f"policy: layers end in {functions}; expected one of Tanh or Relu each")
+    activation: Activation = "relu" if inner == {"relu"} else "tanh"
+    return PolicyNetwork(spec, tuple(weights), tuple(biases), activation)
+
+
+def _layers_of(
+    nodes: Any, values: dict[str, Any], name: str
+) -> tuple[list[Array], list[Array], list[str], str]:
+    """Weights (outputs, inputs), biases and functions along the chain from `name`, and its end."""
+    weights: list[Array] = []
+    biases: list[Array] = []
+    functions: list[str] = []
+    for node in nodes:
+        given = {one.name: one for one in node.attribute}
+        constants = [values[one] for one in node.input if one in values]
+        if name not in node.input or len(node.output) != 1:
+            raise ConfigError(f"policy: node {node.op_type} {node.name!r} leaves the chain")
+        match node.op_type, [one.ndim for one in constants]:
+            case "Gemm", [2, 1] if node.input[0] == name and _is_plain(given):
+                is_transposed = "transB" in given and given["transB"].i == 1
+                weights.append(_floats(constants[0] if is_transposed else constants[0].T))
+                biases.append(_floats(constants[1]))
+            case "MatMul", [2] if node.input[0] == name:
+                weights.append(_floats(constants[0].T))
+                biases.append(np.zeros(len(weights[-1])))
+            case "Add", [1] if len(weights) == len(functions) + 1:
+                biases[-1] = biases[-1] + _floats(constants[0])
+            case ("Tanh" | "Relu") as kind, [] if len(weights) == len(functions) + 1:
+                functions.append(kind)
+            case "Identity", []:
+                pass
+            case kind, _:
+                raise ConfigError(
+                    f"policy: node {kind} {node.name!r}; expected dense layers (Gemm, or MatMul and"
+                    " Add) with Tanh or Relu"
+                )
+        name = node.output[0]
+    return weights, biases, functions, name
+
+
+def _is_plain(given: dict[str, Any]) -> bool:
+    """True for a Gemm without factors whose first input is not transposed."""
+    factors = [given[one].f for one in ("alpha", "beta") if one in given]
+    return all(one == 1.0 for one in factors) and not ("transA" in given and given["transA"].i)
+
+
+def _floats(values: Any) -> Array:
+    return np.array(values, dtype=np.float64)
