@@ -16,6 +16,7 @@ from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
 from swarmd.network.carriers.session import MAX_WIRE
+from swarmd.network.exit_codes import PARTIAL, REFUSED
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
@@ -108,8 +109,13 @@ class Swarm:
         return self._left.enter_context(Running(*words, environ=self.environ(user)))
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
-        """A `swarmctl` in this process."""
-        return swarmctl(*words, environ=self.environ(user))
+        """A `swarmctl` in this process; asked again if a stall of the machine refused it."""
+        done = swarmctl(*words, environ=self.environ(user))
+        for _ in range(3):
+            if done.code not in (PARTIAL, REFUSED) or "stall" not in done.out:
+                break
+            done = swarmctl(*words, environ=self.environ(user))
+        return done
 
     def audit(self, *robots: str) -> list[dict[str, Any]]:
         """The entries of robots, or of all, once each has answered and no disk lacks any."""
