@@ -16,7 +16,7 @@ from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
 from swarmd.network.carriers.session import MAX_WIRE
-from swarmd.network.exit_codes import PARTIAL, REFUSED
+from swarmd.network.exit_codes import APPLIED
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
@@ -112,7 +112,7 @@ class Swarm:
         """A `swarmctl` in this process; asked again if a stall of the machine refused it."""
         done = swarmctl(*words, environ=self.environ(user))
         for _ in range(3):
-            if done.code not in (PARTIAL, REFUSED) or "stall" not in done.out:
+            if done.code == APPLIED or "stall" not in done.out:
                 break
             done = swarmctl(*words, environ=self.environ(user))
         return done
