@@ -359,8 +359,9 @@ class _Tuner:
             index = len(self.races)
             known = recorded[index] if index < len(recorded) else None
             affordable = (self.budget - self._runs) // len(self.seeds)
-            size = min(self.per_race, affordable) - (index == 0) if known is None else len(known)
-            new = self._draw(study, max(size - (known is not None and index == 0), 0))
+            size = min(self.per_race, affordable) if known is None else len(known)
+            # The present values are a candidate of the first race.
+            new = self._draw(study, max(size - (index == 0), 0))
             if not new and index > 0:
                 break
             racing = [best, *new]
@@ -399,7 +400,7 @@ class _Tuner:
             if found.best.number == 0:
                 del sides[TUNED]
             variants = {name: one.effective for name, one in sides.items()}
-            nominal = self._held_out(HELD_OUT, held_out, variants)
+            nominal = self._run_held_out(HELD_OUT, held_out, variants)
             if TUNED in sides:
                 found.gain = self._difference(nominal, PRESENT, nominal, TUNED)
             if pseudo_reality:
@@ -407,7 +408,7 @@ class _Tuner:
                     name: {**one, "pseudo_reality": one.get("pseudo_reality") or True}
                     for name, one in variants.items()
                 }
-                other = self._held_out(f"{HELD_OUT}_pseudo_reality", held_out, drawn)
+                other = self._run_held_out(f"{HELD_OUT}_pseudo_reality", held_out, drawn)
                 found.drops = {
                     name: self._difference(nominal, name, other, name) for name in variants
                 }
@@ -486,7 +487,7 @@ class _Tuner:
             return f"all runs of race {number + 1} failed; the first, {run}: {reason}"
         return f"no run of race {number + 1} has a value of {self.metric.name}"
 
-    def _held_out(
+    def _run_held_out(
         self, name: str, seeds: tuple[int, ...], variants: Mapping[str, Mapping[str, Any]]
     ) -> Results:
         """The runs of present and tuned values, with traces."""

@@ -18,6 +18,29 @@ MAX_IDLE = 2
 """Operators that are kept open for the next verb; each has sockets of its own."""
 
 
+class RequestLimit:
+    """Counts the requests under way, stops apart."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._count = 0
+
+    @contextmanager
+    def request(self) -> Iterator[None]:
+        """A request under way, in the block; SwarmError if too many are."""
+        with self._lock:
+            if self._count >= MAX_REQUESTS:
+                raise SwarmError(
+                    f"not sent: {self._count} requests wait for answers; repeat it when they ended"
+                )
+            self._count += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._count -= 1
+
+
 class OperatorPool:
     """Lends operators that `make` makes: an idle one, else a new one, so that no verb waits."""
 
@@ -26,7 +49,7 @@ class OperatorPool:
         self._lock = threading.Lock()
         self._idle: list[Operator] = []
         self._leases: list[tuple[frozenset[str], ExitStack]] = []
-        self._requests = 0
+        self._limit = RequestLimit()
         self._is_closed = False
 
     def close(self) -> None:
@@ -80,16 +103,5 @@ class OperatorPool:
     @contextmanager
     def lend_for_request(self) -> Iterator[Operator]:
         """The same for a request that is no stop; SwarmError if too many are under way."""
-        with self._lock:
-            if self._requests >= MAX_REQUESTS:
-                raise SwarmError(
-                    f"not sent: {self._requests} requests wait for answers; repeat it when they"
-                    " ended"
-                )
-            self._requests += 1
-        try:
-            with self.lend() as operator:
-                yield operator
-        finally:
-            with self._lock:
-                self._requests -= 1
+        with self._limit.request(), self.lend() as operator:
+            yield operator

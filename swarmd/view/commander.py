@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from swarmd.client.changes import change_labels, reset, set_params
 from swarmd.client.hand_over import in_thread
-from swarmd.client.operator_pool import MAX_REQUESTS
+from swarmd.client.operator_pool import RequestLimit
 from swarmd.client.runs import make_goal, start
 from swarmd.client.session import Session, TargetedView
 from swarmd.client.stops import send_stop
@@ -43,7 +43,7 @@ class LiveCommander:
         reason: str = "from the page",
     ) -> None:
         self._make, self._known, self._reason = make, known, reason
-        self._requests = 0
+        self._limit = RequestLimit()
         self._stops = asyncio.Semaphore(MAX_STOPS)
         self._ending = threading.Event()
 
@@ -73,24 +73,13 @@ class LiveCommander:
                 async with self._stops:
                     answer = await in_thread(work)
             else:
-                answer = await self._in_turn(work)
+                with self._limit.request():
+                    answer = await in_thread(work)
             tell(answer)
         except Exception as error:  # the page must not show that it is under way
             tell(CommandProgress(f"{verb}: {str(error) or type(error).__name__}", is_final=True))
             if not isinstance(error, SwarmError | ValueError | TypeError):
                 raise
-
-    async def _in_turn(self, work: Callable[[], CommandProgress]) -> CommandProgress:
-        """Carry a request out now; SwarmError if too many are under way."""
-        if self._requests >= MAX_REQUESTS:
-            raise SwarmError(
-                f"not sent: {self._requests} requests wait for answers; repeat it when they ended"
-            )
-        self._requests += 1
-        try:
-            return await in_thread(work)
-        finally:
-            self._requests -= 1
 
     def _carry_out(
         self, verb: str, fields: dict[str, Any], tell: Tell, ending: threading.Event
