@@ -210,7 +210,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         params, before = self.params, self._places.get(own.before)
         robot, near = self.context.robot, _NEAR * params.distance
         leads = self._leads()
-        is_double = any(  # one that leads stays, else the lower id
+        is_double = any(  # the member that leads stays, else the lower id
             (not self._heard[name].leads, name) < (not leads, robot)
             and math.hypot(*self._places[name]) < near
             for name in self._after(own.before)

@@ -85,7 +85,7 @@ def bench(
 
     TASK is a name of `exp bench list`, or a file of that format; without one, all ten are run. A
     cell has the median of the seeds, its 95 % interval, and the rank within the task. A pattern
-    that needs what a task's robots do not have is named with what is missing, and is not run there.
+    whose needs the robots of a task do not meet is not run there; a line names the missing needs.
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """

@@ -127,9 +127,9 @@ def tune(
 ) -> None:
     """Search values of parameters of SCENARIO with the best mean of a metric.
 
-    All candidates meet the same seeds; one that is worse with confidence ends early. The best one
-    is held against the present values on seeds that no race has used. Prints a scenario's file with
-    the values and their evidence, which is also in DIR/tuned.yaml.
+    All candidates meet the same seeds; a candidate that is worse with confidence ends early. The
+    best one is held against the present values on seeds that no race has used. Prints a scenario's
+    file with the values and their evidence, which is also in DIR/tuned.yaml.
     """
     need("mujoco", "optuna", extra="sim,plot,tune")
     from swarmd.sim.experiments import tune as tuning

@@ -209,7 +209,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     def step(self, actions: dict[str, Array]) -> Step:
         """Hand each agent's action over and simulate a period.
 
-        An agent without an action repeats its last; the action of one that is not there has no
+        An agent without an action repeats its last one; the action of an absent agent has no
         effect. ConfigError before the first `reset`, after the end of a run, and for an action that
         is not (spec.actions,) finite numbers or of no agent; then no action is taken.
         """

@@ -1,4 +1,4 @@
-"""Runs under a lease: they end when the operator who renews it is not heard any more."""
+"""Runs under a lease: they end when robots no longer hear the operator that renews it."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ class TargetedView:
 
     @property
     def operator(self) -> Operator:
-        """Who asks."""
+        """The operator of the session."""
         return self.session.operator
 
     @property

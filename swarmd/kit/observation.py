@@ -57,7 +57,7 @@ class NeighborsPart(_Part, frozen=True, tag="neighbors"):
     """The neighbours by range and bearing: their number, then the nearest `count` of them.
 
     The number is scaled from 0 to `count`. Each neighbour has its nearness, as of ScanPart, and the
-    cosine and sine of its bearing: -1, 0, 0 for one that is missing.
+    cosine and sine of its bearing: -1, 0, 0 for a missing neighbour.
     """
 
     count: Annotated[int, Meta(ge=1, le=64)] = 3
