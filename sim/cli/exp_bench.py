@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 import time
 from collections.abc import Sequence
@@ -92,11 +91,8 @@ def bench(
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments import benchmark
-    from swarmd.sim.experiments.manifest import manifest_of
     from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.pool import run_jobs
-    from swarmd.sim.experiments.simulate import plan_of, run_experiment
-    from swarmd.sim.metrics.catalog import beyond_catalog, metric_of
 
     if tasks[:1] == (_LIST,):
         if len(tasks) > 1:
@@ -124,24 +120,21 @@ def bench(
     begin, planned, finished = time.monotonic(), 0, 0
     try:
         for number, entry in enumerate(entries, start=1):
-            task, metric = entry.task, metric_of(entry.task.file.metric.name)
-            plan = plan_of(entry.scenario, given or range(task.file.seeds))
-            manifest = manifest_of(
-                plan, traces=traces, command=command, metrics=beyond_catalog([metric])
-            )
-            warn(f"{number} of {len(entries)}: {task.name}, {entry.pattern}")
+            warn(f"{number} of {len(entries)}: {entry.task.name}, {entry.pattern}")
             with ExitStack() as stack:
                 stack.enter_context(signals_end(SIGTERM))
-                results = run_experiment(
-                    manifest,
-                    folder / task.name / entry.pattern,
+                results = benchmark.run_entry(
+                    entry,
+                    given,
+                    folder,
                     partial(run_jobs, processes=jobs or usable_cores()),
+                    traces=traces,
+                    command=command,
                     on_progress=stack.enter_context(progress()),
                 )
-            by_seed = zip(results.seeds(""), results.metric(metric).tolist(), strict=True)
-            missing = dict.fromkeys(plan.seeds, math.nan)  # of runs that failed
-            values[entry.pattern, task.name] = missing | dict(by_seed)
-            planned, finished = planned + len(plan.runs), finished + len(results.runs)
+            found = benchmark.values_by_seed(entry, results)
+            values[entry.pattern, entry.task.name] = found
+            planned, finished = planned + len(found), finished + len(results.runs)
             for run, reason in list(results.failures.items())[:1]:
                 warn(f"failed: {len(results.failures)} runs; the first, {run}: {reason}")
     except (KeyboardInterrupt, SystemExit):
@@ -150,8 +143,8 @@ def bench(
     better = {task.name: task.file.metric.better for task in loaded}
     table = benchmark.table_of(values, better)
     if is_json:
-        found = benchmark.document(loaded, table, misfits)
-        print_json("BenchmarkTable", {**found, "folder": str(folder)})
+        told = benchmark.document(loaded, table, misfits)
+        print_json("BenchmarkTable", {**told, "folder": str(folder)})
     else:
         shown = [name for name in known if any(name in cells for cells in table.values())]
         print_table(

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import numpy as np
@@ -28,12 +28,16 @@ from swarmd.settings.platforms import PlatformFile
 from swarmd.settings.yamlfile import read, shown
 from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.plan import MAX_SEED
-from swarmd.sim.metrics.catalog import metric_of
+from swarmd.sim.metrics.catalog import beyond_catalog, metric_of
 from swarmd.sim.metrics.metric import Better
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.scenarios.schema import ScenarioFile, Values
 from swarmd.sim.world.scalar_fields import Field
+
+if TYPE_CHECKING:
+    from swarmd.sim.experiments.results import Results
+    from swarmd.sim.experiments.simulate import OnProgress, Runner
 
 SUITE = 1
 """The version of the suite: results of different versions do not compare."""
@@ -235,6 +239,39 @@ def entries_of(
             else:
                 entries.append(Entry(task, pattern, scenario))
     return entries, misfits
+
+
+def run_entry(
+    entry: Entry,
+    seeds: Iterable[int] | None,
+    folder: Path,
+    runner: Runner,
+    *,
+    traces: bool,
+    command: Sequence[str],
+    on_progress: OnProgress | None = None,
+) -> Results:
+    """Run an entry as an experiment in FOLDER/TASK/PATTERN, where missing runs alone are done.
+
+    `seeds` None: those of the task. `command`: the command line that the manifest keeps.
+    """
+    # Names of tasks are completed in the shell, which must not wait for the simulator.
+    from swarmd.sim.experiments.manifest import manifest_of
+    from swarmd.sim.experiments.simulate import plan_of, run_experiment
+
+    file = entry.task.file
+    own = beyond_catalog([metric_of(file.metric.name)])
+    plan = plan_of(entry.scenario, range(file.seeds) if seeds is None else seeds)
+    manifest = manifest_of(plan, traces=traces, command=list(command), metrics=own)
+    place = folder / entry.task.name / entry.pattern
+    return run_experiment(manifest, place, runner, on_progress=on_progress)
+
+
+def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
+    """The metric of each seed of an entry; NaN for a run that failed."""
+    values = results.metric(metric_of(entry.task.file.metric.name)).tolist()
+    found = dict(zip(results.seeds(""), values, strict=True))
+    return dict.fromkeys(results.plan.seeds, math.nan) | found
 
 
 @dataclass(frozen=True, slots=True)
