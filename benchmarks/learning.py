@@ -2,13 +2,20 @@
 
 Random actions in one process, with what an experiment has: noisy lidars of 360 rays, odometry and
 protection, and besides observations and the reward. Each sample is 2 s of simulation.
+
+`--vmas PYTHON` measures VMAS in the same run, by an interpreter that has vmas and torch.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -47,18 +54,30 @@ def rows(parts: int = PARTS) -> Iterator[Row]:
     """One row for each number of agents and mode."""
     for agents in AGENTS:
         for mode in ("barrier", "off"):
-            note = "VMAS with a lidar, 15 agents, as published: 2,160 on another CPU"
-            yield Row(
-                f"agent-steps a CPU-second, {agents} agents, 360 rays, {mode}",
-                rates(agents, mode, parts),
-                note=note if agents == 15 else "",
-                unit="",
-            )
+            what = f"agent-steps a CPU-second, {agents} agents, 360 rays, {mode}"
+            yield Row(what, rates(agents, mode, parts), unit="")
 
 
-def main() -> None:
-    print_table("Environment for learning, one processor", rows())
+def vmas_rows(python: str) -> Iterator[Row]:
+    """One row for each task of VMAS with a lidar, number of agents and of environments."""
+    script = str(Path(__file__).with_name("vmas_steps.py"))
+    command = [python, "-W", "ignore", script, *map(str, AGENTS)]
+    done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
+    for one in json.loads(done.stdout):
+        what = (
+            f"agent-steps a CPU-second, VMAS {one['task']}, {one['agents']} agents, "
+            f"{one['rays']} rays, environments: {one['environments']}"
+        )
+        yield Row(what, one["rates"], unit="")
+
+
+def main(words: Sequence[str] = ()) -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.learning")
+    parser.add_argument("--vmas", metavar="PYTHON", help="an interpreter that has vmas and torch")
+    python = parser.parse_args(words).vmas
+    found = [*rows(), *(vmas_rows(python) if python else ())]
+    print_table("Environment for learning, one processor", found)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])
