@@ -67,9 +67,11 @@ _SHOWN = 8  # candidates in the live table
 @click.option(
     "--mission",
     "modules",
-    metavar="PATTERN,..",
+    metavar="PATTERN,..|FILE",
     help="Search missions of these patterns instead; --param then has the bounds of conditions:"
-    " timeout=5..60, nearer=0.3..1, reading:NAME=LO..HI.",
+    " timeout=5..60, nearer=0.3..1, probability=0.01..1, neighbors=1..6, reading:NAME=LO..HI. With"
+    " a mission's file (.yaml), this mission with other values; --param then has dotted keys of the"
+    " file [all its probabilities].",
 )
 @click.option(
     "--held-out",

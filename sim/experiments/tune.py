@@ -42,7 +42,12 @@ from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
-from swarmd.sim.experiments.mission_space import MissionSpace, mission_space
+from swarmd.sim.experiments.mission_space import (
+    SUFFIX,
+    Missions,
+    mission_file_space,
+    mission_space,
+)
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.racing import ALPHA, looks, losers, mean_loss
@@ -253,7 +258,9 @@ def tune(
     `param`: the keys to search, as `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
     "law=settling,paper"; by default all parameters of the scenario's patterns. With
     `mission`, names of patterns, missions of these are the candidates, and `param` has bounds of
-    conditions: "timeout=5..60", "nearer=0.3..1", "reading:light=0..100". Races take at most
+    conditions: "timeout=5..60", "nearer=0.3..1", "probability=0.01..1", "neighbors=1..6",
+    "reading:light=0..100". With `mission` the path of a mission's file (.yaml), this mission with
+    other values of its dotted keys: "sequence.0.until.probability=0.01..1". Races take at most
     `budget` runs, in each at most `candidates` new candidates over `seeds`. A number of
     `held_out` seeds means those after the greatest of `seeds`. `jobs`, `timeout` and `out` are as
     of `simulate`, the folder of an interrupted tuning continues with the same call, and the result
@@ -280,13 +287,16 @@ def tune(
     loaded.starts(raced[0])
     folder = Path("tuning") if out is None else Path(out)
     space: Space
-    if modules := tuple(mission):
+    modules = tuple(mission.split(",") if isinstance(mission, str) else mission)
+    if len(modules) == 1 and modules[0].endswith(SUFFIX):
+        space = mission_file_space(loaded, Path(modules[0]), tuple(param), folder / MISSIONS)
+    elif modules:
         space = mission_space(loaded, modules, param, folder / MISSIONS)
     else:
         space = parameter_space(loaded, param, on_note)
     if out is None:
         folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-"))
-        if isinstance(space, MissionSpace):
+        if isinstance(space, Missions):
             space.folder = folder / MISSIONS
     run = _Tuner(
         scenario=str(scenario),
@@ -414,7 +424,7 @@ class _Tuner:
                 }
         found.document = tuned_document(found, self.scenario, self.sets, self.manifest())
         write_whole(self.folder / RESULT, found.document)
-        if isinstance(self.space, MissionSpace) and found.best.number:
+        if isinstance(self.space, Missions) and found.best.number:
             comments = [x for x in found.document.splitlines() if x.startswith("#")]
             text = self.space.mission(found.best.values)
             write_whole(self.folder / MISSION, "\n".join([*comments, text]))
