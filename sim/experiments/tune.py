@@ -250,6 +250,7 @@ def tune(
     workers: Workers | None = None,
     on_note: Callable[[str], object] = str,
     on_look: OnLook | None = None,
+    on_step: Callable[[str], object] = str,
     on_progress: OnProgress | None = None,
 ) -> Tuning:
     """Search the values of parameters with the best mean of a metric over the seeds.
@@ -266,7 +267,8 @@ def tune(
     of `simulate`, the folder of an interrupted tuning continues with the same call, and the result
     does not depend on `jobs`. `pseudo_reality`: the held-out runs are repeated with the key of this
     name, and `drops` tell what they lose. `workers` do the runs in place of processes of this
-    machine. `on_look` is called at every look at a race, `on_note` with what is not tuned.
+    machine. `on_look` is called at every look at a race, `on_step` with a line before each race and
+    each set of held-out runs, `on_note` with what is not tuned.
 
     ConfigError before anything runs if an argument is invalid; SwarmError if all runs of a race
     failed; PluginError without optuna.
@@ -311,6 +313,7 @@ def tune(
         folder=folder,
         runner=partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here,
         on_look=on_look or (lambda look: None),
+        on_step=on_step,
         on_progress=on_progress,
     )
     try:
@@ -354,6 +357,7 @@ class _Tuner:
     runner: Runner
     made_with: dict[str, str] | None = None
     on_look: OnLook
+    on_step: Callable[[str], object]
     on_progress: OnProgress | None
     candidates: list[Candidate] = field(default_factory=list)
     races: list[list[int]] = field(default_factory=list)
@@ -438,6 +442,7 @@ class _Tuner:
     def _race(self, racing: Sequence[Candidate], number: int) -> None:
         """Run blocks of seeds, and end candidates that are worse than the leader."""
         new = [one for one in racing if not one.losses]
+        self.on_step(f"race {number + 1} of {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
         stages = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(stages) - 1, 1)
@@ -501,6 +506,8 @@ class _Tuner:
         self, name: str, seeds: tuple[int, ...], variants: Mapping[str, Mapping[str, Any]]
     ) -> Results:
         """The runs of present and tuned values, with traces."""
+        place = " in pseudo-reality" if name != HELD_OUT else ""
+        self.on_step(f"{len(seeds)} held-out seeds of {' and '.join(variants)} values{place}")
         return run_experiment(
             self._manifest(variants, seeds, traces=True),
             self.folder / name,
