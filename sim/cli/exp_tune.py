@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.util import find_spec
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.tune import Look, OnLook
 
 _SHOWN = 8  # candidates in the live table
+_MAX_METRIC, _BORDERS = 16, 13  # characters of a metric's name, and around four columns
 
 
 @click.command()
@@ -67,9 +68,11 @@ _SHOWN = 8  # candidates in the live table
 @click.option(
     "--mission",
     "modules",
-    metavar="PATTERN,..",
+    metavar="PATTERN,..|FILE",
     help="Search missions of these patterns instead; --param then has the bounds of conditions:"
-    " timeout=5..60, nearer=0.3..1, reading:NAME=LO..HI.",
+    " timeout=5..60, nearer=0.3..1, probability=0.01..1, neighbors=1..6, reading:NAME=LO..HI. With"
+    " a mission's file (.yaml), this mission with other values; --param then has dotted keys of the"
+    " file [all its probabilities].",
 )
 @click.option(
     "--held-out",
@@ -154,7 +157,7 @@ def tune(
             yield cluster.run_jobs, cluster.manifest
 
     try:
-        with signals_end(SIGTERM), live_table() as (on_look, on_progress):
+        with signals_end(SIGTERM), live_table() as (on_look, on_step, on_progress):
             found = tuning.tune(
                 scenario,
                 metric,
@@ -170,6 +173,7 @@ def tune(
                 workers=workers,
                 on_note=lambda note: warn(f"note: {note}"),
                 on_look=on_look,
+                on_step=on_step,
                 on_progress=on_progress,
             )
     except (KeyboardInterrupt, SystemExit):
@@ -192,53 +196,103 @@ def tune(
 
 
 @contextmanager
-def live_table() -> Iterator[tuple[OnLook, OnProgress]]:
-    """Functions to call with each look at a race, and with the progress of its runs.
+def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
+    """Functions to call with each look at a race, each step, and the progress of its runs.
 
-    A terminal shows a table of the best candidates; other outputs get a line for each look.
+    A terminal shows a table of the best candidates; other outputs get a line for each of both.
     """
     if not sys.stderr.isatty():
 
         def show_line(look: Look) -> None:
             warn(f"{look.headline}; best: {look.leader_text}")
 
-        yield show_line, lambda now: None
+        yield show_line, warn, lambda now: None
         return
     from rich.console import Console
     from rich.live import Live
+    from rich.text import Text
 
     console = Console(stderr=True, no_color=not has_colour(True))
     shown: list[Look] = []
+    step = note = ""
     with Live(console=console, transient=True, auto_refresh=False) as live:
+
+        def draw() -> None:
+            text = f"{step}: {note}" if note else step
+            found = table(shown[0], text, console.width) if shown else Text(text)
+            live.update(found, refresh=True)
 
         def show(look: Look) -> None:
             shown[:] = [look]
-            live.update(table(look, ""), refresh=True)
+            draw()
+
+        def show_step(text: str) -> None:
+            nonlocal step, note
+            step, note = text, ""
+            draw()
 
         def show_progress(now: Progress) -> None:
-            if shown:
-                # Of the runs that are there and those that this step does.
-                live.update(table(shown[0], f"{now.total - now.done} runs to come"), refresh=True)
+            nonlocal note
+            # Of the runs that are there and those up to the next look.
+            if (text := f"{now.total - now.done} runs to come") != note:
+                note = text
+                draw()
 
-        yield show, show_progress
+        yield show, show_step, show_progress
 
 
-def table(look: Look, note: str) -> Table:
-    """The best candidates: their values, the mean over their runs, and the number of runs."""
+def table(look: Look, note: str, width: int) -> Table:
+    """The best candidates: their values, the mean over their runs, and the number of runs.
+
+    A column for each value if these fit into `width` characters, else one column for all, of which
+    the best candidate's stand below the table in full.
+    """
+    from rich.console import Console
     from rich.table import Table
 
     from swarmd.sim.experiments.statistics import number
 
-    found = Table(title=look.headline, caption=note or None, title_justify="left")
     best = look.candidates[:_SHOWN]
     names = list(dict.fromkeys(name for one in best for name in one.values))
-    for name in ("", *names, look.metric, "seeds"):
-        found.add_column(name, justify="right")
-    for one in best:
-        state = "present" if one.number == 0 else str(one.number)
-        values = (_shown(one.values.get(name)) for name in names)
-        found.add_row(
-            state, *values, number(look.value(one)), str(len(one.losses)), style="dim" * one.is_out
+    labels = short_names(names)
+
+    metric_width = min(len(look.metric), _MAX_METRIC)
+    room = max(width - len("candidate") - metric_width - len("seeds") - _BORDERS, 8)
+
+    def made(*, is_wide: bool) -> Table:
+        caption = note if is_wide else f"{note}\nbest: {look.leader_text}"
+        found = Table(title=look.headline, caption=caption)
+        found.title_justify = found.caption_justify = "left"
+        found.add_column("candidate", justify="right")
+        for label in labels.values() if is_wide else ["values"]:
+            found.add_column(label, justify="right" if is_wide else "left")
+        found.add_column(look.metric, justify="right", width=None if is_wide else metric_width)
+        found.add_column("seeds", justify="right")
+        for one in best:
+            state = "present" if one.number == 0 else str(one.number)
+            values = [_shown(one.values.get(name)) for name in names]
+            if not is_wide:
+                given = zip(labels.values(), values, strict=True)
+                text = " ".join(f"{label}={value}" for label, value in given if value)
+                values = [text if len(text) <= room else f"{text[: room - 1]}…"]
+            mean, count = number(look.value(one)), str(len(one.losses))
+            found.add_row(state, *values, mean, count, style="dim" * one.is_out)
+        return found
+
+    wide = made(is_wide=True)
+    needed = Console(width=10_000).measure(wide).maximum
+    return wide if needed <= width else made(is_wide=False)
+
+
+def short_names(keys: Sequence[str]) -> dict[str, str]:
+    """Each key by its shortest end of whole words that no other key ends with."""
+    found = {}
+    for key in keys:
+        words = key.split(".")
+        ends = (".".join(words[start:]) for start in range(len(words) - 1, -1, -1))
+        others = [other for other in keys if other != key]
+        found[key] = next(
+            (end for end in ends if not any(f".{o}".endswith(f".{end}") for o in others)), key
         )
     return found
 

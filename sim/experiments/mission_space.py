@@ -1,17 +1,20 @@
-"""Missions as candidates of a tuning: which patterns run, in which order, and until when.
+"""Missions as candidates of a tuning: which patterns run, and what leads from one to the next.
 
 Source: AutoMoDe (G. Francesca et al., "AutoMoDe: A novel approach to the automatic design of
-control software for robot swarms", Swarm Intelligence 8, 2014) combines given modules and
-conditions with a bounded number of states. Here modules are patterns with their defaults, and the
-controller is a mission: a sequence that repeats, or a switch, as in Maple (J. Kuckling et al.,
-"Behavior trees as a control architecture in the automatic modular design of robot swarms", ANTS
-2018). Missions have no transitions with a probability; times take their place.
+control software for robot swarms", Swarm Intelligence 8, 2014; Chocolate: 9, 2015) searches
+probabilistic finite state machines of given modules and conditions, with a bounded number of
+states. Here modules are patterns with their defaults, and the controller is a mission: a sequence
+with transitions, which is such a machine, a sequence that repeats, or a switch, as in Maple (J.
+Kuckling et al., "Behavior trees as a control architecture in the automatic modular design of robot
+swarms", ANTS 2018). A mission's file as the genotype has its modules and conditions already: the
+search is of its numbers.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,22 +22,65 @@ import yaml
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import whole_file
-from swarmd.plugins import pattern_names
-from swarmd.sim.experiments.search_space import SOURCE, parse_range
+from swarmd.mission.mission import mission_class
+from swarmd.pattern_host.loader import PatternLoader
+from swarmd.plugins import is_same_file, pattern_names
+from swarmd.settings.yamlfile import brief, read, shown
+from swarmd.sim.experiments.search_space import (
+    SOURCE,
+    Parameter,
+    ParameterSpace,
+    file_parameter,
+    once,
+    parse_range,
+    patterns_of,
+)
+from swarmd.sim.scenarios.overrides import nested
 from swarmd.sim.scenarios.scenario import Scenario
 
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial
 
-MAX_STATES = 4
-RANGES: Mapping[str, tuple[float, float]] = {"timeout": (2.0, 60.0), "nearer": (0.3, 1.5)}
-"""Bounds of conditions that every robot can evaluate, in s and m."""
-READING = "reading:"
+MAX_STATES, MAX_TRANSITIONS = 4, 2
+"""States of a mission, and transitions of a state."""
+PROBABILITY, NEIGHBORS, READING = "probability", "neighbors", "reading:"
+RANGES: Mapping[str, tuple[float, float]] = {
+    "timeout": (2.0, 60.0),
+    "nearer": (0.3, 1.5),
+    PROBABILITY: (0.01, 1.0),
+}
+"""Bounds of conditions that every robot can evaluate, in s and m, and of a probability a second."""
+_LOG = ("timeout", PROBABILITY)
+SUFFIX = ".yaml"
+_SPAN = "{:g}..{:g}".format(*RANGES[PROBABILITY])
 _HEAD = "mission: Found by a tuning; runs {parts}\n"
 
 
-class MissionSpace:
-    """Missions of at most MAX_STATES states; their files are in `folder`, each in its own."""
+class Missions(ABC):
+    """Candidates that are missions, in files of `folder`, each in a folder of its own."""
+
+    groups: tuple[str, ...]
+    folder: Path
+
+    @abstractmethod
+    def mission(self, values: Mapping[str, Any]) -> str:
+        """The file of the mission with these values."""
+
+    def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Robots run the mission; its file is written, with a name that follows from it."""
+        text = self.mission(values)
+        name = f"m_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
+        place = (self.folder / name).absolute()
+        if not (place / f"{name}.yaml").exists():
+            place.mkdir(parents=True, exist_ok=True)
+            with whole_file(place / f"{name}.yaml") as partial:
+                partial.write_text(text, encoding="utf-8")
+        patterns = {f"groups.{group}.pattern": name for group in self.groups}
+        return {**patterns, "plugin_dir": str(place)}
+
+
+class MissionSpace(Missions):
+    """Missions of at most MAX_STATES states, composed of given patterns and conditions."""
 
     def __init__(
         self,
@@ -43,14 +89,13 @@ class MissionSpace:
         ranges: Mapping[str, tuple[float, float]],
         folder: Path,
     ) -> None:
-        """`ranges`: bounds by condition: timeout, nearer, reading:NAME."""
+        """`ranges`: bounds by condition: timeout, nearer, probability, neighbors, reading:NAME."""
         self.groups, self.modules, self.ranges = tuple(groups), tuple(modules), dict(ranges)
         self.folder = folder
         self.conditions = [
-            name
-            for key in self.ranges
-            for name in ([key] if key == "timeout" else [key, f"not {key}"])
+            name for key in self.ranges for name in ([key] if key in _LOG else [key, f"not {key}"])
         ]
+        self.lasting = [name for name in self.conditions if name != PROBABILITY]
 
     @property
     def text(self) -> list[str]:
@@ -64,22 +109,28 @@ class MissionSpace:
         return None
 
     def draw(self, trial: Trial) -> dict[str, Any]:
-        """The values of a trial: kind, and part, condition and bound of each state."""
+        """The values of a trial: kind, and part, conditions and bounds of each state.
+
+        Those of states that no transition leads to are left out.
+        """
         states = trial.suggest_int("states", 1, MAX_STATES)
-        kinds = ["sequence", "switch"]
         values: dict[str, Any] = {"kind": "part"}
         if states > 1:
+            kinds = ["sequence", "switch", "machine"]
             values["kind"] = trial.suggest_categorical("kind", kinds)
+        is_machine = values["kind"] == "machine"
         for n in range(1, states + 1):
             values[f"part_{n}"] = trial.suggest_categorical(f"part_{n}", self.modules)
-            if states > 1 and (n < states or values["kind"] == "sequence"):
-                name = trial.suggest_categorical(f"condition_{n}", self.conditions)
-                key = name.removeprefix("not ")
-                low, high = self.ranges[key]
-                bound = trial.suggest_float(f"{key}_{n}", low, high, log=key == "timeout")
-                values[f"condition_{n}"] = name
-                values[f"bound_{n}"] = min(max(float(f"{bound:.3g}"), low), high)
-        return values
+            if is_machine:
+                self._draw_transitions(trial, n, states, values)
+            elif values["kind"] == "sequence":
+                self._draw_condition(trial, f"{n}", self.conditions, values)
+            elif n < states:
+                self._draw_condition(trial, f"{n}", self.lasting, values)
+        if not is_machine:
+            return values
+        reached = _reached(values, states)
+        return {key: one for key, one in values.items() if _state(key) in (0, *reached)}
 
     def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
         """None: there are no values of the scenario as it is."""
@@ -87,33 +138,136 @@ class MissionSpace:
 
     def mission(self, values: Mapping[str, Any]) -> str:
         """The file of the mission with these values."""
-        count = sum(name.startswith("part_") for name in values)
-        used = [values[f"part_{n}"] for n in range(1, count + 1)]
+        kind = values["kind"]
+        states = [n for n in range(1, MAX_STATES + 1) if f"part_{n}" in values]
+        used = [values[f"part_{n}"] for n in states]
+        names = {n: f"{part}_{n}" for n, part in zip(states, used, strict=True)}
         body: dict[str, Any] = {"parts": {name: {"pattern": name} for name in dict.fromkeys(used)}}
-        if values["kind"] == "part":
+        if kind == "part":
             body["part"] = used[0]
-        else:
-            key = "until" if values["kind"] == "sequence" else "when"
-            body[values["kind"]] = [
-                {"part": name, "name": f"{name}_{n}", **_condition(values, n, key)}
-                for n, name in enumerate(used, 1)
+        elif kind == "machine":
+            body["sequence"] = [
+                {"part": part, "name": names[n], "transitions": _transitions(values, n, names)}
+                for n, part in zip(states, used, strict=True)
             ]
-        if values["kind"] == "sequence":
+            body["then"] = "stay"
+        else:
+            key = "until" if kind == "sequence" else "when"
+            body[kind] = [
+                {"part": part, "name": names[n], **_keyed(key, _condition(values, f"{n}"))}
+                for n, part in zip(states, used, strict=True)
+            ]
+        if kind == "sequence":
             body["then"] = "repeat"
-        text = yaml.safe_dump(body, sort_keys=False, default_flow_style=None, width=100)
-        return _HEAD.format(parts=", ".join(dict.fromkeys(used))) + text
+        return _HEAD.format(parts=", ".join(dict.fromkeys(used))) + _yaml(body)
 
-    def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Robots run the mission; its file is written, with a name that follows from it."""
-        text = self.mission(values)
-        name = f"m_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
-        place = (self.folder / name).absolute()
-        if not (place / f"{name}.yaml").exists():
-            place.mkdir(parents=True, exist_ok=True)
-            with whole_file(place / f"{name}.yaml") as partial:
-                partial.write_text(text, encoding="utf-8")
-        patterns = {f"groups.{group}.pattern": name for group in self.groups}
-        return {**patterns, "plugin_dir": str(place)}
+    def _draw_transitions(self, trial: Trial, n: int, states: int, values: dict[str, Any]) -> None:
+        """Up to MAX_TRANSITIONS of state n, each to another state."""
+        for k in range(1, min(MAX_TRANSITIONS, states - 1) + 1):
+            place = f"{n}_{k}"
+            # The first leads to another state; a later one that leads to none is no transition.
+            least = 1 if k == 1 else 0
+            steps = trial.suggest_int(f"target_{place}_of_{states}", least, states - 1)
+            target = (n - 1 + steps) % states + 1
+            known = [values.get(f"target_{n}_{before}") for before in range(1, k)]
+            if target == n or target in known:
+                continue
+            values[f"target_{place}"] = target
+            self._draw_condition(trial, place, self.conditions, values)
+            if values[f"condition_{place}"] not in _LOG:
+                values[f"chance_{place}"] = self._bound(trial, PROBABILITY, f"chance_{place}")
+
+    def _draw_condition(
+        self, trial: Trial, place: str, names: Sequence[str], values: dict[str, Any]
+    ) -> None:
+        kind = "condition" if names is self.conditions else "when"
+        name = values[f"condition_{place}"] = trial.suggest_categorical(f"{kind}_{place}", names)
+        key = name.removeprefix("not ")
+        values[f"bound_{place}"] = self._bound(trial, key, f"{key}_{place}")
+
+    def _bound(self, trial: Trial, key: str, name: str) -> float:
+        low, high = self.ranges[key]
+        if key == NEIGHBORS:
+            return trial.suggest_int(name, round(low), round(high))
+        bound = trial.suggest_float(name, low, high, log=key in _LOG)
+        return min(max(float(f"{bound:.3g}"), low), high)
+
+
+class MissionFileSpace(Missions, ParameterSpace):
+    """One mission with other numbers: `parameters` are dotted keys of its file."""
+
+    def __init__(
+        self,
+        groups: Sequence[str],
+        path: Path,
+        data: Mapping[str, Any],
+        parameters: Sequence[Parameter],
+        folder: Path,
+        *,
+        is_present: bool,
+    ) -> None:
+        """`data` is the file's; `is_present`: robots of the scenario run it as it is."""
+        super().__init__(parameters)
+        self.groups, self.folder = tuple(groups), folder
+        self._path, self._data, self._is_present = path, data, is_present
+
+    @property
+    def text(self) -> list[str]:
+        """The file with its digest, and a line for each parameter: key and range."""
+        digest = hashlib.sha256(_yaml(self._data).encode()).hexdigest()[:10]
+        return [f"mission {self._path.name} {digest}", *super().text]
+
+    @property
+    def present(self) -> dict[str, Any] | None:
+        """The values of the file if robots of the scenario run it; None if one is out of range."""
+        return super().present if self._is_present else None
+
+    def mission(self, values: Mapping[str, Any]) -> str:
+        """The file of the mission with these values."""
+        changes = {one.key: values[one.name] for one in self.parameters}
+        return _yaml({**self._data, **nested(changes, self._data, SOURCE)})
+
+
+def mission_file_space(
+    scenario: Scenario, path: Path, words: Iterable[str], folder: Path
+) -> MissionFileSpace:
+    """The mission of a file with other values of its dotted keys.
+
+    `words`: as `sequence.0.until.probability=0.01..1`; without any, all probabilities of the file
+    are searched. ConfigError if the file or a word is wrong, or the scenario cannot run missions.
+    """
+    data = read(path)
+    installed = pattern_names(None)
+    find = PatternLoader({name: (one.value, one.is_file) for name, one in installed.items()})
+    mission_class(path, find)  # a fault is raised here, not by each candidate
+    name = path.stem
+    for pattern in patterns_of(scenario):
+        if scenario.plugin_dir is not None and pattern not in (name, *installed):
+            raise ConfigError(
+                f"--mission and pattern {pattern} of {scenario.plugin_dir}: candidates lie in a"
+                " folder of their own; install this pattern as a package"
+            )
+    origin = pattern_names(scenario.plugin_dir).get(name)
+    is_present = origin is not None and is_same_file(origin.value, str(path))
+    groups = _groups(scenario, name if is_present else "")
+    is_present = is_present and bool(groups)
+    groups = groups or _groups(scenario)
+    _check_groups(scenario, groups, name)
+    found = []
+    for word in words or [f"{key}={_SPAN}" for key in _probabilities(data)]:
+        one = file_parameter(word, data, shown(path))
+        if one.present is None or isinstance(one.present, dict | list):
+            there = "has no such value" if one.present is None else f"has {brief(one.present)}"
+            raise ConfigError(
+                f"{SOURCE} {one.key}: {shown(path)} {there}; expected one value there"
+            )
+        found.append(one)
+    if not found:
+        raise ConfigError(
+            f"--mission {shown(path)}: has no probability; name what is searched with"
+            f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
+        )
+    return MissionFileSpace(groups, path, data, once(found), folder, is_present=is_present)
 
 
 def mission_space(
@@ -136,42 +290,116 @@ def mission_space(
             f"--mission and plugin_dir {scenario.plugin_dir}: missions of a tuning lie in a folder"
             " of their own; install its patterns as a package, or take another scenario"
         )
-    groups = {
-        name: group for name, group in scenario.effective["groups"].items() if group["pattern"]
-    }
+    groups = _groups(scenario)
+    _check_groups(scenario, groups)
+    ranges = dict(RANGES)
+    for word in words:
+        key = word.partition("=")[0]
+        is_reading = key.startswith(READING) and key != READING
+        if key not in (*RANGES, NEIGHBORS) and not is_reading:
+            wanted = ", ".join((*RANGES, NEIGHBORS, f"{READING}NAME"))
+            raise ConfigError(f"{SOURCE} {key}: with --mission it is one of {wanted}")
+        low, high = parse_range(word)
+        if key in RANGES and low <= 0.0:
+            raise ConfigError(f"{SOURCE} {word}: expected bounds above 0, such as {key}=0.5..1")
+        if key == PROBABILITY and high > 1.0:
+            raise ConfigError(f"{SOURCE} {word}: expected bounds up to 1, such as {key}=0.01..1")
+        if key == NEIGHBORS and not (low >= 0.0 and low.is_integer() and high.is_integer()):
+            raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..6")
+        for robot in (robot for name in groups for robot in scenario.groups[name]):
+            if is_reading and key not in scenario.robots[robot].provides:
+                raise ConfigError(f"{SOURCE} {key}: {robot} has no such reading; leave it out")
+        ranges[key] = (low, high)
+    return MissionSpace(groups, modules, ranges, folder)
+
+
+def _groups(scenario: Scenario, pattern: str = "") -> tuple[str, ...]:
+    """The groups that begin with a pattern, or with this one."""
+    sections = scenario.effective["groups"].items()
+    return tuple(
+        name
+        for name, group in sections
+        if group["pattern"] and (not pattern or group["pattern"] == pattern)
+    )
+
+
+def _check_groups(scenario: Scenario, groups: Sequence[str], mission: str = "") -> None:
+    """ConfigError without groups, or if one has parameters of another pattern than the mission."""
     if not groups:
         raise ConfigError(f"--mission: no group of scenario {scenario.name} begins with a pattern")
-    for name, group in groups.items():
-        if group["parameters"]:
+    for name in groups:
+        group = scenario.effective["groups"][name]
+        if group["parameters"] and group["pattern"] != mission:
             raise ConfigError(
                 f"--mission: groups.{name}.parameters are those of {group['pattern']}; take a"
                 " scenario without them"
             )
-    ranges = dict(RANGES)
-    for word in words:
-        key = word.partition("=")[0]
-        if key not in RANGES and not (key.startswith(READING) and key != READING):
-            wanted = ", ".join((*RANGES, f"{READING}NAME"))
-            raise ConfigError(f"{SOURCE} {key}: with --mission it is one of {wanted}")
-        low, high = parse_range(word)
-        if key in RANGES and low <= 0.0:
-            raise ConfigError(f"{SOURCE} {word}: expected bounds above 0, such as {key}=0.5..1.5")
-        for robot in (robot for name in groups for robot in scenario.groups[name]):
-            if key not in RANGES and key not in scenario.robots[robot].provides:
-                raise ConfigError(f"{SOURCE} {key}: {robot} has no such reading; leave it out")
-        ranges[key] = (low, high)
-    return MissionSpace(tuple(groups), modules, ranges, folder)
 
 
-def _condition(values: Mapping[str, Any], n: int, key: str) -> dict[str, Any]:
-    name = values.get(f"condition_{n}")
+def _probabilities(data: Any, keys: tuple[str, ...] = ()) -> Iterator[str]:
+    """The dotted keys of all probabilities of a mission's file."""
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in items:
+        place = (*keys, str(key))
+        if isinstance(value, dict | list):
+            yield from _probabilities(value, place)
+        elif key == PROBABILITY:
+            yield ".".join(place)
+
+
+def _state(key: str) -> int:
+    """The state of a value by its name, such as bound_2_1; 0 of the whole mission's."""
+    words = key.split("_")
+    return int(words[1]) if len(words) > 1 else 0
+
+
+def _reached(values: Mapping[str, Any], states: int) -> set[int]:
+    """The states that transitions lead to from the first."""
+    found, todo = set[int](), [1]
+    while todo:
+        n = todo.pop()
+        if n not in found:
+            found.add(n)
+            keys = (f"target_{n}_{k}" for k in range(1, MAX_TRANSITIONS + 1))
+            todo += [values[key] for key in keys if key in values]
+    return found
+
+
+def _transitions(
+    values: Mapping[str, Any], n: int, names: Mapping[int, str]
+) -> dict[str, dict[str, Any]]:
+    found = {}
+    for k in range(1, MAX_TRANSITIONS + 1):
+        target, chance = values.get(f"target_{n}_{k}"), values.get(f"chance_{n}_{k}")
+        if target is not None:
+            condition = _condition(values, f"{n}_{k}")
+            if chance is not None:
+                condition = {"all": [condition, {PROBABILITY: chance}]}
+            found[names[target]] = condition
+    return found
+
+
+def _condition(values: Mapping[str, Any], place: str) -> dict[str, Any]:
+    """The condition of a state or transition; {} if it has none."""
+    name = values.get(f"condition_{place}")
     if name is None:
         return {}
-    bound = values[f"bound_{n}"]
+    bound = values[f"bound_{place}"]
     is_not = name.startswith("not ")
     plain = name.removeprefix("not ")
     if plain.startswith(READING):
         side = "below" if is_not else "above"
-        return {key: {"reading": plain.removeprefix(READING), side: bound}}
+        return {"reading": plain.removeprefix(READING), side: bound}
     condition = {plain: bound}
-    return {key: {"not": condition} if is_not else condition}
+    return {"not": condition} if is_not else condition
+
+
+def _keyed(key: str, condition: dict[str, Any]) -> dict[str, Any]:
+    return {key: condition} if condition else {}
+
+
+def _yaml(data: Mapping[str, Any]) -> str:
+    text: str = yaml.safe_dump(
+        dict(data), sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
+    )
+    return text

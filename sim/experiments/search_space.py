@@ -164,11 +164,24 @@ def parameter_space(
                 f" {SOURCE} {_EXAMPLE}"
             )
     else:
-        found = [_parameter(word, declared, scenario) for word in words]
+        found = [_parameter(word, declared, scenario.effective, "the scenario") for word in words]
+    return ParameterSpace(once(found))
+
+
+def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
+    """The parameter of KEY=LO..HI or KEY=A,B,C with a dotted key of a file's data.
+
+    `what` is the file in messages. ConfigError if the word is malformed.
+    """
+    return _parameter(word, (), data, what)
+
+
+def once(found: Sequence[Parameter]) -> Sequence[Parameter]:
+    """The same parameters; ConfigError if two have the same key."""
     keys = Counter(one.key for one in found)
     if (twice := next((key for key, count in keys.items() if count > 1), None)) is not None:
         raise ConfigError(f"{SOURCE} {twice} is given twice; keep one")
-    return ParameterSpace(found)
+    return found
 
 
 def parse_range(word: str) -> tuple[float, float]:
@@ -259,7 +272,10 @@ def _key(scenario: Scenario, pattern: str, name: str) -> str:
 
 
 def _parameter(
-    word: str, declared: Sequence[tuple[Parameter, str]], scenario: Scenario
+    word: str,
+    declared: Sequence[tuple[Parameter, str]],
+    data: Mapping[str, Any],
+    what: str,
 ) -> Parameter:
     key, equals, text = (part.strip() for part in word.partition("="))
     known = {one.name: (one, why) for one, why in declared}
@@ -276,9 +292,9 @@ def _parameter(
         if "." not in key:
             names = [one.name for one, _ in declared]
             raise ConfigError(
-                f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of the scenario"
+                f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
             )
-        one = Parameter(key, key, present=_present(scenario, key))
+        one = Parameter(key, key, present=_present(data, key))
     is_choice = bool(one.choices)
     one = replace(one, choices=(), low=0.0, high=0.0)
     match = _RANGE.fullmatch(text)
@@ -297,9 +313,9 @@ def _parameter(
     return replace(one, low=low, high=high, is_int=is_int)
 
 
-def _present(scenario: Scenario, key: str) -> Any:
-    """The value of a dotted key of the scenario; None if it is not set."""
-    value: Any = scenario.effective
+def _present(data: Mapping[str, Any], key: str) -> Any:
+    """The value of a dotted key of a scenario or another file; None if it is not set."""
+    value: Any = data
     for part in key.split("."):
         if isinstance(value, list) and part.isdecimal() and int(part) < len(value):
             value = value[int(part)]

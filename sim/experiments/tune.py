@@ -42,7 +42,12 @@ from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain, write_json, write_whole
-from swarmd.sim.experiments.mission_space import MissionSpace, mission_space
+from swarmd.sim.experiments.mission_space import (
+    SUFFIX,
+    Missions,
+    mission_file_space,
+    mission_space,
+)
 from swarmd.sim.experiments.plan import MAX_RUNS, Plan, Variant, check_seeds
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.racing import ALPHA, looks, losers, mean_loss
@@ -245,6 +250,7 @@ def tune(
     workers: Workers | None = None,
     on_note: Callable[[str], object] = str,
     on_look: OnLook | None = None,
+    on_step: Callable[[str], object] = str,
     on_progress: OnProgress | None = None,
 ) -> Tuning:
     """Search the values of parameters with the best mean of a metric over the seeds.
@@ -253,13 +259,16 @@ def tune(
     `param`: the keys to search, as `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
     "law=settling,paper"; by default all parameters of the scenario's patterns. With
     `mission`, names of patterns, missions of these are the candidates, and `param` has bounds of
-    conditions: "timeout=5..60", "nearer=0.3..1", "reading:light=0..100". Races take at most
+    conditions: "timeout=5..60", "nearer=0.3..1", "probability=0.01..1", "neighbors=1..6",
+    "reading:light=0..100". With `mission` the path of a mission's file (.yaml), this mission with
+    other values of its dotted keys: "sequence.0.until.probability=0.01..1". Races take at most
     `budget` runs, in each at most `candidates` new candidates over `seeds`. A number of
     `held_out` seeds means those after the greatest of `seeds`. `jobs`, `timeout` and `out` are as
     of `simulate`, the folder of an interrupted tuning continues with the same call, and the result
     does not depend on `jobs`. `pseudo_reality`: the held-out runs are repeated with the key of this
     name, and `drops` tell what they lose. `workers` do the runs in place of processes of this
-    machine. `on_look` is called at every look at a race, `on_note` with what is not tuned.
+    machine. `on_look` is called at every look at a race, `on_step` with a line before each race and
+    each set of held-out runs, `on_note` with what is not tuned.
 
     ConfigError before anything runs if an argument is invalid; SwarmError if all runs of a race
     failed; PluginError without optuna.
@@ -280,13 +289,16 @@ def tune(
     loaded.starts(raced[0])
     folder = Path("tuning") if out is None else Path(out)
     space: Space
-    if modules := tuple(mission):
+    modules = tuple(mission.split(",") if isinstance(mission, str) else mission)
+    if len(modules) == 1 and modules[0].endswith(SUFFIX):
+        space = mission_file_space(loaded, Path(modules[0]), tuple(param), folder / MISSIONS)
+    elif modules:
         space = mission_space(loaded, modules, param, folder / MISSIONS)
     else:
         space = parameter_space(loaded, param, on_note)
     if out is None:
         folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-"))
-        if isinstance(space, MissionSpace):
+        if isinstance(space, Missions):
             space.folder = folder / MISSIONS
     run = _Tuner(
         scenario=str(scenario),
@@ -301,6 +313,7 @@ def tune(
         folder=folder,
         runner=partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here,
         on_look=on_look or (lambda look: None),
+        on_step=on_step,
         on_progress=on_progress,
     )
     try:
@@ -344,6 +357,7 @@ class _Tuner:
     runner: Runner
     made_with: dict[str, str] | None = None
     on_look: OnLook
+    on_step: Callable[[str], object]
     on_progress: OnProgress | None
     candidates: list[Candidate] = field(default_factory=list)
     races: list[list[int]] = field(default_factory=list)
@@ -414,7 +428,7 @@ class _Tuner:
                 }
         found.document = tuned_document(found, self.scenario, self.sets, self.manifest())
         write_whole(self.folder / RESULT, found.document)
-        if isinstance(self.space, MissionSpace) and found.best.number:
+        if isinstance(self.space, Missions) and found.best.number:
             comments = [x for x in found.document.splitlines() if x.startswith("#")]
             text = self.space.mission(found.best.values)
             write_whole(self.folder / MISSION, "\n".join([*comments, text]))
@@ -428,6 +442,7 @@ class _Tuner:
     def _race(self, racing: Sequence[Candidate], number: int) -> None:
         """Run blocks of seeds, and end candidates that are worse than the leader."""
         new = [one for one in racing if not one.losses]
+        self.on_step(f"race {number + 1} of {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
         stages = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(stages) - 1, 1)
@@ -491,6 +506,8 @@ class _Tuner:
         self, name: str, seeds: tuple[int, ...], variants: Mapping[str, Mapping[str, Any]]
     ) -> Results:
         """The runs of present and tuned values, with traces."""
+        place = " in pseudo-reality" if name != HELD_OUT else ""
+        self.on_step(f"{len(seeds)} held-out seeds of {' and '.join(variants)} values{place}")
         return run_experiment(
             self._manifest(variants, seeds, traces=True),
             self.folder / name,

@@ -36,8 +36,7 @@ class Renderer:
         """PluginError if no way of rendering without a display is installed."""
         self.stage = stage
         self.width, self.height = size = stage.size
-        self._trace, self._colouring = trace, colouring
-        self._t = trace.t - trace.t[0]
+        self.show(trace, colouring)
         model = self.stage.model
         self._data = mujoco.MjData(model)
         self._camera = mujoco.MjvCamera()
@@ -54,11 +53,22 @@ class Renderer:
         return self
 
     def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the context of OpenGL."""
+        self._gl.make_current()
         self._context.free()
         self._gl.free()
 
+    def show(self, trace: Trace, colouring: Colouring) -> None:
+        """Draw this trace from now on: other instants of the same robots in the same arena."""
+        self._trace, self._colouring = trace, colouring
+        self._t = trace.t - trace.t[0]
+
     def frame(self, time: float, trail: float = 0.0) -> NDArray[np.uint8]:
         """The run at `time` in s from its start; `trail`: s of the path behind each robot."""
+        self._gl.make_current()  # another renderer may have been at work
         at = self._place(time)
         model, data, scene = self.stage.model, self._data, self._scene
         mujoco.mj_kinematics(model, data)

@@ -66,10 +66,12 @@ def stage_of(
     size: tuple[int, int],
     platforms: Mapping[str, Platform] = MappingProxyType({}),
     fields: Sequence[Field] = (),
+    extent: Extent | None = None,
 ) -> Stage:
     """The stage of a run for frames of `size` pixels; ConfigError if its arena is not known.
 
     `platforms` by name and `fields`, of which the floor is shown, are those of the scenario.
+    `extent`: the part of the world that is shown; None: what the run has used.
     """
     text = str(trace.meta.get("arena", ""))
     if not text:
@@ -84,7 +86,7 @@ def stage_of(
     spec = bodies.build_spec(robots, arena, 0.01)
     for robot, platform in robots.items():
         _add_marks(spec.body(f"robot/{robot}"), robot, platform)
-    extent = extent_of(trace)
+    extent = extent or extent_of(trace)
     _add_floor(spec, extent)
     _add_picture(spec, arena, fields)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size

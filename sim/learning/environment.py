@@ -18,14 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec.structs import astuple
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, PluginError, unknown
 from swarmd.core.values import Array
 from swarmd.kit.observation import Observation, PolicySpec, check_spec, default_spec
 from swarmd.sim.experiments.plan import check_seeds
@@ -52,6 +53,9 @@ from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.contacts import ContactEpisodes
 
+if TYPE_CHECKING:
+    from swarmd.sim.learning.pictures import Pictures
+
 try:
     from gymnasium.spaces import Box
     from pettingzoo import ParallelEnv
@@ -59,6 +63,7 @@ except ImportError as error:
     text = "environments need pettingzoo and gymnasium: pip install 'swarmd[learn]'"
     raise ImportError(text) from error
 
+RENDER_MODES = ("rgb_array",)
 _FIRST_INPUTS = 2.0  # s within which each robot has its first scan, else it starts without
 
 Info = dict[str, Any]
@@ -75,6 +80,7 @@ def env(
     agents: str | None = None,
     spec: PolicySpec | None = None,
     reward: Reward | None = None,
+    render_mode: str | None = None,
 ) -> SwarmEnv:
     """The environment of a scenario.
 
@@ -83,10 +89,15 @@ def env(
     others run their own pattern; None: all learn. `spec` declares observations and actions; None:
     as `default_spec` of the platform. `reward`: weights by name of a metric of the catalog, of
     `contacts` and of `limited`, or a function of the state (see `State`) that gives rewards by
-    robot; None: that of the scenario, if it has one.
+    robot; None: that of the scenario, if it has one. `render_mode` "rgb_array": `render` gives
+    pictures.
 
-    ConfigError if any of these is invalid.
+    ConfigError if any of these is invalid, PluginError for a `render_mode` without the extra film.
     """
+    if render_mode is not None and render_mode not in RENDER_MODES:
+        raise ConfigError(f"render_mode: {unknown('mode', str(render_mode), RENDER_MODES)}")
+    if render_mode is not None and find_spec("OpenGL") is None:
+        raise PluginError("render_mode rgb_array needs PyOpenGL; run: pip install 'swarmd[film]'")
     if isinstance(scenario, Scenario):
         found = scenario_of(scenario.effective, set, source="set") if set else scenario
     else:
@@ -104,7 +115,7 @@ def env(
     terms = default_reward(found.name) if reward is None else reward
     if not callable(terms):
         check_weights(terms)
-    return SwarmEnv(with_agents(found, learners), learners, spec, terms, seed)
+    return SwarmEnv(with_agents(found, learners), learners, spec, terms, seed, render_mode)
 
 
 @dataclass(slots=True)
@@ -119,6 +130,8 @@ class _Episode:
     contacts: NDArray[np.int64]
     present: dict[str, bool]
     is_over: bool = False
+    pictures: Pictures | None = None
+    """None before the first picture of the run."""
 
 
 class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # it has no types
@@ -131,8 +144,11 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     `contacts`, how many began in this step.
     """
 
-    metadata = {"name": "swarmd", "render_modes": [], "is_parallelizable": True}  # noqa: RUF012
-    render_mode = None
+    metadata = {  # noqa: RUF012 - read only
+        "name": "swarmd",
+        "render_modes": list(RENDER_MODES),
+        "is_parallelizable": True,
+    }
 
     def __init__(
         self,
@@ -141,9 +157,11 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         spec: PolicySpec,
         reward: Reward,
         seed: int | None,
+        render_mode: str | None = None,
     ) -> None:
         """`scenario`: as of `with_agents`."""
-        self.scenario, self.spec = scenario, spec
+        self.scenario, self.spec, self.render_mode = scenario, spec, render_mode
+        self.metadata = {**type(self).metadata, "render_fps": round(1.0 / spec.period)}
         self.possible_agents = lives_of(scenario, learners)
         self.agents: list[str] = []
         self._learners, self._reward = learners, reward
@@ -185,6 +203,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         seats = {robot: new_seat(self.spec) for robot in self._learners}
         patterns = {PATTERN: agent_class(self.spec, seats)}
         swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
+        self.close()
         n = len(swarm.world.ids)
         self._episode = episode = _Episode(
             swarm,
@@ -251,8 +270,28 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         """The trace of the run up to now, as `exp run` keeps it: metrics and plots take it."""
         return self._running().swarm.trace()
 
+    def render(self) -> NDArray[np.uint8]:
+        """The present state from above, as films show it: (480, 640, 3) uint8, for `rgb_array`.
+
+        ConfigError before the first `reset`, and without a `render_mode`; PluginError if OpenGL
+        cannot render on this machine.
+        """
+        if self.render_mode is None:
+            raise ConfigError(
+                "render needs a mode; make the environment with render_mode='rgb_array'"
+            )
+        episode = self._running()
+        if episode.pictures is None:
+            # Imported here: training loads no renderer.
+            from swarmd.sim.learning.pictures import Pictures
+
+            episode.pictures = Pictures(episode.swarm)
+        return episode.pictures.picture()
+
     def close(self) -> None:
         """Discard the run."""
+        if self._episode is not None and self._episode.pictures is not None:
+            self._episode.pictures.close()
         self._episode = None
         self.agents = []
 

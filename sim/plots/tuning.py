@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,10 @@ from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, sa
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.tune import Tuning
+    from swarmd.sim.metrics.catalog import Metric
 
 _COLUMNS = 3
+_LINE = 24  # characters along an axis
 _PRESENT, _BEST, _OUT = VARIANT_COLOURS[5], VARIANT_COLOURS[1], GUIDE_COLOUR
 
 
@@ -54,19 +57,31 @@ def draw_landscape(found: Tuning, space: ParameterSpace, path: Path) -> Path:
             )
         if one.choices:
             axes.set_xticks(range(len(one.choices)), list(map(str, one.choices)))
-        elif one.is_log:
-            axes.set_xscale("log")
+        else:
+            low, high = one.low, one.high
+            edges = (0.03 * (low - high), 0.03 * (high - low))
+            if one.is_log:
+                axes.set_xscale("log")
+                edges = (-0.1 * low, 0.1 * high)
+            left, right = axes.get_xlim()  # present values may be outside of the range
+            axes.set_xlim(min(left, low + edges[0]), max(right, high + edges[1]))
         share = found.importance.get(one.key)
-        note = "" if share is None else f" (importance {share:.0%})"
+        note = "" if share is None else f"\nimportance {share:.0%}"
         axes.set_xlabel(f"{one.name} [{one.unit}]{note}" if one.unit else f"{one.name}{note}")
     for axes in grid.flat[len(space.parameters) :]:
         axes.set_axis_off()
     for axes in grid[:, 0]:
-        axes.set_ylabel(found.metric.name)
+        axes.set_ylabel(_label(found.metric))
     handles, labels = grid.flat[0].get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside upper center", ncols=2)
     return save(figure, path)
+
+
+def _label(metric: Metric) -> str:
+    """Its words on lines as long as the axis, and its unit."""
+    unit = f" [{metric.unit}]" if metric.unit else ""
+    return textwrap.fill(metric.name.replace("_", " ") + unit, _LINE, break_long_words=False)
 
 
 def draw_importance(found: Tuning, path: Path) -> Path:

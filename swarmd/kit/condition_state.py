@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TypeAlias
 
 import msgspec
 from msgspec import Struct
+from numpy.random import Generator
 
 from swarmd.core.errors import MissingSensorError
-from swarmd.core.values import Inputs, Outputs, Platform, Scalar, Scan
+from swarmd.core.values import Inputs, Neighbor, Outputs, Platform, Scalar, Scan
 from swarmd.kit import conditions
 
 _ROUNDING = 1e-9
@@ -18,7 +20,8 @@ _ROUNDING = 1e-9
 class Observation(Struct, frozen=True):
     """What conditions are evaluated on.
 
-    `done`: the parts that are done; it holds "" if the whole pattern is.
+    `done`: the parts that are done; it holds "" if the whole pattern is. `rng`: the robot's
+    generator, for conditions that draw; those of a command line do not.
     """
 
     now: float
@@ -26,6 +29,8 @@ class Observation(Struct, frozen=True):
     done: Collection[str] = ()
     scan: Scan | None = None
     readings: Mapping[str, float] = {}
+    neighbors: tuple[Neighbor, ...] = ()
+    rng: Generator | None = None
 
 
 _Evaluate: TypeAlias = Callable[[Observation], bool]
@@ -111,6 +116,15 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             return lambda seen: _is_as_wanted(condition, seen.reports.get(condition.name))
         case conditions.Reading():
             return lambda seen: _is_within(condition, seen.readings.get(condition.name))
+        case conditions.Neighbors(slope=None):
+            return lambda seen: _count(condition, seen) >= condition.count
+        case conditions.Neighbors(slope=slope):
+            slope = slope or 0.0
+            return _drawn(
+                lambda seen: _logistic(slope * (_count(condition, seen) - condition.count)), started
+            )
+        case conditions.Probability():
+            return _drawn(lambda seen: condition.value, started)
 
 
 def _settled(condition: conditions.Settled) -> _Evaluate:
@@ -125,6 +139,30 @@ def _settled(condition: conditions.Settled) -> _Evaluate:
         return value is not None and seen.now - since >= condition.seconds - _ROUNDING
 
     return evaluate
+
+
+def _drawn(probability: Callable[[Observation], float], started: float) -> _Evaluate:
+    """Holds with this probability a second: with 1 - (1 - p)^dt after dt seconds."""
+    last = started
+
+    def evaluate(seen: Observation) -> bool:
+        nonlocal last
+        assert seen.rng is not None
+        seconds, last = seen.now - last, seen.now
+        return bool(seen.rng.random() >= (1.0 - probability(seen)) ** seconds)
+
+    return evaluate
+
+
+def _count(condition: conditions.Neighbors, seen: Observation) -> int:
+    within = condition.within
+    if within is None:
+        return len(seen.neighbors)
+    return sum(one.distance is not None and one.distance <= within for one in seen.neighbors)
+
+
+def _logistic(x: float) -> float:
+    return 0.5 * (1.0 + math.tanh(0.5 * x))
 
 
 def _is_as_wanted(condition: conditions.Reported, value: Scalar | None) -> bool:

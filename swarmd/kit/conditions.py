@@ -93,6 +93,35 @@ class Reading(Struct, frozen=True, tag="reading", forbid_unknown_fields=True):
         return f"reading {self.name} is{_bound_text(self.above, self.below)}"
 
 
+class Neighbors(Struct, frozen=True, tag="neighbors", forbid_unknown_fields=True):
+    """At least so many neighbours, `within` so many metres; without it, all that are in reach.
+
+    With `slope` it holds in a second with probability 1 / (1 + exp(slope (count - n))) for n
+    neighbours: the neighbour count of AutoMoDe, with a negative slope the inverted one.
+    """
+
+    count: Annotated[float, Meta(ge=0.0, le=1000.0)] = field(name="neighbors")
+    within: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None
+    slope: Annotated[float, Meta(ge=-100.0, le=100.0)] | None = None
+
+    def __str__(self) -> str:
+        near = "" if self.within is None else f" within {self.within:g} m"
+        drawn = "" if self.slope is None else f", drawn with slope {self.slope:g}"
+        return f"neighbours{near} are at least {self.count:g}{drawn}"
+
+
+class Probability(Struct, frozen=True, tag="probability", forbid_unknown_fields=True):
+    """Holds in a second with this probability, drawn at each evaluation.
+
+    Over dt seconds the probability is 1 - (1 - p)^dt, so the rate of steps does not matter.
+    """
+
+    value: Annotated[float, Meta(gt=0.0, le=1.0)] = field(name="probability")
+
+    def __str__(self) -> str:
+        return f"a draw with probability {self.value:g} a second"
+
+
 class AnyOf(Struct, frozen=True, tag="any", forbid_unknown_fields=True):
     """At least one of the conditions holds."""
 
@@ -120,7 +149,19 @@ class Not(Struct, frozen=True, tag="not", forbid_unknown_fields=True):
         return f"not: {self.condition}"
 
 
-Condition: TypeAlias = Timeout | Done | Settled | Nearer | Reported | Reading | AnyOf | AllOf | Not
+Condition: TypeAlias = (
+    Timeout
+    | Done
+    | Settled
+    | Nearer
+    | Reported
+    | Reading
+    | Neighbors
+    | Probability
+    | AnyOf
+    | AllOf
+    | Not
+)
 
 _FORMS = ("timeout:SECONDS", "done", "settled:REPORT:SECONDS", "nearer:METRES", "report:KEY=VALUE")
 
@@ -177,7 +218,17 @@ def needs_of(condition: Condition) -> frozenset[str]:
             found.add("scan")
         elif isinstance(one, Reading):
             found.add(f"reading:{one.name}")
+        elif isinstance(one, Neighbors):
+            found.add("neighbors" if one.within is None else "neighbors.distance")
     return frozenset(found)
+
+
+def is_drawn(condition: Condition) -> bool:
+    """Whether a random draw decides on the condition, or on one that it is made of."""
+    return any(
+        isinstance(one, Probability) or (isinstance(one, Neighbors) and one.slope is not None)
+        for one in simple_conditions(condition)
+    )
 
 
 def _check_one(*values: object, names: str) -> None:

@@ -88,7 +88,15 @@ class Mission(CombinedPattern[Params]):
         if not self._is_started:
             self._is_started = True
             self._root.start(inputs.now)
-        seen = Observation(inputs.now, self._reports, self._done, inputs.scan, inputs.readings)
+        seen = Observation(
+            inputs.now,
+            self._reports,
+            self._done,
+            inputs.scan,
+            inputs.readings,
+            inputs.neighbors,
+            self.context.rng,
+        )
         self._stepped = {}
         twist = None
         if not self._root.check(self, seen):
@@ -246,6 +254,7 @@ class _Node(ABC):
     """Carries out one element.
 
     `ended` is the reason why it has ended, empty before; `has_failed`: whether it ended by failing.
+    `target`: the step that follows it by a transition, None while none holds.
     """
 
     def __init__(self, element: schema.Element) -> None:
@@ -254,6 +263,10 @@ class _Node(ABC):
         self._is_new = True
         self._until = None if element.until is None else ConditionState(element.until)
         self._fails = None if element.fails is None else ConditionState(element.fails)
+        self._transitions = [
+            (name, ConditionState(one)) for name, one in (element.transitions or {}).items()
+        ]
+        self.target: str | None = None
         self._retry, self._retries = element.retry or 0, 0
         self._parts = frozenset(schema.parts_in(element))
 
@@ -265,7 +278,8 @@ class _Node(ABC):
     def _begin(self, now: float) -> None:
         self.ended, self.has_failed = "", False
         self._is_new = True
-        for condition in (self._until, self._fails):
+        self.target = None
+        for condition in (self._until, self._fails, *(one for _, one in self._transitions)):
             if condition is not None:
                 condition.start(now)
 
@@ -277,7 +291,8 @@ class _Node(ABC):
         is_new, self._is_new = self._is_new, False
         if not self.ended:
             until, fails = self._until, self._fails
-            # Both are evaluated at every step for their memory.
+            # All are evaluated at every step for their memory.
+            targets = [name for name, one in self._transitions if one.is_met(seen)]
             is_over = until is not None and until.is_met(seen) and not is_new
             is_lost = fails is not None and fails.is_met(seen) and not is_new
             if until is not None and is_over:
@@ -285,6 +300,8 @@ class _Node(ABC):
             elif fails is not None and is_lost:
                 self._fail(str(fails.condition), mission, seen.now)
                 self._is_new = False
+            elif targets and not is_new:
+                self.target = targets[0]
         return self.ended
 
     def _fail(self, reason: str, mission: Mission, now: float) -> None:
@@ -331,7 +348,10 @@ class _RunNode(_Node):
 
 
 class _SequenceNode(_Node):
-    """A sequence goes on where a step ends, a fallback where an item fails."""
+    """A sequence goes on where a step ends, a fallback where an item fails.
+
+    A transition of a step leads to the step that it names.
+    """
 
     def __init__(self, element: schema.Sequence | schema.Fallback) -> None:
         super().__init__(element)
@@ -351,14 +371,21 @@ class _SequenceNode(_Node):
             if self._is_last(current):
                 self._end_like(current, mission, seen.now)
                 return None
-            self._index = (self._index + 1) % len(self._steps)
-            current = self._steps[self._index]
-            current.start(seen.now)
-            current.check(mission, seen)
+            current = self._enter((self._index + 1) % len(self._steps), mission, seen)
+        elif current.target is not None:
+            names = [step.name for step in self._steps]
+            current = self._enter(names.index(current.target), mission, seen)
         twist = current.step(mission, inputs, seen)
         if current.ended and self._is_last(current):
             self._end_like(current, mission, seen.now)
         return twist
+
+    def _enter(self, index: int, mission: Mission, seen: Observation) -> _Node:
+        self._index = index
+        current = self._steps[index]
+        current.start(seen.now)
+        current.check(mission, seen)
+        return current
 
     def _is_last(self, current: _Node) -> bool:
         """Whether nothing follows a step that has ended."""

@@ -8,6 +8,7 @@ what needs the patterns.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +20,7 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
-from swarmd.kit.conditions import Condition, Done, Reported, Settled
+from swarmd.kit.conditions import Condition, Done, Not, Reported, Settled, is_drawn
 from swarmd.settings.layered import Fault, Keys, fault_at, read
 from swarmd.settings.yamlfile import key_lines, shown
 from swarmd.settings.yamlfile import read as read_yaml
@@ -32,6 +33,11 @@ _RESERVED_PARTS = (NO_DRIVER, "phase")
 _RESERVED_NAMES = ("recovery", "avoidance", "phase")
 _RECOVERY = "sets recovery, which is of the whole mission: set it beside parts, or -p recovery="
 _AVOIDANCE = "sets avoidance, which is of the whole mission: give it by -p avoidance="
+_DRAWN = (
+    "is drawn anew at each step; give it to until, fails or transitions, there alone or in any or"
+    " all"
+)
+_TRANSITIONS = "belongs to a step of a sequence; leave it out"
 _SHARED = {"recovery": _RECOVERY, "avoidance": _AVOIDANCE}
 
 Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
@@ -44,6 +50,8 @@ class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """The keys of every element; `when` only in a branch of a switch.
 
     `until` ends it, and `fails` makes it fail, which `retry` times begins it again instead.
+    `transitions`, only in a step of a sequence: the step that follows, by its name, once the
+    condition holds; the first in the order of the file.
     """
 
     name: str = ""
@@ -51,6 +59,7 @@ class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     fails: Condition | None = None
     retry: Annotated[int, Meta(ge=1, le=1000)] | None = None
     when: Condition | None = None
+    transitions: Annotated[dict[str, Condition], Meta(min_length=1)] | None = None
 
     @property
     def label(self) -> str:
@@ -235,6 +244,8 @@ def conditions(root: Element | None) -> Iterator[tuple[Keys, Condition]]:
             condition: Condition | None = getattr(element, key)
             if condition is not None:
                 yield (*keys, key), condition
+        for name, condition in (element.transitions or {}).items():
+            yield (*keys, "transitions", name), condition
 
 
 def parts_in(element: Element) -> set[str]:
@@ -318,11 +329,16 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
                 if branch.when is None:
                     text = "is missing; only the last branch may go without a condition"
                     yield fault_at((*keys, "switch", index, "when"), text)
+            for index, branch in enumerate(value.children):
+                if branch.when is not None and is_drawn(branch.when):
+                    yield fault_at((*keys, "switch", index, "when"), _DRAWN)
         case Fallback():
             for index, item in enumerate(value.children[:-1]):
                 if not _can_fail(item):
                     text = "never fails, and more items follow; give it a fails"
                     yield fault_at((*keys, "fallback", index), text)
+        case Not() if is_drawn(value.condition):
+            yield fault_at((*keys, "not"), _DRAWN)
         case Done():
             yield from _check_part(value.part, (*keys, "done"), names)
         case Settled() | Reported():
@@ -337,21 +353,60 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
             if child.when is not None:
                 text = "belongs to a branch of a switch; take until, or leave it out"
                 yield fault_at((*keys, _tag(value), index, "when"), text)
+    if isinstance(value, Element) and not isinstance(value, RunPart | Sequence):
+        for index, child in enumerate(value.children):
+            if child.transitions is not None:
+                yield fault_at((*keys, _tag(value), index, "transitions"), _TRANSITIONS)
 
 
 def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
     *before, last = sequence.children
     place = (*keys, "sequence", len(before))
+    labels = [step.label for step in sequence.children]
+    named = Counter(labels)
+    for index, step in enumerate(sequence.children):
+        for name in step.transitions or ():
+            where = (*keys, "sequence", index, "transitions", name)
+            if named[name] > 1:
+                text = f"is {name}, the name of two steps; give each a name of its own"
+                yield fault_at(where, text)
+            elif name not in named or not name:
+                yield fault_at(where, f"names {unknown('step', name, filter(None, labels))}")
+    for index in sorted({*range(len(labels))} - _reached(sequence)):
+        text = "is never reached; name it in a transition, or give the step before it an until"
+        yield fault_at((*keys, "sequence", index), text)
     for index, step in enumerate(before):
-        if not _can_end(step):
+        if not _can_end(step) and step.transitions is None:
             text = "never ends, and more steps follow; give it an until"
             yield fault_at((*keys, "sequence", index), text)
     if sequence.then == "stay" and last.until is not None:
         text = "is the until of the last step, and then is stay; leave it out, or take end"
         yield fault_at((*place, "until"), text)
-    if sequence.then != "stay" and not _can_end(last):
+    is_left = last.transitions is not None and sequence.then == "repeat"
+    if sequence.then != "stay" and not _can_end(last) and not is_left:
         text = f"never ends, and then is {sequence.then}; give it an until, or take stay"
         yield fault_at(place, text)
+
+
+def _reached(sequence: Sequence) -> set[int]:
+    """The steps that can be the present one, if each transition can hold.
+
+    The step after one without an end and without transitions counts: it has a fault of its own.
+    """
+    steps = sequence.children
+    indices = {step.label: index for index, step in enumerate(steps)}
+    found: set[int] = set()
+    todo = [0]
+    while todo:
+        index = todo.pop()
+        if index in found or index == len(steps):
+            continue
+        found.add(index)
+        targets = steps[index].transitions
+        if _can_end(steps[index]) or targets is None:
+            todo.append(index + 1)
+        todo += [indices[name] for name in targets or () if name in indices]
+    return found
 
 
 def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
@@ -422,6 +477,8 @@ def _check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]
         yield fault_at(("parts",), "is missing; expected parts, such as move: {pattern: NAME}")
     if document.root is not None and document.root.when is not None:
         yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
+    if document.root is not None and document.root.transitions is not None:
+        yield fault_at(("transitions",), _TRANSITIONS)
     used = set(document.names) if document.root is None else parts_in(document.root)
     for name in document.names:
         if not _is_part_name(name):

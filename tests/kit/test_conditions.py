@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Scan
+from swarmd.core.values import Neighbor, Scan
 from swarmd.kit.condition_state import ConditionState, Observation
 from swarmd.kit.conditions import (
     AllOf,
@@ -17,7 +17,9 @@ from swarmd.kit.conditions import (
     Condition,
     Done,
     Nearer,
+    Neighbors,
     Not,
+    Probability,
     Reading,
     Reported,
     Settled,
@@ -52,6 +54,8 @@ def at(now: float, **reports: Any) -> Observation:
         ({"nearer": 0.4}, Nearer(0.4)),
         ({"report": "vote.opinion", "is": 2}, Reported("vote.opinion", 2)),
         ({"reading": "light", "above": -3}, Reading("light", above=-3.0)),
+        ({"neighbors": 3, "within": 0.8}, Neighbors(3.0, 0.8)),
+        ({"probability": 0.1}, Probability(0.1)),
         ({"any": [{"timeout": 1}, {"done": "a"}]}, AnyOf((Timeout(1.0), Done("a")))),
         ({"all": [{"not": {"nearer": 1}}]}, AllOf((Not(Nearer(1.0)),))),
     ],
@@ -75,6 +79,10 @@ def test_reads_each_kind_from_a_file(data: Any, condition: Condition) -> None:
         ({"report": "a.b", "is": 1, "above": 0}, (), "is, above, below"),
         ({"reading": "light", "is": 1}, ("is",), "'is'"),
         ({"report": "a.b", "is": [1]}, ("is",), "[1]"),
+        ({"probability": 0}, ("probability",), "above 0"),
+        ({"probability": 1.5}, ("probability",), "1.5"),
+        ({"neighbors": -1}, ("neighbors",), "-1"),
+        ({"neighbors": 2, "slope": 101}, ("slope",), "101"),
         ({"any": []}, ("any",), "[]"),
         ({"all": [{"done": 3}]}, ("all", 0, "done"), "3"),
     ],
@@ -166,6 +174,58 @@ def test_combinations_evaluate_all_conditions_at_each_step() -> None:
     assert met(Not(Timeout(1.0)), at(0.5), at(1.0)) == [True, False]
 
 
-def test_needs_follow_from_nearer_and_readings() -> None:
+def test_needs_follow_from_nearer_readings_and_neighbors() -> None:
     condition = AnyOf((Nearer(1.0), Not(Reading("light", above=1.0)), Timeout(1.0)))
     assert needs_of(condition) == {"scan", "reading:light"}
+    assert needs_of(Neighbors(1.0)) == {"neighbors"}
+    assert needs_of(AllOf((Neighbors(1.0, 0.5), Probability(0.1)))) == {"neighbors.distance"}
+
+
+def test_neighbors_within_a_distance_are_counted() -> None:
+    one, far, unknown = (Neighbor(id, 0.0, d) for id, d in (("a", 0.5), ("b", 2.0), ("c", None)))
+    seen = [Observation(0.0, {}, neighbors=some) for some in ((), (one,), (one, far, unknown))]
+    assert met(Neighbors(2.0), *seen) == [False, False, True]
+    assert met(Neighbors(1.0, within=0.5), *seen) == [False, True, True]
+    assert met(Neighbors(2.0, within=1.0), *seen) == [False, False, False]
+
+
+def share(condition: Condition, period: float, **seen: Any) -> float:
+    """How often the condition holds within a second from its start, of 2000 times."""
+    rng = np.random.default_rng(1)
+    steps = round(1.0 / period)
+    times = [index * period for index in range(steps + 1)]
+    found = [
+        any(met(condition, *(Observation(now, {}, rng=rng, **seen) for now in times)))
+        for _ in range(2000)
+    ]
+    return sum(found) / len(found)
+
+
+@pytest.mark.parametrize("period", [0.5, 0.1])
+def test_a_probability_is_that_of_a_second_at_any_rate(period: float) -> None:
+    # Four standard deviations of a share of 2000.
+    assert share(Probability(0.3), period) == pytest.approx(0.3, abs=0.041)
+
+
+@pytest.mark.parametrize(("slope", "wanted"), [(2.0, 0.881), (-2.0, 0.119), (0.0, 0.5)])
+def test_a_slope_makes_the_neighbour_count_of_automode(slope: float, wanted: float) -> None:
+    # 1 / (1 + exp(slope (count - n))) for n = 3, count = 2.
+    some = tuple(Neighbor(id, 0.0, 0.5) for id in "abc")
+    found = share(Neighbors(2.0, 1.0, slope), 0.25, neighbors=some)
+    assert found == pytest.approx(wanted, abs=0.045)
+
+
+def test_a_certain_draw_holds_from_the_second_evaluation_on() -> None:
+    seen = [Observation(now, {}, rng=np.random.default_rng(1)) for now in (5.0, 5.1, 5.2)]
+    assert met(Probability(1.0), *seen, started=5.0) == [False, True, True]
+
+
+def test_time_before_another_condition_held_does_not_add_to_a_draw() -> None:
+    # The floor is white for 1000 s, then dark for 1 ms.
+    dark = AllOf((Reading("ground", below=0.5), Probability(0.5)))
+    rng = np.random.default_rng(1)
+    seen = [
+        Observation(now, {}, readings={"ground": ground}, rng=rng)
+        for now, ground in ((0.0, 1.0), (1000.0, 1.0), (1000.001, 0.0))
+    ]
+    assert met(dark, *seen) == [False, False, False]

@@ -339,3 +339,54 @@ def test_a_retry_does_not_fail_by_what_its_parts_reported_before(
     assert [one.report["phase"] for one in found[again : again + 2]] == ["other", "other"]
     assert found[again + 2].report["phase"] == last
     assert [one.done for one in found[: again + 3]] == [None] * (again + 3)
+
+
+MACHINE = parts("go", "other", "brief") + (
+    "sequence:\n"
+    "  - {part: go, transitions: {brief: {nearer: 0.5}, far: {nearer: 1.0}}}\n"
+    "  - {part: other, name: far, transitions: {go: {timeout: 2}}}\n"
+    "  - {part: brief, transitions: {far: {timeout: 9}}, until: {timeout: 5}}\n"
+    "then: repeat\n"
+)
+
+
+def test_a_transition_leads_to_the_step_that_it_names_the_first_that_holds(tmp_path: Path) -> None:
+    mission = made(tmp_path, MACHINE)
+    assert phases(steps(mission, 0.0, 1.0)) == ["go", "go"]
+    # Both hold at 2 s; the times of far count from there.
+    assert phases(steps(mission, 2.0, range_=0.4)) == ["brief"]
+    assert phases(steps(mission, 3.0, 4.0, range_=0.4)) == ["brief", "brief"]
+    # The part of brief is done: the step after it follows, and the last is followed by the first.
+    assert phases(steps(mission, 5.0)) == ["go"]
+    assert phases(steps(mission, 6.0, range_=0.9)) == ["far"]
+    assert phases(steps(mission, 7.9, 8.0)) == ["far", "go"]
+
+
+def test_a_transition_is_not_taken_in_the_first_step_of_its_step(tmp_path: Path) -> None:
+    mission = made(tmp_path, MACHINE)
+    assert phases(steps(mission, 0.0, 0.1, range_=0.9)) == ["go", "far"]
+
+
+def test_an_until_precedes_a_transition(tmp_path: Path) -> None:
+    text = parts("go", "other", "brief") + (
+        "sequence:\n"
+        "  - {part: go, until: {timeout: 1}, transitions: {brief: {timeout: 1}}}\n"
+        "  - {part: other, until: {timeout: 1}}\n  - brief\nthen: stay\n"
+    )
+    assert phases(steps(made(tmp_path, text), 0.0, 1.0)) == ["go", "other"]
+
+
+DRAWN = parts("go", "other") + (
+    "sequence:\n  - {part: go, until: {probability: 0.3}}\n"
+    "  - {part: other, transitions: {go: {probability: 0.3}}}\nthen: repeat\n"
+)
+
+
+def test_draws_follow_from_the_seed_of_the_robot_and_leave_its_parts_alone(tmp_path: Path) -> None:
+    times = [0.1 * index for index in range(300)]
+    first, again, other = (made(tmp_path, DRAWN, seed=seed) for seed in (5, 5, 6))
+    found = [phases(steps(one, *times)) for one in (first, again, other)]
+    assert found[0] == found[1] != found[2]
+    assert {*found[0]} == {"go", "other"}
+    spawned = [one.parts["go"].context.rng.random() for one in (first, made(tmp_path, GO, seed=5))]
+    assert spawned[0] == spawned[1]

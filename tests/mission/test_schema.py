@@ -69,6 +69,25 @@ WRONG = (  # what is replaced, by what, the line of the fault, and what it must 
     ("until: {timeout: 20}}", "until: {timeout: 2}, fails: {done: voter}}", 8, "fails", "'vote'"),
     (PART, "fallback: [vote, go], until: {timeout: 2}", 8, "sequence[0].fallback[0]", "fails"),
     (PART, "part: vote, fails: {timeout: 2}", 8, "sequence[0]", "until"),
+    (PART, f"{PART}, transitions: {{og: {{timeout: 2}}}}", 8, "transitions.og", "no step 'og'"),
+    (PART, f"{PART}, transitions: {{go: {{timeot: 2}}}}", 8, "transitions.go", "timeot"),
+    (PART, f"{PART}, transitions: {{}}", 8, "sequence[0].transitions", "{}"),
+    (PART, f"{PART}, name: both, transitions: {{both: {{done: og}}}}", 8, "both.done", "'og'"),
+    (
+        "vote, go], drives: go",
+        "{part: go, transitions: {go: {timeout: 2}}}], drives: go",
+        9,
+        "step of",
+    ),
+    (STAY, "then: stay\ntransitions: {go: {timeout: 2}}", 11, "transitions", "step of a sequence"),
+    ("{timeout: 20}", "{not: {probability: 0.5}}", 8, "sequence[0].until.not", "drawn"),
+    (
+        PART,
+        "switch: [{when: {probability: 1}, part: vote}], until: {timeout: 2}",
+        8,
+        "when",
+        "drawn",
+    ),
     (STAY, "then: end", 9, "sequence[1]", "until"),
     (STAY, "then: go", 10, "then", "'go'", "stay"),
     (STAY, "", 1, "then", "stay"),
@@ -105,6 +124,26 @@ def test_a_fault_has_file_line_and_key(tmp_path: Path, row: tuple[Any, ...]) -> 
     assert f"tried.yaml:{line}: " in fault
     assert all(subject in fault for subject in subjects)
     assert "\n" not in fault
+
+
+LOOP = """\
+mission: Drives by turns
+parts: {go: {pattern: go}}
+sequence:
+  - {part: go, name: a, transitions: {c: {timeout: 1}}}
+  - {part: go, name: b, until: {timeout: 1}}
+  - {part: go, name: c, transitions: {a: {timeout: 1}}}
+then: repeat
+"""
+
+
+def test_a_step_that_nothing_leads_to_is_a_fault(tmp_path: Path) -> None:
+    (fault,) = faults_of(tmp_path, LOOP)
+    assert "tried.yaml:5: sequence[1] " in fault
+    assert "never reached" in fault
+    assert faults_of(tmp_path, LOOP.replace("{a: {t", "{b: {t")) == []
+    (twice,) = faults_of(tmp_path, LOOP.replace("name: b", "name: c"))
+    assert "tried.yaml:4: sequence[0].transitions.c is c, the name of two steps" in twice
 
 
 def test_two_parts_on_one_channel_are_a_fault(tmp_path: Path) -> None:

@@ -89,7 +89,9 @@ def mission_of(folder: Path, text: str) -> type[Mission]:
     return mission_class(path, find)
 
 
-def made(folder: Path, text: str, platform: Platform = PLATFORM, **params: Value) -> Mission:
+def made(
+    folder: Path, text: str, platform: Platform = PLATFORM, seed: int = 5, **params: Value
+) -> Mission:
     kind = mission_of(folder, text)
     pattern = assemble(
         "tried",
@@ -97,7 +99,7 @@ def made(folder: Path, text: str, platform: Platform = PLATFORM, **params: Value
         find=lambda name: kind if name == "tried" else find(name),
         robot="robot-1",
         platform=platform,
-        rng=np.random.default_rng(5),
+        rng=np.random.default_rng(seed),
     ).pattern
     assert isinstance(pattern, Mission)
     return pattern

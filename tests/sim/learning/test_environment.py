@@ -13,7 +13,7 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import swarmd
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.core.values import Inputs
 from swarmd.kit.observation import (
     NeighborsPart,
@@ -221,6 +221,9 @@ def test_a_base_that_moves_sideways_has_a_third_action() -> None:
         (lambda: swarmd.env("drive"), "reward: scenario drive"),
         (lambda: make().step({}), "call reset first"),
         (lambda: make(seed=-1), "-1 is no seed"),
+        (lambda: make(render_mode="human"), "render_mode: no mode 'human'; there are: rgb_array"),
+        (lambda: make(render_mode="rgb_array").render(), "call reset first"),
+        (lambda: reset(None).render(), "render_mode='rgb_array'"),
         (lambda: make().reset(seed=1.5), "1.5 is no seed"),  # type: ignore[arg-type]
         (lambda: make(spec=PolicySpec((ScanPart(),), period=0.0)), "period"),
         (lambda: make(spec=PolicySpec((ScanPart(sectors=0),))), "sectors"),
@@ -270,6 +273,57 @@ def test_an_action_of_no_agent_is_refused_and_of_one_that_is_gone_ignored() -> N
 def test_a_seed_of_numpy_is_a_seed() -> None:
     (first, _), (second, _) = make().reset(3), make(seed=np.int64(3)).reset()
     np.testing.assert_array_equal(first["tb3-01"], second["tb3-01"])
+
+
+def test_pictures_show_where_the_robots_are() -> None:
+    env = make(seed=1, render_mode="rgb_array")
+    assert env.render_mode in env.metadata["render_modes"]
+    assert env.metadata["render_fps"] == 10
+    env.reset()
+    first = env.render()
+    assert (first.shape, first.dtype) == ((480, 640, 3), np.uint8)
+    np.testing.assert_array_equal(env.render(), first)
+    while env.agents:
+        env.step({agent: np.array([1.0, 0.0]) for agent in env.agents})
+    last = env.render()
+    for picture, pose in ((first, env.trace().pose[0]), (last, env.trace().pose[-1])):
+        # The arena of 4 m and 0.2 m beside it fill the height.
+        scale = 480 / (4.4 * 1.06)
+        columns, rows = (
+            (320 + scale * pose[:, 0]).astype(int),
+            (240 - scale * pose[:, 1]).astype(int),
+        )
+        for row, column in zip(rows, columns, strict=True):
+            near = picture[row - 15 : row + 16, column - 15 : column + 16].astype(int)
+            is_green = near[..., 1] > near[..., 0] + 60  # the colour of a running robot
+            assert is_green.sum() > 50
+    changed = (first != last).any(axis=2)
+    assert 0.001 < changed.mean() < 0.1
+    env.reset(1)
+    np.testing.assert_array_equal(env.render(), first)
+    env.close()
+    with pytest.raises(ConfigError, match="call reset first"):
+        env.render()
+
+
+def test_without_opengl_a_render_mode_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("swarmd.sim.learning.environment.find_spec", lambda name: None)
+    with pytest.raises(PluginError, match=r"pip install 'swarmd\[film\]'"):
+        make(render_mode="rgb_array")
+    assert make().render_mode is None
+
+
+def test_two_environments_draw_their_own_runs() -> None:
+    one, two = (make({"groups.tb3.count": n}, seed=1, render_mode="rgb_array") for n in (1, 3))
+    for env in (one, two):
+        env.reset()
+    first = one.render()
+    other = two.render()
+    np.testing.assert_array_equal(one.render(), first)
+    assert (first != other).any()
+    one.close()
+    np.testing.assert_array_equal(two.render(), other)
+    two.close()
 
 
 def test_a_robot_that_comes_back_within_a_step_is_another_agent() -> None:
