@@ -71,9 +71,8 @@ class SimulatedSwarm:
 
         if self._fleet is not None:
             raise ConfigError(f"the demo {self.name!r} runs already")
-        with ExitStack() as opened:
+        with ExitStack() as opened, self._operator() as operator:
             spec = self._make_spec(opened.enter_context(kept_folder(None)))
-            operator = opened.enter_context(self._operator())
             check_free(operator, spec, "demo(swarm=NAME)")
             fleet = opened.enter_context(Fleet(spec))
             world = opened.enter_context(WorldView(self.name, fleet.endpoint))

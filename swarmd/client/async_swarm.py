@@ -54,7 +54,8 @@ class AsyncSwarm:
     async iterators, all others are awaited. The loop does not wait for robots: each method runs on
     a thread of its own, and a stop waits for no other method. SwarmError if 8 requests are under
     way. A task that is cancelled waits no more; its request may have been applied all the same. A
-    `wait` and a canary end then, and canaries are stopped.
+    `wait` and a canary end then, and canaries are stopped. So are the robots of a run `at` a moment
+    that has not come: they do not start.
     """
 
     def __init__(self, swarm: Swarm) -> None:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, get_args
 
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
-from swarmd.client.swarm import Places, Swarm, Tell, check_time
+from swarmd.client.swarm import Places, Swarm, Tell, check_time, check_words
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.network.settings import Profile
 
@@ -151,7 +151,7 @@ def connect(
         context=context,
         profile=profile,
         interface=interface,
-        seeds=(seeds,) if isinstance(seeds, str) else tuple(seeds),
+        seeds=check_words(seeds, "seeds"),
         identity=None if identity is None else Path(identity),
         insecure=insecure,
     )

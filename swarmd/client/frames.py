@@ -20,7 +20,7 @@ def states_frame(states: Iterable[RobotState]) -> Any:
     need("pandas", extra="table")
     import pandas
 
-    rows = list(states)
+    rows = list(states) if isinstance(states, Iterable) else [states]
     if not all(isinstance(one, RobotState) for one in rows):
         raise ConfigError("frame takes what `states` gives: a list of RobotState")
     table = pandas.DataFrame([_flat(one) for one in rows])

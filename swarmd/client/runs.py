@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from swarmd.client.stops import stop_names, stop_on_interrupt
 from swarmd.core.clock import TICK, boottime
-from swarmd.core.errors import ConfigError, RequestError
+from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, GoalRequest, RunRequest
 from swarmd.network.exit_codes import FAILED, PARTIAL
@@ -109,7 +109,8 @@ def start_at(
 
     Also gives what is known of the start: `in` and `skew` in s, and the error of each clock. A
     robot whose clock is not known is not asked, and counts as missing. ConfigError if no time is
-    left for it.
+    left for it. SwarmError if the session is cancelled before that moment: robots that were asked
+    and have not refused are stopped.
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
@@ -117,7 +118,8 @@ def start_at(
     if wait is not None and wait <= at:
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
     offsets = read_clocks(operator, targeted.names)
-    starts, skew = start_times(offsets, boottime() + at)
+    moment = boottime() + at
+    starts, skew = start_times(offsets, moment)
     known = targeted.view.epochs(targeted.names)
     epochs = {name: one for name, one in known.items() if name in starts}
     unknown = tuple(sorted(set(targeted.names) - epochs.keys()))
@@ -128,12 +130,23 @@ def start_at(
             f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
             f" {1e3 * skew:.1f} ms of it by their clocks"
         )
+    session.check_awaited()
+    is_withdrawn = False
+
+    def withdraw() -> bool:
+        nonlocal is_withdrawn
+        is_withdrawn = session.is_cancelled() and boottime() < moment
+        return is_withdrawn
+
+    fields = {"timeout": wait, "least": REQUEST_WAIT + at, "is_ended": withdraw, "at": starts}
     try:
-        least = REQUEST_WAIT + at
-        outcome = send_goal(operator, epochs, goal, timeout=wait, least=least, at=starts)
+        outcome = send_goal(operator, epochs, goal, **fields)
     except (KeyboardInterrupt, SystemExit):
         stop_on_interrupt(session, epochs)  # they would start without an operator who wants it
         raise
+    accepted = epochs.keys() - outcome.replies.keys()  # they answer once they start
+    if is_withdrawn and accepted:
+        raise SwarmError(stop_on_interrupt(session, accepted, "start cancelled"))
     errors = {name: round(one.error, 6) for name, one in offsets.items()}
     notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
     return replace(outcome, missing=tuple(sorted((*outcome.missing, *unknown)))), notes

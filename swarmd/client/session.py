@@ -38,8 +38,8 @@ class Session:
         """The swarm, once all have answered or after `timeout`; tells what is missing.
 
         With `is_request_next` half of `timeout` is left for a request (see `time_left`).
-        NetworkError, naming the swarms that were found, if no daemon was reached; SwarmError if
-        a request would be sent for a caller who does not wait any more.
+        NetworkError, naming the swarms that were found, if no daemon was reached; before a request
+        SwarmError as `check_awaited`.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:
@@ -50,9 +50,14 @@ class Session:
         if not view.members:
             raise unreachable(self.operator)
         self.tell_gaps(view, view.missing)
-        if is_request_next and self.is_cancelled():
-            raise SwarmError("not sent: its caller has gone, or the connection was closed")
+        if is_request_next:
+            self.check_awaited()
         return view
+
+    def check_awaited(self) -> None:
+        """SwarmError if a request would be sent for a caller who does not wait any more."""
+        if self.is_cancelled():
+            raise SwarmError("not sent: its caller has gone, or the connection was closed")
 
     def time_left(self, view: MembersView) -> float | None:
         """What the look has left of `timeout` for a request, in s; None without `timeout`."""

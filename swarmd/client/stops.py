@@ -83,9 +83,11 @@ def send_stop(
     return replace(outcome, warnings=(*outcome.warnings, *warnings))
 
 
-def stop_on_interrupt(session: Session, names: Collection[str]) -> None:
-    """Stop these robots as the verb is interrupted, and tell which of them stopped."""
-    session.tell(f"interrupted: stop sent: {stop_names(session.operator, names).line}")
+def stop_on_interrupt(session: Session, names: Collection[str], why: str = "interrupted") -> str:
+    """Stop these robots as the verb is interrupted, and tell which of them stopped, as given."""
+    text = f"{why}: stop sent: {stop_names(session.operator, names).line}"
+    session.tell(text)
+    return text
 
 
 def stop_names(operator: Operator, names: Collection[str]) -> Outcome:

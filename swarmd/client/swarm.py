@@ -229,7 +229,7 @@ class Swarm:
         times = {"seconds": seconds, "at": at, "lease": lease, "valid": valid}
         for name, value in {**times, "canary_time": canary_time}.items():
             check_time(name, value)
-        conditions = _words(until, "until")
+        conditions = check_words(until, "until")
         if conditions:
             from swarmd.kit.conditions import parse_conditions
 
@@ -360,7 +360,7 @@ class Swarm:
         from swarmd.client.changes import change_labels
         from swarmd.texts.labels import read_changes
 
-        words = changes.split() if isinstance(changes, str) else _words(changes, "changes")
+        words = changes.split() if isinstance(changes, str) else check_words(changes, "changes")
         added, removed = read_changes(words)
         targets = _targets(robots, labels, exclude)
         with self._session(timeout, is_request=True) as session:
@@ -408,7 +408,7 @@ class Swarm:
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited
 
-        words, targets = _words(conditions, "conditions"), _targets(robots, labels, exclude)
+        words, targets = check_words(conditions, "conditions"), _targets(robots, labels, exclude)
         if not words:
             raise ConfigError("wait needs a condition, such as 'state=running'")
         awaited = read_awaited(words, "conditions")
@@ -471,7 +471,8 @@ def check_time(name: str, value: float | None) -> None:
         )
 
 
-def _words(words: Words, what: str) -> tuple[str, ...]:
+def check_words(words: Words, what: str) -> tuple[str, ...]:
+    """The words as a tuple; ConfigError unless they are a text or several ones."""
     some = tuple(words) if isinstance(words, Iterable) and not isinstance(words, str) else (words,)
     if not all(isinstance(word, str) for word in some):
         raise ConfigError(f"{what} is {words!r}; expected a text, or a list of texts")
@@ -479,8 +480,8 @@ def _words(words: Words, what: str) -> tuple[str, ...]:
 
 
 def _targets(robots: Words | None, labels: Words, exclude: Words) -> Targets:
-    names = () if robots is None else _words(robots, "robots")
-    labels, exclude = _words(labels, "labels"), _words(exclude, "exclude")
+    names = () if robots is None else check_words(robots, "robots")
+    labels, exclude = check_words(labels, "labels"), check_words(exclude, "exclude")
     if robots is not None and not names and not labels:
         raise no_target("the list of robots is empty")
     return make_targets(names, exclude, labels)

@@ -61,6 +61,7 @@ class Client:
         self._others: Sequence[str] = ()
         self._sending: asyncio.Task[None] | None = None
         self._answers: list[str] = []
+        self._requests: set[asyncio.Task[None]] = set()
 
     def on_ack(self) -> None:
         """The page has received a frame."""
@@ -128,8 +129,15 @@ class Client:
         if texts or self._answers:
             self._sending = asyncio.create_task(self._send(texts, [], frame))
 
+    def own(self, request: asyncio.Task[None]) -> None:
+        """Cancel a request with the page: nothing moves for a user who has gone."""
+        self._requests.add(request)
+        request.add_done_callback(self._requests.discard)
+
     def end(self) -> None:
-        """Send nothing more."""
+        """Send nothing more, and cancel the requests of the page."""
+        for request in self._requests:
+            request.cancel()
         if self._sending is not None:
             self._sending.cancel()
 

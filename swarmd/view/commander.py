@@ -11,10 +11,10 @@ from swarmd.client.changes import change_labels, reset, set_params
 from swarmd.client.hand_over import in_thread
 from swarmd.client.operator_pool import RequestLimit
 from swarmd.client.runs import make_goal, start
-from swarmd.client.session import Session, TargetedView
+from swarmd.client.session import Session
 from swarmd.client.stops import send_stop
 from swarmd.client.targets import Targets
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.keys import is_id
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
@@ -34,6 +34,7 @@ class LiveCommander:
     `known` names the robots that pages show: a stop of all expects each of them. Latches and resets
     keep `reason`. An emergency stop is repeated until all robots have acknowledged it, another one
     begins, or `end_estop`. Requests that wait for answers delay no stop, and not the program's end.
+    A task of `act` that is cancelled sends no request any more; a stop is sent all the same.
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class LiveCommander:
         def tell_later(answer: CommandProgress) -> None:
             loop.call_soon_threadsafe(tell, answer)
 
-        ending = threading.Event()
+        ending = threading.Event()  # no emergency stop is repeated, and no request is sent
         try:
             work = self._carry_out(verb, dict(fields), tell_later, ending)
             if verb == "estop":
@@ -73,8 +74,7 @@ class LiveCommander:
                 async with self._stops:
                     answer = await in_thread(work)
             else:
-                with self._limit.request():
-                    answer = await in_thread(work)
+                answer = await _unless_cancelled(work, ending)
             tell(answer)
         except Exception as error:  # the page must not show that it is under way
             tell(CommandProgress(f"{verb}: {str(error) or type(error).__name__}", is_final=True))
@@ -96,7 +96,7 @@ class LiveCommander:
         if names is None:
             raise ValueError("no robot was targeted")
         chosen = names
-        return lambda: self._request(verb, chosen, fields)
+        return lambda: self._request(verb, chosen, fields, ending)
 
     def _stop(
         self,
@@ -121,7 +121,11 @@ class LiveCommander:
         return _answer(verb, outcome)
 
     def _request(
-        self, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]
+        self,
+        verb: str,
+        names: tuple[str, ...],
+        fields: Mapping[str, Any],
+        cancelled: threading.Event,
     ) -> CommandProgress:
         params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
         pattern = str(fields.get("pattern"))
@@ -129,9 +133,13 @@ class LiveCommander:
             raise ValueError(f"{pattern!r} is no pattern name")
         words = str(fields.get("labels") or "").split()
         added, removed = read_changes(words) if verb == "label" else ((), ())
-        with self._make() as operator:
-            view = operator.members(timeout=3.0, needs_status=verb in ("reset", "label"))
-            targeted = TargetedView(Session(operator), view, names)
+        with self._limit.request(), self._make() as operator:
+            operator.expect(names)  # shown robots: one that is not heard counts as missing
+            session = Session(operator, is_cancelled=cancelled.is_set)
+            try:
+                targeted = session.target(Targets(names), needs_status=verb in ("reset", "label"))
+            except NetworkError as error:
+                return CommandProgress(f"{verb}: {error}", missing=list(names), is_final=True)
             if verb == "reset":
                 outcome = reset(targeted, reason=self._reason)
             elif verb == "param":
@@ -139,10 +147,21 @@ class LiveCommander:
             elif verb == "label":
                 outcome = change_labels(targeted, added, removed)
             else:
-                is_all = bool(view.expected) and view.expected <= set(names)
+                is_all = targeted.view.expected <= set(names)
                 goal = make_goal(targeted, () if is_all else names, pattern=pattern, params=params)
                 outcome = start(targeted, goal)
         return _answer(verb, outcome)
+
+
+async def _unless_cancelled(
+    work: Callable[[], CommandProgress], cancelled: threading.Event
+) -> CommandProgress:
+    """The result of `work`, done on a thread; tells it if the task is cancelled."""
+    try:
+        return await in_thread(work)
+    except asyncio.CancelledError:
+        cancelled.set()
+        raise
 
 
 def _answer(verb: str, outcome: Outcome) -> CommandProgress:

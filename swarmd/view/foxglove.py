@@ -86,7 +86,8 @@ class FoxgloveServer:
     def publish(self) -> None:
         """Hand the present state to the clients; called each PERIOD."""
         is_status_due = self._count % _STATUS_EVERY == 0
-        rows = self._source.rows() if is_status_due or self._scene.has_sinks() else {}
+        is_drawn = self._scene.has_sinks() or self._places.has_sinks()
+        rows = self._source.rows() if is_status_due or is_drawn else {}
         robots = self._source.robots
         for robot in robots:
             if robot.name not in self._statuses:
@@ -96,7 +97,11 @@ class FoxgloveServer:
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
         if self._places.has_sinks():
-            transforms = [_transform(robot, place, stamp) for robot, place in placed]
+            now = time.time()
+            stamps = {name: _heard(row, now) for name, row in rows.items() if _is_absent(row)}
+            transforms = [
+                _transform(robot, place, stamps.get(robot.name, stamp)) for robot, place in placed
+            ]
             self._places.log(messages.FrameTransforms(transforms=transforms))
         if self._scene.has_sinks():
             entities = [_entity(robot, rows.get(robot.name, {}), stamp) for robot, _ in placed]
@@ -137,6 +142,17 @@ class FoxgloveServer:
         self._scans[name] = channels.PointCloudChannel(f"/{name}/scan", context=context)
 
 
+def _is_absent(row: Mapping[str, Any]) -> bool:
+    """True of a robot that does not answer: where and how it is now is not known."""
+    return row.get("presence", "alive") != "alive"
+
+
+def _heard(row: Mapping[str, Any], now: float) -> messages.Timestamp:
+    """When a robot was last heard, as its place is older than that; 0 if that is not known."""
+    at = now - float(row.get("age", math.inf))
+    return messages.Timestamp.from_epoch_secs(max(at, 0.0))
+
+
 def _transform(
     robot: ShownRobot, place: Array, stamp: messages.Timestamp
 ) -> messages.FrameTransform:
@@ -153,9 +169,14 @@ def _transform(
 def _entity(
     robot: ShownRobot, row: Mapping[str, Any], stamp: messages.Timestamp
 ) -> messages.SceneEntity:
-    """Outline, heading and name of a robot in its own frame, gone 2 s after the last one."""
-    state = str(row.get("state", ""))
-    red, green, blue = colour_of(state, is_held=row.get("stands") == "held")
+    """Outline, heading and name of a robot in its own frame, gone 2 s after the last one.
+
+    Grey and without a state for a robot that does not answer.
+    """
+    is_absent = _is_absent(row)
+    state = "" if is_absent else str(row.get("state", ""))
+    is_held = row.get("stands") == "held" and not is_absent
+    red, green, blue = colour_of(state, is_held=is_held)
     colour = messages.Color(r=red, g=green, b=blue, a=1.0)
     length = float(np.abs(robot.footprint[:, 0]).max())
     points = [messages.Point3(x=float(x), y=float(y), z=0.0) for x, y in robot.footprint]

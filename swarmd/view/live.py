@@ -45,7 +45,7 @@ Describe = Callable[[str], Sequence[Mapping[str, Any]]]
 
 _motion = Decoder(Motion)
 _tracks = Decoder(Tracks)
-_TRACKS_AGE = 1.5  # s after which tracks are not shown
+_WATCHED_AGE = 1.5  # s after which tracks and scans are not shown
 
 
 class LiveSource:
@@ -73,7 +73,7 @@ class LiveSource:
         self._revision = 0
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
-        self._scans: dict[str, Scan] = {}
+        self._scans: dict[str, tuple[float, Scan]] = {}
         self._tracks: dict[str, tuple[float, Tracks]] = {}
         self._platforms: dict[str, Platform | None] = {}
         self._watched: frozenset[str] = frozenset()
@@ -168,9 +168,10 @@ class LiveSource:
         return rows
 
     def scan(self, name: str) -> Array | None:
-        """The returns of a watched robot's scan in its base frame."""
-        scan, robot = self._scans.get(name), self._index.get(name)
-        if scan is None or robot is None:
+        """The returns of a watched robot's scan in its base frame; None once it is old."""
+        at, scan = self._scans.get(name, (-math.inf, None))
+        robot = self._index.get(name)
+        if scan is None or robot is None or time.monotonic() - at > _WATCHED_AGE:
             return None
         platform = self._platform(self._robots[robot].platform)
         offset = (0.0, 0.0) if platform is None else platform.scan.offset
@@ -254,7 +255,7 @@ class LiveSource:
             return
         platform = self._platform(self._robots[index].platform)
         if platform is not None:
-            self._scans[robot] = decode_scan(payload, platform.scan)
+            self._scans[robot] = time.monotonic(), decode_scan(payload, platform.scan)
 
     def _on_tracks(self, robot: str, payload: bytes) -> None:
         found = _tracks(payload)
@@ -264,7 +265,7 @@ class LiveSource:
     def _tracks_of(self, name: str) -> list[list[float]]:
         """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
         at, found = self._tracks.get(name, (-math.inf, None))
-        if found is None or time.monotonic() - at > _TRACKS_AGE:
+        if found is None or time.monotonic() - at > _WATCHED_AGE:
             return []
         return [[round(value, 3) for value in astuple(one)] for one in found.tracks]
 

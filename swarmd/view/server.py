@@ -208,7 +208,9 @@ class ViewServer:
             with suppress(TypeError, ValueError, OverflowError):  # also for null: the present
                 client.past = float(message.get("time"))
         elif kind == "act":
-            self._begin(self._act(client, message))
+            task = self._begin(self._act(client, message))
+            if message.get("verb") not in STOPS:
+                client.own(task)
 
     async def _play(
         self, client: Client, playback: Playback, kind: str, message: Mapping[str, Any]
@@ -332,10 +334,11 @@ class ViewServer:
             others.append(json_of({"kind": "playback", **self.source.playback.plain()}))
         return Rows(short, whole, ages, others)
 
-    def _begin(self, work: Any) -> None:
-        task = asyncio.create_task(work)
+    def _begin(self, work: Any) -> asyncio.Task[None]:
+        task: asyncio.Task[None] = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._on_done)
+        return task
 
     def _on_done(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)

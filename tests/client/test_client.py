@@ -213,6 +213,8 @@ WRONG: dict[str, Callable[[Swarm], object]] = {
     "conditions foo": lambda swarm: swarm.wait("foo"),
     "changes is": lambda swarm: swarm.label(3),  # type: ignore[arg-type]
     "robot is": lambda swarm: swarm.describe(["r1"]),  # type: ignore[arg-type]
+    "frame takes": lambda swarm: swarm.frame(3),  # type: ignore[arg-type]
+    "seeds is 5": lambda _: swarmd.connect(seeds=5),  # type: ignore[arg-type]
 }
 
 

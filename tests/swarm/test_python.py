@@ -199,6 +199,24 @@ async def test_a_cancelled_wait_ends_and_so_does_its_thread(name: str) -> None:
         await asyncio.to_thread(wait_until, lambda: not is_handed_over(), "its thread has ended")
 
 
+async def test_a_start_that_is_cancelled_before_its_moment_does_not_happen(
+    name: str, shared_swarm: Swarm, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = shared_swarm.status("r1").epoch.revision
+    async with swarmd.connect(name) as swarm:
+        start = asyncio.create_task(swarm.run("drive", "r1", at=40.0))
+        asked = await asyncio.to_thread(
+            shared_swarm.await_status, "r1", "asked", lambda one: one.epoch.revision > before
+        )
+        start.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await start
+        await asyncio.to_thread(wait_until, lambda: not is_handed_over(), "its thread has ended")
+        assert shared_swarm.status("r1").epoch.revision > asked.epoch.revision
+        assert "1 targeted, 1 applied" in caplog.text  # the stop
+        assert (await swarm.run("drive", "r1")).applied == ("r1",)  # and not: still loading
+
+
 def test_closing_ends_what_another_thread_waits_for(name: str) -> None:
     errors: list[SwarmError] = []
     swarm = swarmd.connect(name).open()

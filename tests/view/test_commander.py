@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from websockets.asyncio.client import connect
 
+from swarmd.client.hand_over import HAND_OVER
 from swarmd.client.operator_pool import MAX_REQUESTS
 from swarmd.core.messages import Code, Reply
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
+from swarmd.network.settings import NetworkSettings
 from swarmd.view.commander import LiveCommander
 from swarmd.view.source import CommandProgress
 from tests.support.operator_threads import is_closing
-from tests.support.processes import wait_until
+from tests.support.processes import CAP, wait_until
 from tests.support.statuses import make_member
+from tests.view.test_server import frame, serving, socket_of
 
 APPLIED = Outcome({"r1": Reply(id="1", robot="r1", code=Code.APPLIED)})
 
@@ -31,6 +37,9 @@ class Hanging:
         self.go_on = threading.Event()
         self.sent = 0
         self.notices: list[str] = []
+        self.settings = NetworkSettings(swarm="s")
+        self.heard = ["r1", "r2"]
+        self.expected: set[str] = set()
 
     def __call__(self) -> AbstractContextManager[Operator]:
         return nullcontext(cast("Operator", self))
@@ -38,12 +47,16 @@ class Hanging:
     name, identity = "anna@laptop", None
 
     def expect(self, names: Collection[str]) -> None:
-        """All are known."""
+        self.expected |= set(names)
 
     def members(self, **_: Any) -> MembersView:
-        return MembersView({})
+        members = {name: make_member(name, labels=("red",)) for name in self.heard}
+        return MembersView(members, roster=frozenset(self.expected), goal_generation=4)
 
     seen = members
+
+    def swarms(self) -> list[str]:
+        return []
 
     def request(self, kind: type, targets: Mapping[str, Any], **_: Any) -> Outcome:
         self.sent += 1
@@ -52,6 +65,12 @@ class Hanging:
 
     def send_stop(self, verb: str, **_: Any) -> Outcome:
         return APPLIED
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A look keeps the names of robots for completion."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 def commander(operator: object) -> LiveCommander:
@@ -109,10 +128,6 @@ class Noting(Hanging):
         super().__init__()
         self.requests: list[tuple[tuple[str, ...], dict[str, Any]]] = []
 
-    def members(self, **_: Any) -> MembersView:
-        members = {name: make_member(name, labels=("red",)) for name in ("r1", "r2")}
-        return MembersView(members, goal_generation=4)
-
     def request(
         self, kind: type, targets: Mapping[str, Any], *, timeout: None = None, **fields: Any
     ) -> Outcome:
@@ -135,3 +150,63 @@ async def test_a_page_changes_labels() -> None:
     told = await answer(commander(operator), "label", labels="fast")
     assert not told.is_good
     assert "+LABEL" in told.line
+
+
+@pytest.mark.parametrize("verb", ["run", "reset", "label", "param"])
+async def test_robots_that_nobody_hears_are_named(verb: str) -> None:
+    operator = Noting()
+    operator.heard = []
+    told = await answer(commander(operator), verb, targets=["r1", "r7"], labels="+fast")
+    assert (told.missing, told.is_good, operator.requests) == (["r1", "r7"], False, [])
+    assert "no daemon of swarm 's' can be reached" in told.line
+
+
+async def test_a_robot_that_the_page_shows_and_nobody_hears_is_asked_all_the_same() -> None:
+    operator = Noting()
+    await answer(commander(operator), "run", targets=["r1", "r2", "r7"])
+    ((names, fields),) = operator.requests
+    assert (names, fields["goal"].targets) == (("r1", "r2", "r7"), ())
+
+
+class Slow(Noting):
+    """Its looks and stops wait for `go_on`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.begun = threading.Semaphore(0)
+        self.stops: list[str] = []
+
+    def members(self, **_: Any) -> MembersView:
+        self.begun.release()
+        assert self.go_on.wait(CAP)
+        return super().members()
+
+    def send_stop(self, verb: str, **_: Any) -> Outcome:
+        self.begun.release()
+        assert self.go_on.wait(CAP)
+        self.stops.append(verb)
+        return APPLIED
+
+
+async def test_a_request_whose_browser_has_gone_is_not_sent_and_a_stop_is() -> None:
+    operator = Slow()
+    commands = [{"verb": "run", "targets": ["r1"], "pattern": "drive"}, {"verb": "stop"}]
+    async with serving(commander=commander(operator)) as (server, address):
+        try:
+            for command in commands:
+                async with connect(socket_of(address), max_size=None) as page:
+                    await frame(page)
+                    act = {"kind": "act", "id": "1", "seen": server.frames, **command}
+                    await page.send(json.dumps(act))
+                    assert await asyncio.to_thread(operator.begun.acquire, timeout=CAP)
+                    page.transport.abort()
+            await asyncio.to_thread(wait_until, lambda: server.clients == 0, "they have gone")
+        finally:
+            operator.go_on.set()
+        await asyncio.to_thread(wait_until, lambda: not busy(), "both have ended")
+    assert (operator.requests, operator.stops) == ([], ["stop"])
+
+
+def busy() -> list[str]:
+    """The threads that carry commands out."""
+    return [one.name for one in threading.enumerate() if one.name == HAND_OVER]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import signal
 import struct
+import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,10 +18,11 @@ from websockets.typing import Subprotocol
 from swarmd.core.errors import NetworkError
 from swarmd.core.messages import LoggedEvent, State
 from swarmd.network.operator.operator import Operator
-from swarmd.view.foxglove import FoxgloveServer
-from swarmd.view.live import LiveSource
+from swarmd.view.foxglove import FoxgloveServer, _entity, _heard
+from swarmd.view.live import PLAIN, LiveSource
+from swarmd.view.source import ShownRobot
 from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
-from tests.support.processes import CAP
+from tests.support.processes import CAP, wait_until
 from tests.support.swarmctl import swarmctl
 
 if TYPE_CHECKING:
@@ -122,6 +125,46 @@ def test_a_client_reads_places_states_scans_and_events() -> None:
             assert one.encode() not in events[-1]
             row = json.loads(found[f"/{one}/status"])
             assert (row["state"], row["report"]["opinion"]) == ("running", "A")
+
+
+def test_a_robot_that_does_not_answer_has_no_state_and_the_stamp_of_its_last_word() -> None:
+    with FedSwarm(2, silent=["tb3-002"]) as swarm:
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        source.start()
+        with (
+            contextlib.closing(source),
+            FoxgloveServer(source, "127.0.0.1", 0) as server,
+            client(server.port) as reader,
+        ):
+            reader.await_topics("/robots", step=server.publish)
+            reader.subscribe("/robots")
+            found = b""
+            while b"failed: it may still move" not in found:
+                found = reader.first_of("/robots", step=server.publish)["/robots"]
+            assert found.count(b"running") == 1  # the state of the other one
+    heard = _heard({"presence": "failed", "age": 3.5}, 100.0)
+    assert (heard.sec, heard.nsec) == (96, 500_000_000)
+    assert _heard({"presence": "expected", "age": math.inf}, 100.0).sec == 0
+    robot = ShownRobot("r1", 0, "", PLAIN)
+    row = {"state": "running", "stands": "held", "presence": "failed"}
+    grey, orange = (repr(_entity(robot, one, heard)) for one in (row, {**row, "presence": "alive"}))
+    assert "r: 0.5, g: 0.5, b: 0.5" in grey
+    assert "r: 0.95" in orange
+
+
+def test_a_scan_is_shown_no_longer_than_it_is_new(monkeypatch: pytest.MonkeyPatch) -> None:
+    with FedSwarm(1) as swarm:
+        (name,) = swarm.names
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        source.start()
+        with contextlib.closing(source):
+            wait_until(lambda: bool(source.rows().get(name, {}).get("limits")), "a status")
+            source.select([name])
+            wait_until(lambda: source.scan(name) is not None, "a scan")
+            swarm.watched.pop(("scan", name))  # its sensor is silent
+            now = time.monotonic()
+            monkeypatch.setattr("swarmd.view.live.time.monotonic", lambda: now + 2.0)
+            assert source.scan(name) is None
 
 
 def test_a_port_in_use_is_an_error_in_one_line() -> None:

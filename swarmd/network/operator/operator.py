@@ -301,15 +301,17 @@ class Operator:
         *,
         timeout: float | None = None,
         least: float = REQUEST_WAIT,
+        is_ended: Callable[[], bool] = lambda: False,
         **fields: Any,
     ) -> Outcome:
         """Send a request to the robots in `targets`, with the epoch that was seen of each.
 
         `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
-        as soon as all have answered, else after `timeout` s, or by default after `least` s and more
-        by the round trip and the loss. Robots that the last look, and all that was heard since,
-        show unreachable or gone count as missing and are not waited for. ConfigError if the role of
-        the own identity does not permit it: robots would refuse it silently.
+        as soon as all have answered or `is_ended`, else after `timeout` s, or by default after
+        `least` s and more by the round trip and the loss. Robots that the last look, and all that
+        was heard since, show unreachable or gone count as missing and are not waited for.
+        ConfigError if the role of the own identity does not permit it: robots would refuse it
+        silently.
         """
         self._check_role(str(kind.__struct_config__.tag))
         view, fresh = self._looked, self.seen()
@@ -322,7 +324,7 @@ class Operator:
         if timeout is None:
             timeout = request_timeout(view, least)
         outcome, linked = self._requests.send(
-            request, targets, asked, view, self._discovery, timeout
+            request, targets, asked, view, self._discovery, timeout, is_ended
         )
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 

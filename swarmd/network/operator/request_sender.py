@@ -62,10 +62,12 @@ class RequestSender:
         view: MembersView,
         discovery: Discovery | None,
         timeout: float,
+        is_ended: Callable[[], bool] = lambda: False,
     ) -> tuple[Outcome, set[str]]:
         """Send to those of `targets` that are `asked`; the outcome, and the robots with a link.
 
-        `view`: the last look. Robots without a link yet are dialled as `discovery` finds them.
+        `view`: the last look. Robots without a link yet are dialled as `discovery` finds them. It
+        waits no longer once `is_ended`, asked after each wait.
         """
         others = set(asked) & set(view.of_other_version())
         acks = Acks(request.id)
@@ -91,6 +93,8 @@ class RequestSender:
             with self._arrivals.lock:
                 self._arrivals.lock.wait_for(lambda: not acks.missing(asked), max(pause, 0.001))
                 robots, now = acks.missing(asked), boottime()
+            if is_ended():
+                break
             if now - started >= patience and others.issuperset(robots):
                 break  # they may not know how to refuse it
         links.close()
