@@ -23,6 +23,7 @@ from swarmd.sim.world.bodies import inertia, value
 
 _GRAVITY = 9.81
 _FRICTION = 0.8
+_AHEAD = "linear_acceleration"
 _PI = cython.declare(cython.double, math.pi)
 
 
@@ -168,8 +169,9 @@ class Bases:
 
 
 def _accelerations(platform):
-    linear = value(platform, "linear_acceleration")
-    return linear, value(platform, "angular_acceleration"), linear
+    """Of each axis; sideways as ahead, unless `body` has a `lateral_acceleration`."""
+    sideways = "lateral_acceleration" if "lateral_acceleration" in platform.body else _AHEAD
+    return tuple(value(platform, key) for key in (_AHEAD, "angular_acceleration", sideways))
 
 
 @cython.auto_pickle(False)

@@ -12,6 +12,10 @@ never below zero. Brakes of at least SOUND raise an alarm after e^ALARM stops on
 (Lorden, Annals of Mathematical Statistics 1971). An alarm needs three stops at least: in one,
 another robot may have pushed this one.
 
+Of a base that moves sideways, ahead and sideways are judged alike, with one declared braking. The
+braking of such a base may be that of all wheels together, which a diagonal stop shares between
+both. So a stop counts only if the speed on the other axis changes little meanwhile.
+
 Others: the speed at which the gap to the nearest return falls, less all that the robot itself has
 moved, is compared with `others_speed`: by least squares over several scans, less its deviation. A
 thing that approaches is seen so, one that passes is not.
@@ -85,6 +89,9 @@ _MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
 _MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
 # Share of the command before a stop by which the command may rise again.
 _RISES = cython.declare(cython.double, 0.2)
+# Share of the fall of a stop by which the speed on the other axis may change: brakes that both
+# share leave 0.96 for the stop.
+_BESIDE = cython.declare(cython.double, 0.3)
 _MAX_COMMANDS = cython.declare(cython.Py_ssize_t, 40)
 _MAX_WAYS = cython.declare(cython.Py_ssize_t, 64)
 
@@ -99,7 +106,7 @@ _CERTAIN = 3.0  # deviations by which an approach must be too fast
 _APART, _TOGETHER = 5.0, 600.0  # s between two approaches that are a violation
 
 _BRAKED = "braked at"
-_UNITS = "m/s2", "rad/s2"
+_UNITS = "m/s2", "rad/s2", "m/s2 sideways"
 
 _turn = cython.declare(cython.double, math.tau)
 _max_step = cython.declare(cython.double, MAX_STEP)
@@ -113,9 +120,11 @@ def _last(count: int, most: int) -> range:
 
 
 def axis_of(finding: str) -> str | None:
-    """`linear` or `angular` for a finding about brakes; None for one about others."""
+    """`linear`, `angular` or `lateral` for a finding about brakes; None for one about others."""
     if not finding.startswith(_BRAKED):
         return None
+    if _UNITS[2] in finding:
+        return "lateral"
     return "angular" if _UNITS[1] in finding else "linear"
 
 
@@ -186,6 +195,24 @@ class _Brake:
         self._stop = None
         self._cruised = self._given = 0
         self._note(-math.inf, self._command)
+
+    @cython.ccall
+    def share_with(self, other: _Brake, speed: cython.double, stamp: cython.double):
+        """Drop the stop under way if the speed on the `other` axis changes, too.
+
+        That `speed` was measured last, at `stamp`; it follows commands of up to _LONGEST_DELAY ago.
+        """
+        stop: _Stop = self._stop
+        if stop is None:
+            return
+        change: cython.double = fabs(other._command - speed)
+        k: cython.Py_ssize_t
+        for k in range(other._given - 1, max(other._given - _MAX_COMMANDS, 0) - 1, -1):
+            change = max(change, fabs(other._command - other._levels[k % _MAX_COMMANDS]))
+            if other._stamps[k % _MAX_COMMANDS] <= stamp - _LONGEST_DELAY:
+                break
+        if change > _BESIDE * (stop.begin - stop.least):
+            self._stop = None
 
     @cython.cfunc
     def _note(self, stamp: cython.double, command: cython.double):
@@ -402,6 +429,7 @@ class AssumptionMonitor:
     _radius: cython.double
     _linear: _Brake
     _angular: _Brake
+    _lateral: _Brake  # None: the base cannot move sideways
     _command: object
     # The last reading: its stamp, pose and speeds.
     _stamp: cython.double
@@ -410,6 +438,7 @@ class AssumptionMonitor:
     _yaw: cython.double
     _speed: cython.double
     _rate: cython.double
+    _aside: cython.double
     _moved: cython.double  # m that any corner may have moved so far
     # The last stamps of odometry, and `_moved` at each: from the first of interest to the end. The
     # k-th is at k modulo the length.
@@ -429,6 +458,9 @@ class AssumptionMonitor:
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
         self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
+        is_lateral = platform.limits.lateral > 0.0
+        sideways = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[2]) if is_lateral else None
+        self._lateral = sideways
         self._command, self._stamp = ZERO, -math.inf
         self._scans, self._approaches = deque(maxlen=64), deque()
         self._others, self._others_share, self.speed_share = "", 1.0, 1.0
@@ -436,13 +468,21 @@ class AssumptionMonitor:
     @property
     def findings(self) -> tuple[str, ...]:
         """The violated assumptions, each with its evidence."""
-        found = self._linear.evidence, self._angular.evidence, self._others
-        return tuple(text for text in found if text)
+        brake: _Brake
+        found = []
+        for brake in self._brakes():
+            found.append(brake.evidence)
+        return tuple(text for text in (*found, self._others) if text)
+
+    def _brakes(self) -> tuple[_Brake, ...]:
+        """The brakes of all axes on which the base moves."""
+        both = self._linear, self._angular
+        return both if self._lateral is None else (*both, self._lateral)
 
     def forget(self, findings: Collection[str]) -> None:
         """End these of the findings: what they name counts as declared, and is watched anew."""
         brake: _Brake
-        for brake in (self._linear, self._angular):
+        for brake in self._brakes():
             if brake.evidence in findings:
                 brake.forget()
         if self._others in findings:
@@ -457,7 +497,14 @@ class AssumptionMonitor:
         self._command = command
         is_linear: cython.bint = self._linear.on_command(command.linear, self._speed, self._stamp)
         is_angular: cython.bint = self._angular.on_command(command.angular, self._rate, self._stamp)
-        return self._braked(is_linear, is_angular) if is_linear or is_angular else ""
+        is_lateral: cython.bint = False
+        if self._lateral is not None:
+            is_lateral = self._lateral.on_command(command.lateral, self._aside, self._stamp)
+            self._linear.share_with(self._lateral, self._aside, self._stamp)
+            self._lateral.share_with(self._linear, self._speed, self._stamp)
+        if not (is_linear or is_angular or is_lateral):
+            return ""
+        return self._braked(is_linear, is_angular, is_lateral)
 
     def on_odometry(self, odometry: Odometry) -> str:
         """A reading arrived."""
@@ -473,10 +520,12 @@ class AssumptionMonitor:
         middle: cython.double = self._yaw + 0.5 * turned
         moved: cython.double = sqrt(dx * dx + dy * dy)
         self._stamp, self._x, self._y, self._yaw = end, x, y, yaw
-        self._speed, self._rate = twist.linear, twist.angular
+        self._speed, self._rate, self._aside = twist.linear, twist.angular, twist.lateral
         if end < begin or max(moved, fabs(turned)) > _max_step + _max_speed * (end - begin):
             self._linear.interrupt()
             self._angular.interrupt()
+            if self._lateral is not None:
+                self._lateral.interrupt()
             self._way_first = self._way_end = 0
             self._scans.clear()
             return ""
@@ -490,7 +539,13 @@ class AssumptionMonitor:
         way: cython.double = cos(middle) * dx + sin(middle) * dy
         is_linear: cython.bint = self._linear.on_step(begin, end, way)
         is_angular: cython.bint = self._angular.on_step(begin, end, turned)
-        return self._braked(is_linear, is_angular) if is_linear or is_angular else ""
+        is_lateral: cython.bint = False
+        if self._lateral is not None:
+            way = cos(middle) * dy - sin(middle) * dx
+            is_lateral = self._lateral.on_step(begin, end, way)
+        if not (is_linear or is_angular or is_lateral):
+            return ""
+        return self._braked(is_linear, is_angular, is_lateral)
 
     def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
         """A scan arrived, with its own stamp in s and the gap to its nearest return in m.
@@ -552,16 +607,19 @@ class AssumptionMonitor:
         has_way = self._way_first < self._way_end
         return self._way[self._way_first % _MAX_WAYS] if has_way else self._moved
 
-    def _braked(self, is_linear: bool, is_angular: bool) -> str:
+    def _braked(self, is_linear: bool, is_angular: bool, is_lateral: bool) -> str:
         """The event of the axes that have just violated their braking."""
         found = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
+        if is_lateral:
+            found.append(self._lateral.evidence)
         return self._reduced("; ".join(found))
 
     def _reduce(self) -> None:
-        linear: _Brake = self._linear
-        angular: _Brake = self._angular
-        brakes = linear.braking / linear.declared, angular.braking / angular.declared
-        self.speed_share = max(min(self._others_share, *brakes), MIN_SHARE)
+        brake: _Brake
+        share: cython.double = self._others_share
+        for brake in self._brakes():
+            share = min(share, brake.braking / brake.declared)
+        self.speed_share = max(share, MIN_SHARE)
 
     def _reduced(self, text: str) -> str:
         self._reduce()

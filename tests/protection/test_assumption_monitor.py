@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
-from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor
+from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor, axis_of
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
@@ -22,6 +24,8 @@ from tests.support.restless_bases import RestlessBases, noisy
 
 BURGER = under_barrier(load_platform("burger"))
 TOP = BURGER.limits.linear
+SLIDES = replace(BURGER, limits=replace(BURGER.limits, lateral=TOP))
+"""A Burger that also moves sideways."""
 Command = Callable[[float], Twist]
 
 
@@ -34,40 +38,56 @@ def turns(time: float) -> Twist:
     return Twist(0.0, 2.0 if time % 3.5 < 2.0 else 0.0)
 
 
+def left_and_right(time: float) -> Twist:
+    """Full speed to the left and to the right in turn, with a stop of 1 s after each."""
+    sign = 1.0 if time % 5.0 < 2.5 else -1.0
+    return Twist(lateral=sign * TOP if time % 2.5 < 1.5 else 0.0)
+
+
 def driven(
     command: Command,
-    braking: Callable[[float], tuple[float, float]],
+    braking: Callable[[float], tuple[float, ...]],
     seconds: float = 12.0,
     *,
     rate: float = 20.0,
     lag: float = 0.0,
     slip: float = 0.02,
     push: Command = lambda time: Twist(),
+    platform: Platform = BURGER,
+    yaw: float = 0.0,
 ) -> tuple[float, list[str]]:
     """The share left after a ride on a free floor, and the events.
 
-    `braking` by time, of a base that responds after 40 ms. Odometry comes with `rate` and `lag`;
-    `push` is added to the speed by others.
+    `braking` by time, of a base that responds after 40 ms: ahead, in turns, and sideways if that
+    differs. Odometry comes with `rate` and `lag`; `push` is added to the speed by others. `yaw` is
+    that of the start.
     """
-    monitor, rng = AssumptionMonitor(BURGER), np.random.default_rng(1)
+    monitor, rng = AssumptionMonitor(platform), np.random.default_rng(1)
     events, coming, line = [], [], [Twist()] * 5
-    v = w = yaw = x = 0.0
+    v = w = u = x = y = 0.0
     for step in range(round(seconds / 0.01)):
         now = 0.01 * step
         if step % 5 == 0:
             events.append(monitor.on_command(command(now)))
             line[-1] = command(now)
         to, line = line[0], [*line[1:], line[-1]]
-        b_v, b_w = braking(now)
+        b_v, b_w, *others = braking(now)
+        b_u = others[0] if others else b_v
         v += min(max(to.linear - v, -0.01 * b_v), 0.01 * (b_v if to.linear < v else 2.5))
         w += min(max(to.angular - w, -0.01 * b_w), 0.01 * (b_w if to.angular < w else 3.2))
+        u_rate = 0.01 * (b_u if abs(to.lateral) < abs(u) else 2.5)
+        u += min(max(to.lateral - u, -u_rate), u_rate)
         extra = push(now)
-        seen = Twist(v + extra.linear, w + extra.angular)
-        x, yaw = x + 0.01 * seen.linear, yaw + 0.01 * seen.angular
+        seen = Twist(v + extra.linear, w + extra.angular, u + extra.lateral)
+        x += 0.01 * (math.cos(yaw) * seen.linear - math.sin(yaw) * seen.lateral)
+        y += 0.01 * (math.sin(yaw) * seen.linear + math.cos(yaw) * seen.lateral)
+        yaw += 0.01 * seen.angular
         if step % round(100 / rate) == 0:
             noisy = 1.0 + slip * rng.standard_normal(2)
-            measured = Twist(seen.linear * noisy[0], seen.angular * noisy[1])
-            coming.append((now + lag, Odometry(now, Pose(x, 0.0, yaw), measured)))
+            measured = Twist(
+                seen.linear * noisy[0], seen.angular * noisy[1], seen.lateral * noisy[0]
+            )
+            coming.append((now + lag, Odometry(now, Pose(x, y, yaw), measured)))
         while coming and coming[0][0] <= now + 1e-9:
             events.append(monitor.on_odometry(coming.pop(0)[1]))
     return monitor.speed_share, [text for text in events if text]
@@ -80,6 +100,36 @@ def test_weak_brakes_reduce_the_speed_by_their_share(command: Command, share: fl
     assert left == pytest.approx(share, rel=0.15)
     assert "braked at" in events[0]
     assert f"speed reduced to {left:.0%}" in events[-1]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.2])
+@pytest.mark.parametrize("share", [0.6, 0.4])
+def test_weak_brakes_sideways_reduce_the_speed_and_are_named(share: float, yaw: float) -> None:
+    left, events = driven(left_and_right, lambda time: (1.0, 3.0, share), platform=SLIDES, yaw=yaw)
+    assert left == pytest.approx(share, rel=0.15)
+    assert [axis_of(text) for text in events] == ["lateral"] * len(events)
+    assert "m/s2 sideways in 3 stops, declared 1.00: speed reduced to" in events[0]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.2])
+@pytest.mark.parametrize(
+    ("command", "braking"),
+    [
+        (left_and_right, (1.0, 3.0, 1.0)),
+        (left_and_right, (0.4, 1.2, 1.0)),  # nothing brakes ahead or turns
+        (to_and_fro, (1.0, 3.0, 0.4)),
+    ],
+)
+def test_each_axis_is_judged_by_its_own_stops(
+    command: Command, braking: tuple[float, ...], yaw: float
+) -> None:
+    ride = driven(command, lambda time: braking, 60.0, platform=SLIDES, yaw=yaw)
+    assert ride == (1.0, [])
+
+
+def test_a_base_that_cannot_move_sideways_is_not_judged_sideways() -> None:
+    """Such a base has no lateral commands; something may push it."""
+    assert driven(left_and_right, lambda time: (1.0, 3.0, 0.4), 60.0) == (1.0, [])
 
 
 def test_event_tells_the_evidence() -> None:
@@ -122,8 +172,45 @@ def test_restless_robots_with_weak_brakes_are_noticed_within_two_minutes(noise: 
     assert min(shares) > 0.5
 
 
-def test_ended_findings_are_raised_again_if_they_persist() -> None:
-    bases = RestlessBases(BURGER, 3, brakes=0.6)
+def shares_brakes() -> Platform:
+    """A base whose tyres alone brake, so that ahead and sideways share 0.8 g."""
+    grip = 0.8 * 9.81
+    barrier = {**SLIDES.protection["barrier"], "braking_linear": grip}
+    return replace(
+        SLIDES,
+        limits=replace(SLIDES.limits, linear=5.0, lateral=5.0),
+        protection={**SLIDES.protection, "barrier": barrier},
+    )
+
+
+@pytest.mark.parametrize("platform", [SLIDES, shares_brakes()], ids=["slides", "shares brakes"])
+@pytest.mark.parametrize(("brakes", "noise", "lag"), [(1.0, 2.0, 0.0), (0.9, 2.5, 0.25)])
+@pytest.mark.parametrize("seconds", part([200.0], [6000.0]))
+def test_restless_bases_that_move_sideways_raise_no_alarm(
+    platform: Platform, brakes: float, noise: float, lag: float, seconds: float
+) -> None:
+    """Nor if a diagonal stop leaves each axis 0.7 of the braking."""
+    bases = RestlessBases(platform, 6, brakes=brakes, noise=noisy(noise), lag=lag, seed=2)
+    assert bases.run(seconds) == []
+
+
+@pytest.mark.parametrize("noise", [1.0, 2.0])
+def test_restless_bases_with_weak_brakes_sideways_are_noticed(noise: float) -> None:
+    bases = RestlessBases(SLIDES, 6, sideways=0.7, noise=noisy(noise), styles=("shuttle",))
+    alarms = bases.run(60.0)
+    assert {(one.row, axis_of(one.text)) for one in alarms} == {(k, "lateral") for k in range(6)}
+    assert all(0.5 < monitor.speed_share < 0.75 for monitor in bases.monitors)
+
+
+@pytest.mark.parametrize(
+    ("platform", "weak"),
+    [(BURGER, {"brakes": 0.6}), (SLIDES, {"sideways": 0.6, "styles": ("shuttle",)})],
+    ids=["burger", "sideways"],
+)
+def test_ended_findings_are_raised_again_if_they_persist(
+    platform: Platform, weak: dict[str, Any]
+) -> None:
+    bases = RestlessBases(platform, 3, **weak)
     bases.run(60.0)
     for monitor in bases.monitors:
         assert any("braked at" in text for text in monitor.findings)
@@ -141,21 +228,23 @@ def test_brakes_as_assumed_are_no_violation(command: Command, rate: float, lag: 
     assert driven(command, lambda time: (1.0, 3.0), 60.0, rate=rate, lag=lag) == (1.0, [])
 
 
-def test_monitor_goes_on_after_the_clock_of_odometry_was_set_back() -> None:
-    """In the middle of a stop."""
-    monitor = AssumptionMonitor(BURGER)
+@pytest.mark.parametrize("yaw", [0.0, -0.5 * math.pi], ids=["ahead", "sideways"])
+def test_monitor_goes_on_after_the_clock_of_odometry_was_set_back(yaw: float) -> None:
+    """In the middle of a stop. All motion is along x of odometry."""
+    monitor, axis = AssumptionMonitor(SLIDES), "lateral" if yaw else "linear"
     for reading in range(20):
-        monitor.on_command(Twist(TOP))
-        monitor.on_odometry(Odometry(100.0 + 0.05 * reading, Pose(0.011 * reading), Twist(TOP)))
+        monitor.on_command(Twist(**{axis: TOP}))
+        pose = Pose(0.011 * reading, 0.0, yaw)
+        monitor.on_odometry(Odometry(100.0 + 0.05 * reading, pose, Twist(**{axis: TOP})))
     monitor.on_command(Twist())
-    monitor.on_odometry(Odometry(1.0, Pose(0.3), Twist(0.1)))
+    monitor.on_odometry(Odometry(1.0, Pose(0.3, 0.0, yaw), Twist(**{axis: 0.1})))
     now, x, speed, texts = 1.0, 0.3, 0.0, []
     for tick in range(800):
         wanted = to_and_fro(0.05 * tick).linear
-        texts.append(monitor.on_command(Twist(wanted)))
+        texts.append(monitor.on_command(Twist(**{axis: wanted})))
         before, speed = speed, speed + min(max(wanted - speed, -0.025), 0.025)
         now, x = now + 0.05, x + 0.025 * (before + speed)
-        texts.append(monitor.on_odometry(Odometry(now, Pose(x), Twist(speed))))
+        texts.append(monitor.on_odometry(Odometry(now, Pose(x, 0.0, yaw), Twist(**{axis: speed}))))
     assert any("braked at 0.5" in text for text in texts)
 
 
@@ -332,18 +421,21 @@ def test_both_axes_are_judged_also_if_they_fail_at_once() -> None:
     assert [("linear" in text, "angular" in text) for text in events if text] == [(True, True)] * 2
 
 
-def test_compiled_and_interpreted_code_measure_the_same() -> None:
+@pytest.mark.parametrize("axis", ["linear", "lateral"])
+def test_compiled_and_interpreted_code_measure_the_same(axis: str) -> None:
     rng, kernel = np.random.default_rng(3), load_kernel("swarmd.protection.assumption_monitor")
-    ones = AssumptionMonitor(BURGER), kernel.AssumptionMonitor(BURGER)
-    x = speed = wanted = 0.0
+    ones = AssumptionMonitor(SLIDES), kernel.AssumptionMonitor(SLIDES)
+    moved = speed = wanted = 0.0
     events = list[list[list[str]]]()
     for step in range(4000):
         if step % 25 == 0:
             wanted = float(rng.choice((0.0, TOP)))
         speed += min(max(wanted - speed, -0.015), 0.1)  # it brakes at a third of what is declared
-        x += 0.05 * speed * float(rng.uniform(0.99, 1.01))
-        odometry = Odometry(0.05 * step, Pose(x), Twist(speed))
-        found = [[one.on_command(Twist(wanted)), one.on_odometry(odometry)] for one in ones]
+        moved += 0.05 * speed * float(rng.uniform(0.99, 1.01))
+        pose = Pose(0.0, moved) if axis == "lateral" else Pose(moved)
+        odometry = Odometry(0.05 * step, pose, Twist(**{axis: speed}))
+        command = Twist(**{axis: wanted})
+        found = [[one.on_command(command), one.on_odometry(odometry)] for one in ones]
         events.append(found)
     assert all(one == other for one, other in events)
     assert any(text for one, _ in events for text in one)

@@ -45,6 +45,7 @@ def noisy(factor: float) -> OdometryNoise:
 class RestlessBases:
     """`count` robots of a platform, whose brakes are a share `brakes` of the declared ones.
 
+    `sideways`: share of the declared brakes of a base that moves sideways; None: as `brakes`.
     `styles` of their commands, in turn. `delay` in s from command to base, `lag` in s from a
     reading to its arrival.
     """
@@ -55,6 +56,7 @@ class RestlessBases:
         count: int,
         *,
         brakes: float = 1.0,
+        sideways: float | None = None,
         noise: OdometryNoise | None = None,
         delay: float = REALISTIC.actuation.delay,
         lag: float = 0.0,
@@ -66,6 +68,8 @@ class RestlessBases:
             **platform.body,
             "linear_acceleration": brakes * barrier["braking_linear"],
             "angular_acceleration": brakes * barrier["braking_angular"],
+            "lateral_acceleration": barrier["braking_linear"]
+            * (brakes if sideways is None else sideways),
         }
         bases = [replace(platform, body=body)] * count
         self._pose, self._velocity, self._force = (np.zeros((count, 3)) for _ in range(3))
@@ -77,11 +81,13 @@ class RestlessBases:
         kernel = load_kernel("swarmd.protection.assumption_monitor")
         self.monitors = [kernel.AssumptionMonitor(platform) for _ in range(count)]
         self._rng = np.random.default_rng(seed)
-        self._top = np.array((platform.limits.linear, platform.limits.angular))
+        limits = platform.limits
+        axes = (limits.linear, limits.angular, limits.lateral)
+        self._top = np.array(axes if limits.lateral > 0.0 else axes[:2])
         self._styles = np.arange(count) % len(styles)
         self._styles = np.array([STYLES.index(style) for style in styles])[self._styles]
         self._until = np.zeros(count)
-        self._goals, self._wanted = np.zeros((count, 2)), np.zeros((count, 2))
+        self._goals, self._wanted = (np.zeros((count, len(self._top))) for _ in range(2))
         self._coming: list[tuple[float, float, Array, Array]] = []
         self._lag, self._step = lag, 0
         self.alarms: list[Alarm] = []
@@ -121,7 +127,7 @@ class RestlessBases:
         count, rng = len(self.monitors), self._rng
         due = now >= self._until
         waits = rng.uniform(0.3, 2.0, count)
-        goals = rng.uniform(-1.0, 1.0, (count, 2)) * self._top
+        goals = rng.uniform(-1.0, 1.0, (count, len(self._top))) * self._top
         goals[rng.random(count) < 0.3] = 0.0
         self._goals[due] = goals[due]
         smooth = self._wanted + 0.25 * (self._goals - self._wanted)
@@ -133,12 +139,12 @@ class RestlessBases:
             elif style == "curves":
                 self._wanted[rows] = np.where(is_zero[:, None], 0.0, smooth)[rows]
             else:
-                way = (1.0, 0.0) if now % 5.0 < 2.5 else (0.0, 1.0)
+                way = np.eye(len(self._top))[int(now / 2.5) % len(self._top)]
                 turn = (np.floor(now / 1.25) % 2.0) * np.sign(np.cos(0.37 * now))
                 self._wanted[rows] = turn * self._top * way
         self._until[due] = now + waits[due]
         commands = np.zeros((count, 3))
-        commands[:, :2] = self._wanted
+        commands[:, : len(self._top)] = self._wanted
         for row, monitor in enumerate(self.monitors):
             commands[row] *= monitor.speed_share
             self._note(row, now, monitor.on_command(Twist(*commands[row].tolist())))
