@@ -7,7 +7,6 @@ too.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -27,6 +26,7 @@ _MIN_RANGE = 0.001
 _NO_INTENSITIES = np.empty(0, dtype=np.float32)
 _UNKNOWN = np.zeros(36)
 _POINT, _FAMILY = "apriltag_msgs/Point", "tag36h11"
+_MAX_DIGITS = 9  # of an int32
 _CORNERS = (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)  # of a tag, in its sides
 
 
@@ -113,10 +113,11 @@ class TagEncoder:
         if key is None or place is None:
             return
         across, side = place
-        digits = re.search(r"\d*$", key if key.isdecimal() else seen.id)
+        name = key if key.isdecimal() else seen.id
+        digits = name[len(name.rstrip("0123456789")) :]
         yield self._tag(
             family=_FAMILY if key.isdecimal() else key,
-            id=int(digits[0] or 0) if digits else 0,
+            id=int(digits[-_MAX_DIGITS:] or 0),
             hamming=0,
             goodness=0.0,
             decision_margin=100.0,

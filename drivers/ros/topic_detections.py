@@ -145,12 +145,14 @@ class TopicDetections:
         return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in sides)
 
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
-        """The column of an object in the image, and its side; None if the image lacks it.
+        """The column of an object in the image, and its side, both in pixels.
 
-        The other direction of `read`, for simulated cameras.
+        None if it is outside the image or has no distance. The other direction of `read`, for
+        simulated cameras.
         """
-        away = seen.distance or 0.0
-        x, y = self.options.at
+        (x, y), away = self.options.at, seen.distance
+        if away is None:
+            return None
         x, y = away * math.cos(seen.bearing) - x, away * math.sin(seen.bearing) - y
         across = wrap(math.atan2(y, x) - math.radians(self.options.bearing_deg))
         width, view = self.options.image_width or 1.0, self.options.field_of_view_deg or 90.0
