@@ -37,10 +37,14 @@ _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
 class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`endpoint`: where the world listens. `radio`: the world carries the patterns' messages."""
+    """`endpoint`: where the world listens. `radio`: the world carries the patterns' messages.
+
+    `detections`: the world sends the objects that the robot recognises.
+    """
 
     endpoint: str = DEFAULT_ENDPOINT
     radio: bool = False
+    detections: bool = False
 
 
 class SimulatedDriver:

@@ -7,21 +7,27 @@ too.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, ScanSpec
+from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, ScanSpec
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.from_ros import twist_message
 from swarmd.drivers.ros.options import RosOptions
+from swarmd.drivers.ros.topic_detections import TAGS, TopicDetections
 
 _MAX_UNEVENNESS = 1e-4  # rad from a bearing to its place among evenly spread ones
 _MAX_MISMATCH = math.radians(0.5)
 _MIN_RANGE = 0.001
 _NO_INTENSITIES = np.empty(0, dtype=np.float32)
 _UNKNOWN = np.zeros(36)
+_POINT, _FAMILY = "apriltag_msgs/Point", "tag36h11"
+_MAX_DIGITS = 9  # of an int32
+_CORNERS = (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)  # of a tag, in its sides
 
 
 class LaserScanEncoder:
@@ -84,6 +90,46 @@ class RangeRingEncoder:
         )
 
 
+class TagEncoder:
+    """Objects as the tags that a camera sees: those whose kind is a value of `kinds`.
+
+    Its key is the number of the tag, or its family; the number is then the one at the end of the
+    object's name, such as 2 of `tb4-02`.
+    """
+
+    def __init__(self, options: RosOptions, entry: TopicDetections) -> None:
+        self.topic, self.message_type = entry.topic, entry.message_type
+        self._entry, types = entry, options.message_types
+        self._tag, self._point = types.kind(f"{TAGS}Detection"), types.kind(_POINT)
+        self._keys = {kind: key for key, kind in reversed(entry.options.kinds.items())}
+
+    def encode(self, found: Sequence[Detection], stamp: float) -> object:
+        """The message, with the tags that have a place in the image."""
+        tags = [one for seen in found for one in self._tags(seen)]
+        return self.message_type(header=header(stamp, "camera"), detections=tags)
+
+    def _tags(self, seen: Detection) -> Iterator[object]:
+        key, place = self._keys.get(seen.kind), self._entry.pixels(seen)
+        if key is None or place is None:
+            return
+        across, side = place
+        name = key if key.isdecimal() else seen.id
+        digits = name[len(name.rstrip("0123456789")) :]
+        yield self._tag(
+            family=_FAMILY if key.isdecimal() else key,
+            id=int(digits[-_MAX_DIGITS:] or 0),
+            hamming=0,
+            goodness=0.0,
+            decision_margin=100.0,
+            centre=self._at(across, 0.0),
+            corners=[self._at(across + x * side, y * side) for x, y in _CORNERS],
+            homography=np.zeros(9),
+        )
+
+    def _at(self, x: float, y: float) -> Any:
+        return self._point(x=x, y=y)
+
+
 def scan_encoders(
     options: RosOptions, platform: Platform
 ) -> dict[str, LaserScanEncoder | RangeRingEncoder]:
@@ -92,6 +138,12 @@ def scan_encoders(
         ring = RangeRingEncoder(options, platform)
         return {"scan": LaserScanEncoder(options, platform), "ranges": ring}
     return {"scan": (RangeRingEncoder if options.ranges else LaserScanEncoder)(options, platform)}
+
+
+def tag_encoders(options: RosOptions) -> tuple[TagEncoder, ...]:
+    """An encoder for each entry of the option `detections` whose messages are tags."""
+    entries = options.topic_detections.values()
+    return tuple(TagEncoder(options, one) for one in entries if one.options.type.startswith(TAGS))
 
 
 def _time_increment(scan: Scan) -> float:

@@ -19,6 +19,9 @@ from swarmd.drivers.ros.topic_readings import Step, Text, path_of, value_at
 OBJECT = "object"
 """The kind of an object whose message names no class."""
 
+TAGS = "apriltag_msgs/AprilTag"
+"""Begins the names of the types of tags."""
+
 Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Kind = Annotated[str, Meta(min_length=1, max_length=MAX_WORD)]
 
@@ -71,9 +74,7 @@ _LAYOUTS = {
     "vision_msgs/Detection3DArray": _Layout(
         _CLASSES, _IDS, ("bbox.center.position",), is_image=False
     ),
-    "apriltag_msgs/AprilTagDetectionArray": _Layout(
-        ("family",), ("id",), ("centre",), corners=("corners",)
-    ),
+    f"{TAGS}DetectionArray": _Layout(("family",), ("id",), ("centre",), corners=("corners",)),
 }
 
 
@@ -142,6 +143,24 @@ class TopicDetections:
         # A tag that is turned away is narrower, not lower: its longest side counts.
         sides = zip(corners, [*corners[1:], corners[0]], strict=True)
         return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in sides)
+
+    def pixels(self, seen: Detection) -> tuple[float, float] | None:
+        """The column of an object in the image, and its side, both in pixels.
+
+        None if it is outside the image or has no distance. The other direction of `read`, for
+        simulated cameras.
+        """
+        (x, y), away = self.options.at, seen.distance
+        if away is None:
+            return None
+        x, y = away * math.cos(seen.bearing) - x, away * math.sin(seen.bearing) - y
+        across = wrap(math.atan2(y, x) - math.radians(self.options.bearing_deg))
+        width, view = self.options.image_width or 1.0, self.options.field_of_view_deg or 90.0
+        if abs(across) > math.radians(0.5 * view):
+            return None
+        depth = max(math.hypot(x, y) * math.cos(across), 1e-3)
+        focal = _focal(width, view)
+        return 0.5 * width - focal * math.tan(across), focal * (self.options.size or 0.1) / depth
 
     @staticmethod
     def _word(item: Any, path: tuple[Step, ...] | None) -> str:

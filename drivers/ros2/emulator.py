@@ -9,18 +9,18 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import zenoh
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import Detection, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
-from swarmd.drivers.ros.to_ros import odometry_message, scan_encoders
+from swarmd.drivers.ros.to_ros import odometry_message, scan_encoders, tag_encoders
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
@@ -95,6 +95,10 @@ class EmulatedRobots:
         """Publish the readings of the option `readings` as `std_msgs/Float64`."""
         self._robots[robot].readings(values)
 
+    def detections(self, robot: str, found: Sequence[Detection]) -> None:
+        """Publish the tags of the option `detections`, as an `AprilTagDetectionArray` an entry."""
+        self._robots[robot].detections(found)
+
     def close(self) -> None:
         """End the session."""
         self._hub.close()
@@ -148,6 +152,11 @@ class _Robot:
             for one in readings.values()
         ]
         self._odometry = published.index(odometry)
+        self._tags, self._first_tags, self._stamp = tag_encoders(options), len(published), 0.0
+        published += [
+            TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=True, depth=1)
+            for one in self._tags
+        ]
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]
@@ -160,12 +169,17 @@ class _Robot:
             self._put(index, message)
 
     def odometry(self, odometry: Odometry) -> None:
+        self._stamp = odometry.stamp
         self._put(self._odometry, odometry_message(odometry))
 
     def readings(self, values: Mapping[str, float]) -> None:
         for name, index in self._readings.items():
             if name in values:
                 self._put(index, ros.Float64(values[name]))
+
+    def detections(self, found: Sequence[Detection]) -> None:
+        for index, encoder in enumerate(self._tags, self._first_tags):
+            self._put(index, encoder.encode(found, self._stamp))
 
     def _put(self, index: int, message: object) -> None:
         attachment = self._scheme.attachment(self._tokens[index])

@@ -33,6 +33,7 @@ from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.live_scenario import SCENARIO_FILE, LiveScenario
 from swarmd.sim.live.state import WorldOptions
+from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.radio import RadioSettings
 
 WORLD = "world"
@@ -234,7 +235,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "profile": "dev",
         "platform": platform,
         "driver": ready.driver,
-        "driver_options": dict(ready.driver_options),
+        "driver_options": {**ready.driver_options, **_detections(spec, robot)},
         "state_dir": str((spec.folder / "state").absolute()),
     }
     if spec.scenario is not None:
@@ -245,6 +246,15 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
     if spec.plugin_dir is not None:
         config["plugin_dir"] = str(spec.plugin_dir.absolute())
     return config
+
+
+def _detections(spec: FleetSpec, robot: str) -> dict[str, bool]:
+    """The option of driver `simulated`: the world sends what the robot recognises."""
+    if spec.emulator is not None:
+        return {}
+    name, live = spec.robots[robot], spec.scenario
+    platform = load_platform(name) if live is None else live.scenario.robots[robot]
+    return {DETECTIONS: True} if DETECTIONS in platform.sensors else {}
 
 
 def started_at() -> float:

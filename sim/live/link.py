@@ -329,8 +329,8 @@ class EmulatorTransport:
         self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
     def send(self, robot: str, name: str, value: Any) -> None:
-        """Publish a measurement; emulated robots publish scan, ring, odometry and readings."""
-        if name in ("scan", "ranges", "odometry", "readings"):
+        """Publish a measurement; emulated robots publish no neighbors and no shared pose."""
+        if name in ("scan", "ranges", "odometry", "readings", "detections"):
             getattr(self.side, name)(robot, value)
 
     def take_commands(self) -> Mapping[str, Command]:

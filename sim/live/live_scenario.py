@@ -13,6 +13,7 @@ import yaml
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform
 from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import configured
 
@@ -55,7 +56,7 @@ class LiveScenario:
         own = configured(platform, self.scenario.realism)
         scan, ring = own.scan, own.ranges
         file = dict(self.scenario.effective["platforms"][platform.name])
-        file["provides"] = sorted(platform.provides)
+        file["provides"] = sorted(platform.provides - {DETECTIONS})  # the driver's options give it
         file["scan"] = {**file["scan"], "noisy": scan.is_noisy}
         if scan.sweep is None:
             file["scan"]["sweep"] = None

@@ -342,8 +342,7 @@ class Lockstep:
         for shell in self._present(self._readings_due.due(now)):
             if world.has_readings:
                 shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
-            if (found := world.detections(shell.row)) is not None:
-                shell.step(events.DetectionsInput(found), now)
+            shell.recognise(world, now)
             if "pose" in self._platforms[shell.row].provides:
                 shell.step(events.PoseInput(world.shared_pose(shell.row, now)), now)
 

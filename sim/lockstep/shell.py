@@ -7,7 +7,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmd.core.events import DriverInput, HostInput, Input, RequestInput, ScanInput
+from swarmd.core.events import (
+    DetectionsInput,
+    DriverInput,
+    HostInput,
+    Input,
+    RequestInput,
+    ScanInput,
+)
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply
 from swarmd.core.values import Scan
@@ -18,6 +25,8 @@ from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
+from swarmd.sim.world.detector import DETECTIONS
+from swarmd.sim.world.world import World
 
 if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
@@ -34,6 +43,7 @@ class RobotShell:
         self.decided = 0
         self.evaded = 0
         self._outputs = outputs
+        self._has_detections = False
         self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.step(DriverInput(True, "simulated"), now)
 
@@ -51,6 +61,13 @@ class RobotShell:
         self.replies.clear()
         self.step(RequestInput(request), now)
         return next((reply for reply in self.replies if reply.id == request.id), None)
+
+    def recognise(self, world: World, now: float) -> None:
+        """Take what the robot recognises, if its pattern needs that: it costs a third of a run."""
+        found = world.detections(self.row) if DETECTIONS in self._runner.needs else None
+        if found is not None or self._has_detections:
+            self._has_detections = found is not None
+            self.step(DetectionsInput(found), now)
 
     def step(self, input: Input, now: float) -> None:
         """Hand an input to the robot, and carry out what follows."""

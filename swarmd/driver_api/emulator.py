@@ -6,10 +6,10 @@ An emulator lives beside its driver and is found under the driver's name in the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
-from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import Detection, Odometry, Platform, Scan, Twist, Value
 
 OnCommand = Callable[[str, Twist], None]
 """Takes a robot's id and its command; called on a thread of the network's."""
@@ -36,6 +36,9 @@ class Emulator(Protocol):
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
         """Publish those readings that the robot's driver reads from topics; never blocks."""
+
+    def detections(self, robot: str, found: Sequence[Detection]) -> None:
+        """Publish the objects that the robot's driver reads as tags of a camera; never blocks."""
 
     def close(self) -> None:
         """Close all connections."""

@@ -39,6 +39,11 @@ class PatternExecutor:
         self._until: UntilConditions | None = None
         self._scan: Scan | None = None  # of the last step
 
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the pattern needs, with its parts; empty without a pattern."""
+        return frozenset() if self._assembled is None else self._assembled.pattern.needs
+
     def handle(self, command: host_messages.SentCommand) -> host_messages.SentEvent | None:
         """Carry a command out; None if it belongs to another generation."""
         is_current = self._load is not None and command.generation == self._load.generation

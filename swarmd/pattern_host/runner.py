@@ -54,6 +54,11 @@ class InlineRunner:
         self._make_executor = make_executor
         self._executor = make_executor()
 
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the pattern needs, with its parts; empty without a pattern."""
+        return self._executor.needs
+
     def send(self, command: host_messages.HostCommand) -> host_messages.HostEvent | None:
         """Carry the command out; the event that follows, if one does."""
         if isinstance(command, host_messages.Step):  # as most are

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.core.values import Inputs, TouchZone, Twist
+from swarmd.core.values import Detection, Inputs, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch import effective_zone
 from swarmd.pattern_host.loader import PatternLoader
@@ -28,6 +28,10 @@ BURGER = load_platform("burger")
 def load(name: str) -> type[Pattern[Any]]:
     origin = find_pattern(name, EXAMPLES)
     return PatternLoader({name: (origin.value, origin.is_file)})(name)
+
+
+class TestApproachTag(PatternContract):
+    pattern = load("approach_tag")
 
 
 class TestBeeclust(PatternContract):
@@ -57,6 +61,46 @@ def test_a_walk_waits_at_a_meeting_the_longer_the_warmer(temperature: float, sec
         states.append(pattern.step(Inputs(float(k), 1.0, scan, readings=readings)).report["state"])
     assert states.count("wait") == seconds
     assert states[:seconds] == ["wait"] * seconds
+
+
+@pytest.mark.parametrize(
+    ("found", "twist"),
+    [
+        ((), Twist(angular=0.5)),
+        ((Detection("robot", 0.0, 1.0),), Twist(angular=0.5)),
+        ((Detection("box", 0.5, 2.0), Detection("box", 0.0, 3.0)), Twist(0.05, 0.5)),
+        ((Detection("box", 2.0, 2.0),), Twist(angular=2.0)),
+        ((Detection("box", 0.1, 0.7),), Twist()),
+    ],
+)
+def test_a_robot_drives_to_the_nearest_tag_and_stops(
+    found: tuple[Detection, ...], twist: Twist
+) -> None:
+    pattern = Subject(
+        load("approach_tag"),
+        TestApproachTag.subject("burger").platform,
+        {"speed": 0.1, "kind": "box"},
+    )
+    inputs = Inputs(0.0, 0.0, scan_of(BURGER), detections=found)
+    assert pattern.make().step(inputs).twist == twist
+
+
+def test_a_turtlebot4_drives_to_the_tag_that_its_camera_recognises() -> None:
+    box = {"name": "crate", "at": [1.0, 0.5], "size": [0.3, 0.3], "mass": 5.0}
+    group = {
+        "platform": "turtlebot4",
+        "count": 1,
+        "pattern": "approach_tag",
+        "parameters": {"kind": "box"},
+    }
+    data = {
+        "duration": 20,
+        "arena": {"size": [5.0, 5.0], "boxes": [box]},
+        "groups": {"all": {**group, "start": {"layout": "list", "poses": [[-1.5, 0.0, 2.0]]}}},
+    }
+    trace = simulate_run(scenario_of({**data, "plugin_dir": str(EXAMPLES)}), 0)
+    assert math.dist(trace.pose[-1, 0, :2], box["at"]) == pytest.approx(0.8, abs=0.1)
+    assert not len(trace.contact_t)
 
 
 def test_the_grant_in_the_docstring_of_push_covers_its_zone() -> None:

@@ -7,6 +7,7 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError, NetworkError
-from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist, Value
+from swarmd.core.values import Detection, Odometry, Platform, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 from swarmd.driver_api.emulator import Emulator
 from swarmd.drivers.ros import cdr, messages
@@ -33,6 +34,7 @@ from tests.drivers.ros2.robots import HASHES
 from tests.support import ros2_types as dds
 from tests.support.processes import wait_until
 from tests.support.range_ring import RING_DEG, ring_spec, with_ring
+from tests.support.vendor_messages import detections_folder
 
 ANY_PORT = "tcp/127.0.0.1:0"
 BURGER = load_platform("burger")
@@ -274,6 +276,51 @@ def test_readings_of_the_platform_reach_the_driver_by_topics(scheme: str) -> Non
         asyncio.run(story())
     finally:
         stage.side.close()
+
+
+@pytest.mark.parametrize("scheme", ["ros2dds", "rmw_zenoh"])
+def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
+    scheme: str, tmp_path: Path
+) -> None:
+    tags: dict[str, Value] = {
+        "topic": "detections",
+        "type": "apriltag_msgs/AprilTagDetectionArray",
+        "at": [-0.06, 0.02],
+        "bearing_deg": 10.0,
+        "image_width": 1280,
+        "field_of_view_deg": 63.0,
+        "size": 0.1,
+        "kinds": {"tag36h11": "robot", "7": "box"},
+    }
+    own = {"message_path": str(detections_folder(tmp_path)), "detections": {"tags": tags}}
+    platform = replace(BURGER, drivers={scheme: {**BURGER.drivers[scheme], **own}})
+    stage, sink = Stage(scheme, platform), CollectingSink()
+    seen = [Detection("robot", 0.3, 1.5, "r-02"), Detection("box", -0.2, 2.0, "crate")]
+    unseen = [Detection("lamp", 0.0, 2.0, "light"), Detection("box", 1.2, 2.0, "crate")]
+
+    async def story() -> None:
+        task = asyncio.create_task(stage.driver("r-1").run(sink))
+        async with asyncio.timeout(TIMEOUT):
+            count = 0
+            while not (sink.recognised and sink.recognised[-1]):
+                count += 1
+                stage.side.scan("r-1", varied_scan(BURGER, count))
+                stage.side.odometry("r-1", odometry(count))
+                stage.side.detections("r-1", [*seen, *unseen])
+                stage.side.detections("r-2", unseen)
+                await asyncio.sleep(0.02)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+    try:
+        asyncio.run(story())
+    finally:
+        stage.side.close()
+    found = sink.recognised[-1] or ()
+    assert [(one.kind, one.id) for one in found] == [("robot", "2"), ("box", "7")]
+    for one, original in zip(found, seen, strict=True):
+        assert one.bearing == pytest.approx(original.bearing, abs=1e-6)
+        assert one.distance == pytest.approx(original.distance, abs=1e-6)
 
 
 def test_an_emulated_ring_arrives_beside_the_scan() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
 import signal
 from collections.abc import Iterator, Mapping
@@ -24,7 +26,9 @@ from swarmd.sim.live.state import WorldState
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import children, unique_swarm, wait_until, watchdogs
+from tests.support.vendor_messages import detections_folder
 
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 LINKED = 0.8
 """Metres between the middles of two robots of one group; the nearest are 1.1 m apart at first."""
 TOLERANCE = 0.30
@@ -50,7 +54,7 @@ class Show:
         self.spec, self.fleet, self.operator = spec, fleet, operator
         self._watch = WorldWatcher(view)
 
-    def run(self, pattern: str, **params: float) -> None:
+    def run(self, pattern: str, **params: Value) -> None:
         robots = tuple(self.spec.robots)
         epochs = self.operator.members().epochs(robots)
         outcome = self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
@@ -178,19 +182,34 @@ def test_the_watchdog_stops_a_base_without_command_timeout(emulator: str, tmp_pa
 @pytest.mark.integration
 @pytest.mark.timeout(600)
 def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_path: Path) -> None:
-    """As Jazzy has it: commands are TwistStamped; the floor is read at four places of the robot."""
+    """As Jazzy has it: commands are TwistStamped; the floor is read at four places of the robot.
+
+    Its camera's tags arrive as an AprilTagDetectionArray, with which it drives to the box.
+    """
+    tags = {
+        "topic": "detections",
+        "type": "apriltag_msgs/AprilTagDetectionArray",
+        "at": [-0.06, 0.0],
+        "image_width": 1280,
+        "field_of_view_deg": 63,
+        "size": 0.1,
+        "kinds": {"7": "box"},
+    }
+    camera = {"message_path": str(detections_folder(tmp_path)), "detections": {"tags": tags}}
+    driver = json.dumps({"cmd_vel_type": "twist_stamped", **camera})
     file = tmp_path / "tiles.yaml"
     file.write_text(
         "description: a TurtleBot on tiles\n"
         "duration: 60\n"
-        "arena: {size: [5, 5]}\n"
+        "arena: {size: [5, 5], boxes: [{name: crate, at: [1, 0.5], size: [0.3, 0.3], mass: 5}]}\n"
         "fields:\n"
         "  - kind: floor\n"
         "    name: ground\n"
         "    patches: [{rectangle: [0, 0, 5, 5], tiles: 0.3, share: 0.6, colour: 0, seed: 1}]\n"
         "platforms:\n"
-        "  tb4: {extends: turtlebot4, drivers: {ros2dds: {cmd_vel_type: twist_stamped}}}\n"
+        f"  tb4: {{extends: turtlebot4, drivers: {{ros2dds: {driver}}}}}\n"
         "groups: {all: {platform: tb4, count: 1, prefix: tb4, pattern: random_walk}}\n"
+        "start: {layout: list, poses: [[-1, 0, 2]]}\n"
     )
     scenario = load_scenario(file)
     spec = FleetSpec(
@@ -201,8 +220,11 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
         layout="",
         emulator="ros2dds",
         scenario=LiveScenario(scenario),
+        plugin_dir=EXAMPLES,
     )
     with on(spec) as show:
+        show.run("approach_tag", kind="box")
+        wait_until(lambda: math.dist(show.state().poses[0][:2], (1.0, 0.5)) < 0.9, "it is there")
         for pattern in ("policy", "random_walk", "attraction", "collective_perception"):
             show.run(pattern)
             wait_until(lambda: show.is_moving(0), f"{pattern} drives")

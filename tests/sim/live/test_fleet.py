@@ -11,12 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+import yaml
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.pattern_host.worker import NICE
+from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
 from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import children, unique_swarm, wait_until
@@ -74,7 +76,11 @@ def test_robots_are_named_by_their_platform(platform: str, ids: tuple[str, ...])
     assert robot_ids(platform, 2) == ids
 
 
-def test_options_of_the_world_and_of_daemons(tmp_path: Path) -> None:
+def test_options_of_the_world_and_of_daemons(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.yaml").write_text("extends: turtlebot4\n")
     spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"}, seconds=3.0, seed=4)
     world = world_options(spec)
     assert (world.robots, world.seconds, world.seed) == (spec.robots, 3.0, 4)
@@ -83,6 +89,11 @@ def test_options_of_the_world_and_of_daemons(tmp_path: Path) -> None:
     assert Path(str(own["state_dir"])).is_relative_to(tmp_path)  # its latches stay there
     assert own["platform"] == str(Path.cwd() / "own.yaml")
     assert shipped["platform"] == "burger"
+    assert own["driver_options"] == {**READY.driver_options, "detections": True}
+    assert shipped["driver_options"] == READY.driver_options
+    path = tmp_path / "a.yaml"
+    path.write_text(yaml.safe_dump(own))
+    assert "detections" in load_daemon_settings(path, {}, {}).platform.provides
 
 
 def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:

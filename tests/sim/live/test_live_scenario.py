@@ -28,7 +28,11 @@ duration: 4
 arena: {size: [8, 8], boxes: [{at: [2, 2], size: [0.5, 0.5]}]}
 radio: {loss: 0.5, delay: 0.05, range_and_bearing: true}
 fields: [{kind: linear, name: light, slope: 1.0, base: 5.0}]
-platforms: {slow: {extends: burger, limits: {linear: 0.1}}}
+platforms:
+  slow:
+    extends: burger
+    limits: {linear: 0.1}
+    sensors: {detections: [{at: [0, 0], field_of_view_deg: 60, range: 3}]}
 parameters: {random_walk: {speed: 0.08}}
 groups:
   a: {platform: slow, count: 2, pattern: climb, parameters: {gain: 2.0}, start: {layout: random}}

@@ -18,6 +18,7 @@ from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.world import World
 
 RANDOM = {
     "duration": 3.0,
@@ -337,6 +338,19 @@ def test_detections_reach_a_pattern_that_needs_them(tmp_path: Path) -> None:
     trace = simulate_run(scenario(groups={"all": group}, plugin_dir=str(tmp_path)), 0)
     assert trace.report["count"][-1].tolist() == [1.0, 1.0]
     assert trace.words["kinds"][-1].tolist() == ["robot", "robot"]
+
+
+def test_what_robots_recognise_is_computed_for_a_pattern_that_needs_it_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(World, "detections", lambda self, row: asked.append(row))
+    walkers = {"count": 2, "platform": "turtlebot4", "pattern": "random_walk"}
+    Lockstep(scenario(groups={"a": walkers}), 0).advance(1.0)
+    assert not asked
+    pushers = {**walkers, "pattern": "cooperative_transport"}
+    Lockstep(scenario(groups={"a": walkers, "b": pushers}), 0).advance(1.0)
+    assert set(asked) == {2, 3}
 
 
 def test_a_ring_reaches_protection_and_patterns(tmp_path: Path) -> None:
