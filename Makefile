@@ -21,9 +21,10 @@ LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
 # Not $(MAKE), which `make -n` would run, too.
 REST := env -u MAKEFLAGS make --no-print-directory
 ARGS ?=
-# Test files at a time; four for two cores: with six, daemons on slow cores stall for more than 1 s, which
-# refuses their runs. 0: one after the other, in this process.
-JOBS ?= 4
+# Test files at a time. Five for two cores: at most four have integration tests, since with six of these
+# daemons on slow cores stall for more than 1 s, which refuses their runs; the fifth computes
+# (tests/support/scheduling.py). 0: one after the other, in this process.
+JOBS ?= 5
 
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
@@ -88,16 +89,22 @@ archive: wheels
 	@for machine in x86_64 aarch64; do \
 	  $(BIN)/python .ci/build-archive $$machine dist/swarmd-*_$$machine.whl $(ARGS) || exit 1; done
 
-# Compiled first, and collected once: hundreds of processes would each compile what was edited, where
-# PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else), and
-# each worker all test files (26 s of CPU, and 12 s else). 50: the slowest tests that are shown.
-test: export PYTHONDONTWRITEBYTECODE =
+# Compiled first: hundreds of processes would each compile what was edited, where
+# PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
+# slowest tests that are shown.
+test $(VENV)/collected: export PYTHONDONTWRITEBYTECODE =
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
 test: export OPENBLAS_NUM_THREADS = 1
-test: kernels
+test: kernels $(if $(ARGS),,$(VENV)/collected)
 	@$(COMPILE) tests
-	@$(BIN)/python -m pytest --collect-only -qq $(ARGS) >/dev/null || true
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --durations 50 $(ARGS)
+
+# Collected once after an edit of tests: else each worker compiles all files with their assertions (15 s
+# of CPU, and 7 s without).
+$(VENV)/collected: $(VENV)/tools $(shell find tests -name '*.py')
+	@$(COMPILE) tests
+	@$(BIN)/python -m pytest --collect-only -qq >/dev/null || true
+	@touch $@
 
 # The tests marked `evidence` and all examples of the property tests, then every study with its
 # usual seeds.

@@ -20,10 +20,11 @@ from hypothesis import Phase, settings
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
+from tests.support.scheduling import MixedScheduling, give_way
 
-# A machine may be busy: how long an example takes is no property. A property test draws a quarter
+# A machine may be busy: how long an example takes is no property. A property test draws an eighth
 # of its examples in `make test`, other ones each time, and all of them in `make evidence`.
-settings.register_profile("test", deadline=None, max_examples=FULL // 4)
+settings.register_profile("test", deadline=None, max_examples=FULL // 8)
 settings.register_profile("evidence", deadline=None, max_examples=FULL)
 # Whether a mechanism is missing shows soon; which example shows it best does not matter.
 settings.register_profile(
@@ -36,8 +37,15 @@ settings.register_profile(
 settings.load_profile("test")
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | None:
+    """Deal out files that wait beside files that compute, for `--dist loadfile`."""
+    return MixedScheduling(config, log) if config.option.dist == "loadfile" else None
+
+
 def pytest_configure() -> None:
     """Give processes that tests start the usual signals: a shell's background jobs ignore some."""
+    give_way()
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             usual = signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL
@@ -60,35 +68,48 @@ def pytest_unconfigure() -> None:
 CONTRACT_PLATFORMS = {"waffle_pi", "epuck2"}
 
 
-def _is_long_contract(item: pytest.Item) -> bool:
-    """Whether a test of PatternContract runs on a platform that is left to `make evidence`.
+@pytest.hookimpl(wrapper=True)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> Iterator[None]:
+    """Leave tests of PatternContract on other platforms than CONTRACT_PLATFORMS to `make evidence`.
 
-    A class that names its platforms runs on each of them.
+    A class that names its platforms runs on each of them. `make test` does not even make the
+    others, which were half of all tests.
     """
-    kind, call = getattr(item, "cls", None), getattr(item, "callspec", None)
-    if call is None or kind is None or not issubclass(kind, PatternContract) or kind.platforms:
-        return False
-    return call.id not in CONTRACT_PLATFORMS and "subject" in call.params
+    yield
+    kind = metafunc.cls
+    if kind is None or not issubclass(kind, PatternContract) or kind.platforms:
+        return
+    if "subject" in metafunc.fixturenames:
+        calls = metafunc._calls
+        metafunc._calls = [one for one in calls if one.id in CONTRACT_PLATFORMS]
+        if _wants_evidence(metafunc.config):
+            long = [one for one in calls if one.id not in CONTRACT_PLATFORMS]
+            for call in long:
+                call.marks.append(pytest.mark.evidence.mark)
+            metafunc._calls += long
+
+
+def _wants_evidence(config: pytest.Config) -> bool:
+    """Whether `-m` or a test's id asks for tests marked `evidence`."""
+    return "evidence" in config.option.markexpr or any("::" in one for one in config.args)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Deselect tests marked `evidence` unless `-m` or a test's id asks for them; long files first.
 
-    A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`. Files with
-    integration tests and studies start first, so that no worker ends long after the others.
+    A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`. Files that
+    take long start first, so that no worker ends long after the others.
     """
-    for item in items:
-        if _is_long_contract(item):
-            item.add_marker("evidence")
-    is_named = any("::" in argument for argument in config.args)
-    if "evidence" not in config.option.markexpr and not is_named:
+    if not _wants_evidence(config):
         evidence = [item for item in items if item.get_closest_marker("evidence")]
         config.hook.pytest_deselected(items=evidence)
         items[:] = [item for item in items if not item.get_closest_marker("evidence")]
     long = {item.path for item in items if item.get_closest_marker("integration")}
-    long |= {item.path for item in items if "studies" in item.path.parts}
+    long |= {item.path for item in items if LONG_FOLDERS & {*item.path.parts}}
     items.sort(key=lambda item: item.path not in long)
 
+
+LONG_FOLDERS = {"protection", "sim", "studies"}
 
 # CPU time so far, and what was spent since the last report, by what it was spent on.
 CPU_TIME = pytest.StashKey[float]()

@@ -371,7 +371,7 @@ def test_standing_obstacles_are_never_touched(kind: str, seed: int) -> None:
     assert done.touch is None
 
 
-@pytest.mark.parametrize("seed", part(range(5), range(5, 10)))
+@pytest.mark.parametrize("seed", part(range(2), range(2, 10)))
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
 def test_obstacles_at_the_assumed_speed_are_not_closed_on(kind: str, seed: int) -> None:
     """Not for a Jackal, which does not see obstacles within 0.8 m."""

@@ -92,7 +92,7 @@ from swarmd.sim.view.trace_source import source_of
 
 assert len(load_results(Path("runs")).rows) == 2
 assert source_of(Path("runs"))
-exp(["report", "runs"])
+exp(["report", "runs", "--metrics", "minimum_gap"])
 """
 SCENARIO = """\
 description: "Two Burgers"

@@ -11,6 +11,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from unittest import mock
 
@@ -206,6 +207,7 @@ def watchdogs(swarm: str, robot: str) -> list[int]:
     return sorted(pid for pid in found if is_running(pid))
 
 
+@cache
 def has_landlock() -> bool:
     """Whether the kernel can confine a process to files."""
     done = subprocess.run(

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import time
 import xmlrpc.client
+from functools import cache
 from pathlib import Path
 
 from swarmd.testing.driver_contract import is_running
@@ -18,6 +19,7 @@ PYTHON = "/usr/bin/python3"
 """Debian's packages of ROS work with this interpreter alone."""
 
 
+@cache
 def why_no_ros1() -> str:
     """What a test that needs ROS 1 lacks here; empty if nothing."""
     if shutil.which("roscore") is None:

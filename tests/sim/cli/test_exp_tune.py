@@ -20,7 +20,7 @@ from tests.sim.conftest import MAIN, Refusal, Swarmctl, write_duo
 from tests.support.processes import children, wait_until
 
 SMALL = ("--metric", "path_length:max", "--param", "speed=0.05..0.2", "--set", "duration=0.3")
-SIZE = ("--budget", 8, "--seeds", 2, "--candidates", 2, "--held-out", 2, "-j", 2)
+SIZE = ("--budget", 4, "--seeds", 2, "--candidates", 2, "--held-out", 2, "-j", 2)
 
 
 def walls(folder: Path) -> dict[str, float]:
@@ -51,7 +51,7 @@ def test_a_killed_tuning_continues_with_the_same_command(
     serial = tune(
         duo,
         "path_length:max",
-        budget=8,
+        budget=4,
         seeds=2,
         candidates=2,
         held_out=2,

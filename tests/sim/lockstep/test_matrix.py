@@ -12,11 +12,11 @@ from swarmd.plugins import installed_patterns
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from tests.support.examples import part
 
 OURS = [n for n, one in installed_patterns().items() if one.value.startswith("swarmd.patterns.")]
 OF_THE_RADIO = {"neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading"}
 APART = 6.0
-SECONDS = 3.0
 
 
 @pytest.fixture(scope="module")
@@ -31,12 +31,13 @@ def test_every_platform_can_run_most_patterns(needs: Mapping[str, frozenset[str]
     assert all(len(_fitting(needs, platform)) >= 10 for platform in platform_names())
 
 
+@pytest.mark.parametrize("seconds", part([1.0], [3.0]))
 @pytest.mark.parametrize("platform", platform_names())
 def test_every_pattern_runs_on_a_platform_that_has_its_needs(
-    platform: str, needs: Mapping[str, frozenset[str]]
+    platform: str, seconds: float, needs: Mapping[str, frozenset[str]]
 ) -> None:
     names = _fitting(needs, platform)
-    trace = simulate_run(scenario_of(_scenario(names, platform, needs)), 0)
+    trace = simulate_run(scenario_of(_scenario(names, platform, seconds, needs)), 0)
     ran = {robot: name for name in names for robot in (f"{_group(name)}-01", f"{_group(name)}-02")}
     assert set(trace.ids) == set(ran)
     assert trace.state is not None
@@ -59,14 +60,14 @@ def _group(pattern: str) -> str:
 
 
 def _scenario(
-    names: list[str], platform: str, needs: Mapping[str, frozenset[str]]
+    names: list[str], platform: str, seconds: float, needs: Mapping[str, frozenset[str]]
 ) -> dict[str, Any]:
     """Two robots of each pattern, each pair far from the others."""
     words = {word for name in names for word in needs[name]}
     readings = sorted(word.removeprefix("reading:") for word in words if ":" in word)
     side = APART * len(names)
     return {
-        "duration": SECONDS,
+        "duration": seconds,
         "arena": {"size": [side, APART]},
         "fields": [{"kind": "uniform", "name": name, "value": 1.0} for name in readings],
         "radio": {"range_and_bearing": True},

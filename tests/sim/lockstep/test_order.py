@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import binomtest, chisquare
 
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
@@ -133,6 +132,8 @@ def test_an_opinion_wins_as_often_as_the_exact_chain_has_it(
     name: str, place: str, runs: int
 ) -> None:
     """Its robot has the first name and the first line of the file, or the last ones."""
+    from scipy.stats import binomtest  # a second of each worker, if it stood at the top
+
     graph = GRAPHS[name]
     n = len(graph.places)
     ranks = range(n) if place == "first" else range(n - 1, -1, -1)
@@ -297,6 +298,8 @@ def farthest(data: Mapping[str, Any], seed: int) -> int:
 @pytest.mark.parametrize(("pattern", "side"), [("attraction", 2.0), ("dispersion", 0.7)])
 def test_equal_robots_move_the_farthest_equally_often(pattern: str, side: float, runs: int) -> None:
     """Four robots at the corners of a square, each with its heading towards the next corner."""
+    from scipy.stats import chisquare
+
     half = side / 2.0
     poses = [[-half, -half, 0.0], [half, -half, 90.0], [half, half, 180.0], [-half, half, -90.0]]
     data = {

@@ -1,0 +1,60 @@
+"""Which worker of pytest-xdist runs which test file: files that wait beside files that compute."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
+
+_NICE = 10
+"""A file that computes leaves the processor to the daemons of the others."""
+
+
+class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
+    """One file at a time for each worker, and one of three workers for files that compute.
+
+    Tests marked `integration` wait for processes most of their time. Together, before the other
+    files, they left half of the processors idle; more of them at once make daemons stall. So the
+    workers that `computes` names take the other files from the first second on, at a lower
+    priority, and end when none is left. The others begin with the files that wait.
+    """
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        for_computing = computes(node.gateway.id, self.numnodes)
+        fitting = [one for one in self.workqueue if self._waits(one) != for_computing]
+        if not fitting and for_computing:
+            node.shutdown()
+            return
+        self.workqueue.move_to_end((fitting or [*self.workqueue])[0], last=False)
+        super()._assign_work_unit(node)
+
+    def _waits(self, scope: str) -> bool:
+        """Whether a file has tests of the layer `integration`."""
+        if scope not in self._found:
+            file: Path = self.config.rootpath / scope
+            self._found[scope] = "pytest.mark.integration" in file.read_text()
+        return self._found[scope]
+
+    def __init__(self, config: pytest.Config, log: object = None) -> None:
+        super().__init__(config, log)
+        self._found: dict[str, bool] = {}
+
+
+def computes(worker: str, workers: int) -> bool:
+    """Whether a worker, such as gw5, takes files that compute alone: the last third of them.
+
+    One that replaces a worker that crashed has a higher number, and takes any file.
+    """
+    number = int(re.sub(r"\D", "", worker) or 0)
+    return workers - workers // 3 <= number < workers
+
+
+def give_way() -> None:
+    """Lower the priority of this process if it is a worker for files that compute."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0))
+    if computes(os.environ.get("PYTEST_XDIST_WORKER", ""), workers):
+        os.nice(_NICE)

@@ -1,0 +1,84 @@
+"""Files of tests are dealt out to workers: who waits, who computes, and each file once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.support.scheduling import MixedScheduling, computes
+
+WAITING, COMPUTING = ("w0", "w1", "w2"), ("c0", "c1", "c2", "c3")
+
+
+class Worker:
+    """A worker that does a file as soon as it has it."""
+
+    def __init__(self, name: str) -> None:
+        self.gateway = SimpleNamespace(id=name)
+        self.files: list[str] = []
+        self.shutting_down = False
+        self._todo: list[int] = []
+
+    def send_runtest_some(self, indices: list[int]) -> None:
+        self._todo += indices
+
+    def shutdown(self) -> None:
+        self.shutting_down = True
+
+    def do(self, scheduling: Any, tests: list[str]) -> bool:
+        """Do what it has; whether there was something."""
+        now, self._todo = self._todo, []
+        for index in now:
+            self.files.append(tests[index].partition("::")[0])
+            scheduling.mark_test_complete(self, index)
+        return bool(now)
+
+
+def dealt(folder: Path, files: tuple[str, ...], workers: int) -> list[Worker]:
+    """The workers after all files are done, three tests each."""
+    for name in files:
+        mark = "@pytest.mark.integration" if name in WAITING else ""
+        (folder / name).write_text(f"{mark}\ndef test(): ...\n")
+    config: Any = SimpleNamespace(
+        getvalue=lambda name: [f"{workers}*popen"],
+        rootpath=folder,
+        option=SimpleNamespace(loadscopereorder=False),
+    )
+    scheduling = MixedScheduling(config)
+    tests = [f"{name}::test_{number}" for name in files for number in range(3)]
+    nodes = [Worker(f"gw{number}") for number in range(workers)]
+    for node in nodes:
+        scheduling.add_node(node)
+    for node in nodes:
+        scheduling.add_node_collection(node, tests)
+    scheduling.schedule()
+    while any([node.do(scheduling, tests) for node in nodes]):
+        pass
+    assert not scheduling.has_pending
+    assert all(node.shutting_down for node in nodes)
+    return nodes
+
+
+@pytest.mark.parametrize("files", [COMPUTING + WAITING, WAITING, COMPUTING, COMPUTING[:1]])
+@pytest.mark.parametrize("workers", [1, 3, 5])
+def test_each_test_is_done_once(tmp_path: Path, files: tuple[str, ...], workers: int) -> None:
+    done = [file for node in dealt(tmp_path, files, workers) for file in node.files]
+    assert sorted(done) == sorted(3 * files)
+
+
+def test_files_with_integration_tests_come_first_and_not_to_the_worker_that_computes(
+    tmp_path: Path,
+) -> None:
+    one, two, last = dealt(tmp_path, COMPUTING + WAITING, 3)
+    assert {one.files[0], two.files[0]} == {"w0", "w1"}
+    assert last.files[0] == "c0"
+    assert not {*last.files} & {*WAITING}
+    assert {*one.files, *two.files} & {*COMPUTING}
+
+
+@pytest.mark.parametrize(("workers", "found"), [(1, []), (4, [3]), (5, [4]), (6, [4, 5])])
+def test_a_third_of_the_workers_computes(workers: int, found: list[int]) -> None:
+    assert [n for n in range(workers + 2) if computes(f"gw{n}", workers)] == found
