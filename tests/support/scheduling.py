@@ -9,7 +9,7 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-NICENESS = 10
+NICENESS = 5
 """Of a worker that computes: it leaves the processor to the daemons of the others."""
 
 
