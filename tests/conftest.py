@@ -16,11 +16,12 @@ from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 
 import pytest
 from hypothesis import Phase, settings
+from xdist.workermanage import WorkerController
 
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
-from tests.support.scheduling import MixedScheduling, give_way
+from tests.support.scheduling import NICENESS, MixedScheduling, computes
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
 # of its examples in `make test`, other ones each time, and all of them in `make evidence`.
@@ -43,9 +44,18 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | 
     return MixedScheduling(config, log) if config.option.dist == "loadfile" else None
 
 
-def pytest_configure() -> None:
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: WorkerController) -> None:
+    """Tell a worker that computes its priority."""
+    is_mixed = node.config.option.dist == "loadfile"
+    if is_mixed and computes(node.gateway.id, node.workerinput["workercount"]):
+        node.workerinput["niceness"] = NICENESS
+
+
+def pytest_configure(config: pytest.Config) -> None:
     """Give processes that tests start the usual signals: a shell's background jobs ignore some."""
-    give_way()
+    if niceness := getattr(config, "workerinput", {}).get("niceness"):
+        os.nice(niceness)
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         if signal.getsignal(number) is signal.SIG_IGN:
             usual = signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL

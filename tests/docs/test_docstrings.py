@@ -14,6 +14,7 @@ import pytest
 import swarmd.sim.experiments.simulate
 import swarmd.sim.metrics.own
 from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import simulate
 from swarmd.testing.driver_contract import DriverContract
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.traces import trace_of
@@ -30,7 +31,13 @@ def ran(module: str, **given: object) -> dict[str, Any]:
     return names
 
 
-def test_that_of_simulate_runs_both_spacings() -> None:
+def test_that_of_simulate_runs_both_spacings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With runs of 4 s."""
+
+    def short(*words: Any, set: dict[str, Any], **options: Any) -> Results:
+        return simulate(*words, set={**set, "duration": 4}, **options)
+
+    monkeypatch.setattr(swarmd.sim.experiments.simulate, "simulate", short)
     results = ran(swarmd.sim.experiments.simulate.__name__)["results"]
     assert isinstance(results, Results)
     assert results.variants == ("spacing=0.6", "spacing=0.8")

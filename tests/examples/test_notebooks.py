@@ -7,10 +7,7 @@ import runpy
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 from tests.support.processes import wait_until
 
@@ -24,6 +21,10 @@ MARK = "SWARMD_TEST_NOTEBOOK"
 @pytest.mark.filterwarnings("default")  # of the libraries that execute notebooks
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import matplotlib  # these three take 0.3 s of each worker that collects tests
+    import nbformat
+    from nbclient import NotebookClient
+
     monkeypatch.setenv("MPLCONFIGDIR", matplotlib.get_cachedir())
     for key in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "XDG_CACHE_HOME"):
         monkeypatch.setenv(key, str(tmp_path))

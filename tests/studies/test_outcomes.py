@@ -46,9 +46,11 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
 # test_paper.py, test_paper_exp2.py, tests/sim/lockstep/test_order.py and
 # tests/patterns/test_policy.py run these four.
 ELSEWHERE = {"attraction", "discussed_dispersion", "policy", "voter_model"}
-# Three to seventeen seconds of processor time each; tests/patterns has their rules, and
+# Two to seventeen seconds of processor time each; tests/patterns has their rules, and
 # tests/sim/lockstep/test_matrix.py runs each of them in a swarm.
 LONG = {
+    "best_of_n",
+    "circle_formation",
     "collective_perception",
     "cooperative_transport",
     "cross_inhibition",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from pathlib import Path
 
@@ -10,8 +9,8 @@ import pytest
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-_NICE = 10
-"""A file that computes leaves the processor to the daemons of the others."""
+NICENESS = 5
+"""Of a worker that computes: it leaves the processor to the daemons of the others."""
 
 
 class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
@@ -22,6 +21,10 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
     workers that `computes` names take the other files from the first second on, at a lower
     priority, and end when none is left. The others begin with the files that wait.
     """
+
+    def __init__(self, config: pytest.Config, log: object = None) -> None:
+        super().__init__(config, log)
+        self._found: dict[str, bool] = {}
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         for_computing = computes(node.gateway.id, self.numnodes)
@@ -39,10 +42,6 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
             self._found[scope] = "pytest.mark.integration" in file.read_text()
         return self._found[scope]
 
-    def __init__(self, config: pytest.Config, log: object = None) -> None:
-        super().__init__(config, log)
-        self._found: dict[str, bool] = {}
-
 
 def computes(worker: str, workers: int) -> bool:
     """Whether a worker, such as gw5, takes files that compute alone: the last third of them.
@@ -51,10 +50,3 @@ def computes(worker: str, workers: int) -> bool:
     """
     number = int(re.sub(r"\D", "", worker) or 0)
     return workers - workers // 3 <= number < workers
-
-
-def give_way() -> None:
-    """Lower the priority of this process if it is a worker for files that compute."""
-    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0))
-    if computes(os.environ.get("PYTEST_XDIST_WORKER", ""), workers):
-        os.nice(_NICE)
