@@ -52,7 +52,7 @@ def test_a_mission_of_the_page_has_no_faults(tmp_path: Path, text: str) -> None:
 
 
 def test_the_page_shows_some() -> None:
-    assert len(SHOWN) == 4
+    assert len(SHOWN) == 5
 
 
 def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> None:
