@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import zenoh
@@ -22,9 +22,17 @@ from swarmd.network.settings import NetworkSettings
 
 SECONDS = 20.0
 ALL = "*"
-CASES = ((), ("status",), ("motion",), ("decision",), ("scan",), (ALL,), ())
+CASES: Sequence[tuple[str, ...]] = (
+    (),
+    ("status",),
+    ("motion",),
+    ("decision",),
+    ("scan",),
+    (ALL,),
+    (),
+)
 """Subscribed names of each window; an idle robot publishes nothing on some keys of `*`."""
-AWAITED = {ALL: ("status", "motion", "decision", "scan")}
+AWAITED: Mapping[str, tuple[str, ...]] = {ALL: ("status", "motion", "decision", "scan")}
 
 
 def busy_seconds(pid: int) -> float:

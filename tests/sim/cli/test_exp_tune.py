@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -93,7 +94,7 @@ def test_a_wrong_word_is_one_line(
     assert not list(tmp_path.glob("experiments/*"))
 
 
-def look(*values: dict[str, object]) -> Look:
+def look(*values: Mapping[str, object]) -> Look:
     found = tuple(
         Candidate(n, dict(one), {}, {}, losses=[1.0, 2.0], is_out=n > 1)
         for n, one in enumerate(values)
