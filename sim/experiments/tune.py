@@ -442,7 +442,7 @@ class _Tuner:
     def _race(self, racing: Sequence[Candidate], number: int) -> None:
         """Run blocks of seeds, and end candidates that are worse than the leader."""
         new = [one for one in racing if not one.losses]
-        self.on_step(f"race {number + 1} of {len(new)} new candidates over {len(self.seeds)} seeds")
+        self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
         stages = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(stages) - 1, 1)

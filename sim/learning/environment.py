@@ -144,7 +144,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     `contacts`, how many began in this step.
     """
 
-    metadata = {  # noqa: RUF012 - read only
+    metadata: dict[str, Any] = {  # noqa: RUF012 - read only
         "name": "swarmd",
         "render_modes": list(RENDER_MODES),
         "is_parallelizable": True,

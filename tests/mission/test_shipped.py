@@ -48,11 +48,13 @@ def test_a_copy_of_a_shipped_mission_is_no_other_pattern_until_it_differs(tmp_pa
 def test_a_mission_of_the_page_has_no_faults(tmp_path: Path, text: str) -> None:
     path = tmp_path / "shown.yaml"
     path.write_text(text)
-    assert check_mission(path, WAFFLE, tmp_path) == []
+    sensed = {"reading:ground", "neighbors.distance"}
+    platform = replace(WAFFLE, provides=WAFFLE.provides | sensed)
+    assert check_mission(path, platform, tmp_path) == []
 
 
 def test_the_page_shows_some() -> None:
-    assert len(SHOWN) == 4
+    assert len(SHOWN) == 5
 
 
 def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> None:

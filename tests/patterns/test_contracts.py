@@ -42,6 +42,10 @@ class TestForageAtVotedSource(PatternContract):
     pattern = FIND("forage_at_voted_source")
 
 
+class TestGatherOnDarkFloor(PatternContract):
+    pattern = FIND("gather_on_dark_floor")
+
+
 @pytest.mark.parametrize("name", OURS)
 def test_each_pattern_passes_the_contract_on_every_platform(name: str) -> None:
     module = import_module(f"tests.patterns.test_{name}")

@@ -23,6 +23,8 @@ from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
 from swarmd.daemon.recorder import Recorder
 from swarmd.kit.behavior import Pattern
+from swarmd.mission.mission import mission_class
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.patterns.drive import Drive
 from swarmd.patterns.random_walk import RandomWalk
 from swarmd.plugins import pattern_names
@@ -110,13 +112,14 @@ class Story:
         latches: Mapping[str, Latch] | None = None,
         *,
         has_ring: bool = False,
+        patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
     ) -> None:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
         make = partial(_made, has_ring=has_ring)
         self.provisional: set[int] = set()
         self.robot = RobotHarness(
-            patterns=PATTERNS,
+            patterns=patterns,
             make=make,
             take=self.recorder.step,
             latches=record,
@@ -140,8 +143,8 @@ class Story:
         self.robot.advance(seconds)
         assert self.robot.robot.state is State.RUNNING
 
-    def replayed(self) -> Parity:
-        return repeat([self.recorder.finish()], ORIGINS)[1]
+    def replayed(self, origins: Mapping[str, tuple[str, bool]] = ORIGINS) -> Parity:
+        return repeat([self.recorder.finish()], origins)[1]
 
 
 def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
@@ -179,6 +182,33 @@ def test_a_run_of_a_robot_with_a_ring_is_repeated(tmp_path: Path) -> None:
     story.run("drive", 6.0, speed=0.15)
     assert {True, False} == {twist.is_zero for _, twist in story.robot.commands}
     assert_equal(story.replayed(), 150)
+
+
+DRAWN = """\
+mission: Drives at two speeds, each until a draw
+parts: {slow: {pattern: drive, params: {speed: 0.1}}, fast: {pattern: drive, params: {speed: 0.2}}}
+sequence:
+  - {part: slow, until: {probability: 0.9}}
+  - {part: fast, transitions: {slow: {probability: 0.9}}}
+then: repeat
+"""
+
+
+def test_the_draws_of_a_mission_are_repeated(tmp_path: Path) -> None:
+    path = tmp_path / "drawn.yaml"
+    path.write_text(DRAWN)
+    made = mission_class(path, PatternLoader(ORIGINS))
+    story = Story(tmp_path, patterns={**PATTERNS, "drawn": made})
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.run("drawn", 0.5)
+    phases = set()
+    for _ in range(15):
+        story.robot.advance(0.5)
+        phases.add(story.robot.robot.report["phase"])
+    parity = story.replayed({**ORIGINS, "drawn": (str(path), True)})
+    assert_equal(parity, 150)
+    assert phases == {"slow", "fast"}
 
 
 def test_a_recording_that_begins_after_earlier_runs_and_a_latch_is_repeated(

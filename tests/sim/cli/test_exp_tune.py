@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
@@ -93,7 +94,7 @@ def test_a_wrong_word_is_one_line(
     assert not list(tmp_path.glob("experiments/*"))
 
 
-def look(*values: dict[str, object]) -> Look:
+def look(*values: Mapping[str, object]) -> Look:
     found = tuple(
         Candidate(n, dict(one), {}, {}, losses=[1.0, 2.0], is_out=n > 1)
         for n, one in enumerate(values)
@@ -122,7 +123,7 @@ def test_the_live_table_fits_into_the_terminal(width: int) -> None:
     one = look(*({key: 0.1234 + n for key in KEYS} for n in range(4)))
     shown = lines(one, width)
     assert max(map(len, shown)) <= width
-    is_wide = width == 200
+    is_wide = width >= 120
     assert any("peak ┃ share_in:disc:1.2:0.8:0.8" in line for line in shown) is is_wide
     # A line for each candidate, whatever its values.
     assert [line.count("│") for line in shown if "│" in line] == [7 if is_wide else 5] * 4

@@ -281,7 +281,8 @@ def test_pictures_show_where_the_robots_are() -> None:
     assert env.metadata["render_fps"] == 10
     env.reset()
     first = env.render()
-    assert (first.shape, first.dtype) == ((480, 640, 3), np.uint8)
+    assert first.shape == (480, 640, 3)
+    assert first.dtype == np.uint8
     np.testing.assert_array_equal(env.render(), first)
     while env.agents:
         env.step({agent: np.array([1.0, 0.0]) for agent in env.agents})
