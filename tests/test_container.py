@@ -8,6 +8,8 @@ import subprocess
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -21,6 +23,40 @@ def test_the_context_of_the_build_has_all_that_the_wheel_is_built_from() -> None
     wanted = {"swarmd", "pyproject.toml", "setup.py", "constraints.txt", *named}
     wanted |= {folder.partition("/")[0] for folder in folders}
     assert admitted == wanted
+
+
+@pytest.mark.parametrize(
+    ("has_base", "code", "lines"), [(False, 77, 1), (True, 3, 0)], ids=["no base", "build fails"]
+)
+def test_a_base_that_cannot_be_pulled_is_told_and_a_build_that_fails_is_a_failure(
+    tmp_path: Path, has_base: bool, code: int, lines: int
+) -> None:
+    """A builder that has an image or not, pulls none, and fails to build."""
+    for name in ("bash", "dirname"):
+        (tmp_path / name).symlink_to(shutil.which(name) or name)
+    (tmp_path / "podman").write_text(
+        "#!/bin/sh\n"
+        'echo "$@" >>"$ASKED"\n'
+        f"case $1 in info) exit 0;; inspect) exit {1 - has_base};; pull) exit 125;; esac\n"
+        "exit 3\n"
+    )
+    (tmp_path / "podman").chmod(0o755)
+    ended = subprocess.run(
+        [
+            tmp_path / "bash",
+            ROOT / ".ci" / "try-container",
+            "--build-arg",
+            "BASE=localhost/bookworm",
+        ],
+        env={**os.environ, "PATH": str(tmp_path), "ASKED": str(tmp_path / "asked")},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (ended.returncode, ended.stdout, len(ended.stderr.splitlines())) == (code, "", lines)
+    assert ("localhost/bookworm" in ended.stderr) is not has_base
+    verbs = [line.split()[0] for line in (tmp_path / "asked").read_text().splitlines()]
+    assert verbs == ["info", "inspect", *(["build"] if has_base else ["pull"])]
 
 
 def test_without_a_builder_one_line_tells_that_nothing_was_tried(tmp_path: Path) -> None:

@@ -170,6 +170,10 @@ class Subscriptions:
             if stats.is_needed and now - stats.last_arrival() > timeout
         )
 
+    def odometry_age(self, now: float) -> float:
+        """Seconds since the last odometry has arrived; inf before the first."""
+        return now - self.topics["odometry"].last_arrival()
+
     @property
     def scan(self) -> Scan | None:
         """The last scan of the lidar, or of what replaces it; None before the first."""

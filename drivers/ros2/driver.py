@@ -119,7 +119,8 @@ class RosDriver:
 
     def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
         """Keep the newest state of the robot, which the task of `run` publishes."""
-        self._state.show(status, motion, pose)
+        age = self._subscriptions.odometry_age(asyncio.get_running_loop().time())
+        self._state.show(status, motion, pose, age)
 
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
@@ -225,7 +226,7 @@ class RosDriver:
                 await asyncio.sleep(_PERIOD)
                 self._bridges.query(session, self._announcing(), loop)
                 self._watch(sink, session, loop.time(), opened)
-                self._state.publish(loop.time())
+                self._state.publish()
         finally:
             inbox.close()
             self._state.close()

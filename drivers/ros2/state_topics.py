@@ -6,6 +6,7 @@ message is made only while a node subscribes to its topic.
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -28,9 +29,11 @@ from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import has_subscriber
 from swarmd.texts.state_colours import colour_of
 
+log = logging.getLogger(__name__)
+
 POSE, MARKERS, DIAGNOSTICS = "swarmd/pose", "swarmd/markers", "diagnostics"
 ODOMETRY_FRAME = "odom"
-DIAGNOSTICS_PERIOD = 1.0  # s, unless the status changes
+MAX_AGE = 1.0  # s after which odometry tells no more where the robot is
 _TYPES: Mapping[str, type] = {
     POSE: ros.PoseStamped,
     MARKERS: ros.MarkerArray,
@@ -53,10 +56,8 @@ class StateTopics:
         self._unsure: set[str] = set()
         self._tokens: Mapping[str, str] = {}
         self._status: Status | None = None
-        self._motion: Motion | None = None
-        self._pose: ShownPose | None = None
+        self._place: tuple[ros.Header, Pose] | None = None
         self._changed: set[str] = set()
-        self._told_at = -math.inf
         if self.is_on:
             cdr.warm(*_TYPES.values())
 
@@ -74,12 +75,29 @@ class StateTopics:
             return ()
         return (Finding("state topics", True, f"publishes {', '.join(self._topics.values())}"),)
 
-    def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
-        """Keep the newest state of the robot; None: not known, or of the status no newer one."""
+    def show(
+        self,
+        status: Status | None,
+        motion: Motion | None,
+        pose: ShownPose | None,
+        odometry_age: float,
+    ) -> None:
+        """Keep the newest state of the robot; None: not known, or of the status no newer one.
+
+        `odometry_age`: of `motion`, in s. The stamp of a place is the time at which it was
+        measured; a place by odometry older than MAX_AGE is not told.
+        """
         if status is not None:
             self._status = status
             self._changed.add(DIAGNOSTICS)
-        self._motion, self._pose = motion, pose
+        if pose is not None:
+            head = header(time.time() - pose.age, pose.frame)
+            self._place = head, Pose(pose.x, pose.y, pose.yaw)
+        elif motion is not None and odometry_age <= MAX_AGE:
+            head = header(time.time() - odometry_age, ODOMETRY_FRAME)
+            self._place = head, Pose(motion.x, motion.y, motion.yaw)
+        else:
+            self._place = None
         self._changed |= {POSE, MARKERS}
 
     def open(self, session: zenoh.Session) -> None:
@@ -99,18 +117,21 @@ class StateTopics:
         """The tokens of its publishers, by topic."""
         self._tokens = tokens
 
-    def publish(self, now: float) -> None:
-        """Publish what is new and subscribed to; `now` in s. The driver's task calls this."""
-        if now - self._told_at >= DIAGNOSTICS_PERIOD and self._status is not None:
-            self._changed.add(DIAGNOSTICS)
+    def publish(self) -> None:
+        """Publish what is new and subscribed to. The driver's task calls this.
+
+        A topic that cannot be published ends until the next session: no driver ends with it.
+        """
         changed, self._changed = self._changed, set()
         for name in changed & self._publishers.keys():
-            if self._is_watched(name) and (message := self._make(name)) is not None:
-                if name == DIAGNOSTICS:
-                    self._told_at = now
-                attachment = self._scheme.attachment(self._tokens.get(self._topics[name], ""))
-                with suppress(zenoh.ZError):  # the session is closing
-                    self._publishers[name].put(cdr.encode(message), attachment=attachment)
+            try:
+                if self._is_watched(name) and (message := self._make(name)) is not None:
+                    attachment = self._scheme.attachment(self._tokens.get(self._topics[name], ""))
+                    with suppress(zenoh.ZError):  # the session is closing
+                        self._publishers[name].put(cdr.encode(message), attachment=attachment)
+            except Exception:
+                log.exception("%s is not published any more", self._topics[name])
+                del self._publishers[name]
 
     def close(self) -> None:
         """Forget the session and what it was to publish."""
@@ -129,17 +150,12 @@ class StateTopics:
         return self._watched[name]
 
     def _make(self, name: str) -> object | None:
-        status, stamp = self._status, time.time()
+        status = self._status
         if name == DIAGNOSTICS:
-            return None if status is None else diagnostics(status, stamp)
-        if self._pose is not None:
-            frame, pose = self._pose.frame, Pose(self._pose.x, self._pose.y, self._pose.yaw)
-        elif self._motion is not None:
-            motion = self._motion
-            frame, pose = ODOMETRY_FRAME, Pose(motion.x, motion.y, motion.yaw)
-        else:
+            return None if status is None else diagnostics(status, time.time())
+        if self._place is None:
             return None
-        head = header(stamp, frame)
+        head, pose = self._place
         if name == POSE:
             return ros.PoseStamped(header=head, pose=pose_message(pose))
         return None if status is None else markers(status, pose, head, self._footprint)
@@ -208,14 +224,15 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
     }
     kind = ros.DiagnosticStatus
     level = kind.OK
-    if is_held or status.findings or not status.health.driver_up:
+    lost = "" if status.health.driver_up else "base lost"
+    if is_held or status.findings or lost:
         level = kind.WARN
     if status.state in (State.ESTOPPED, State.FAULTED):
         level = kind.ERROR
     told = kind(
         level=level,
         name=f"swarmd: {status.robot}",
-        message=": ".join(filter(None, (status.state.value, reason, status.detail))),
+        message=": ".join(filter(None, (status.state.value, reason, status.detail, lost))),
         hardware_id=status.robot,
         values=[ros.KeyValue(key=key, value=value) for key, value in values.items()],
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from swarmd.driver_api.driver import state_display
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros2.state_topics import DIAGNOSTICS, MARKERS, POSE
 from swarmd.testing.driver_contract import DriverHarness
-from tests.drivers.ros2.harness import check
+from tests.drivers.ros2.harness import check, drive
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.support import ros2_types as dds
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
@@ -124,6 +125,95 @@ async def test_keys_hold_type_and_hash_and_the_node_announces_the_topics(
     found = [str(reply.ok.key_expr).split("/") for reply in replies if reply.ok is not None]
     announced = {part[9].replace("%", "/") for part in found if part[5] == "MP"}
     assert announced == {"/cmd_vel", *(f"/{topic}" for topic in TYPES)}
+
+
+@story(BridgedRobot, publish_state=True)
+async def test_a_place_has_the_time_of_its_measurement_and_ends_with_the_odometry(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    display = state_display(harness.driver)
+    assert display is not None
+    listener = Listener(robot, *TYPES)
+
+    def show(pose: ShownPose | None = None) -> None:
+        display.show(HELD, MOTION, pose)
+
+    def has_all() -> bool:
+        show()
+        return all(listener.taken.values())
+
+    await harness.until(has_all, publishing=True)
+    odometry_at = time.time()
+    told = counts(listener)
+
+    def ends() -> bool:
+        show()
+        now = counts(listener)
+        if now[POSE] > told[POSE] or now[MARKERS] > told[MARKERS]:
+            told.update(now)
+        return now[DIAGNOSTICS] >= told[DIAGNOSTICS] + 5  # they go on alone
+
+    await harness.until(ends)
+    assert seconds(listener.last(POSE)) <= odometry_at + 0.2
+    assert time.time() - odometry_at > 1.0
+    shared = ShownPose(
+        robot="r", at=5.0, age=0.4, x=7.0, y=8.0, yaw=0.0, error=0.1, yaw_error=0.1, frame="hall"
+    )
+
+    def is_shared() -> bool:
+        show(shared)
+        now = counts(listener)
+        return now[POSE] > told[POSE] and now[MARKERS] > told[MARKERS]
+
+    await harness.until(is_shared)
+    assert seconds(listener.last(POSE)) <= time.time() - 0.4
+    assert seconds(listener.last(MARKERS).markers[0]) <= time.time() - 0.4
+
+
+def counts(listener: Listener) -> dict[str, int]:
+    return {topic: len(samples) for topic, samples in listener.taken.items()}
+
+
+def seconds(message: Any) -> float:
+    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+
+
+class Broken:
+    """A publisher that fails in a way that nobody expects."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def put(self, *_: Any, **__: Any) -> None:
+        self.count += 1
+        raise RuntimeError("out of order")
+
+
+@story(BridgedRobot, publish_state=True)
+async def test_a_topic_that_fails_ends_neither_the_driver_nor_the_others(
+    harness: DriverHarness, robot: Robot, caplog: pytest.LogCaptureFixture
+) -> None:
+    driver: Any = harness.driver
+    listener = Listener(robot, *TYPES)
+
+    def has_all() -> bool:
+        driver.show(HELD, MOTION, None)
+        return all(listener.taken.values())
+
+    await harness.until(has_all, publishing=True)
+    broken = driver._state._publishers[POSE] = Broken()
+    before = counts(listener)
+
+    def goes_on() -> bool:
+        driver.show(HELD, MOTION, None)
+        driver.send(Twist(0.1), 1, 1)
+        now = counts(listener)
+        return all(now[topic] > before[topic] + 2 for topic in (MARKERS, DIAGNOSTICS))
+
+    await harness.until(goes_on, publishing=True)
+    await drive(harness)
+    assert broken.count == 1
+    assert caplog.text.count("swarmd/pose is not published any more") == 1
 
 
 @story(BridgedRobot)
