@@ -159,16 +159,6 @@ class Calibration(Pattern[CalibrationParams]):
         x, y, yaw = (float(np.interp(at, track[:, 0], track[:, i])) for i in (1, 2, 3))
         return Pose(x, y, yaw)
 
-    def _way(self, track: Array, axis: str, sign: float) -> Array:
-        """(n,) rad turned, or m driven along the first heading, or to the left of it."""
-        _, x, y, turned = (track - track[0]).T
-        if axis == "angular":
-            return sign * turned
-        yaw = float(track[0, 3])
-        ahead, left = math.cos(yaw), math.sin(yaw)
-        way: Array = ahead * y - left * x if axis == "lateral" else ahead * x + left * y
-        return sign * way
-
     # Drives
 
     def _script(self) -> _Drives:
@@ -293,14 +283,14 @@ class Calibration(Pattern[CalibrationParams]):
         while not is_over and self._now - steady < _CLEAR:
             yield twist
             track = self._track(begin)
-            way = self._way(track, axis, sign)
+            way = _way(track, axis, sign)
             if steady == math.inf and is_steady(track[:, 0], way):
                 steady = self._now
             is_over = way[-1] > self._farthest[axis] or self._now - begin > _LONGEST_DRIVE
         at = self._now
         yield from self._stand()
         track = self._track(begin)
-        stop = stop_of(track[:, 0], self._way(track, axis, sign), at)
+        stop = stop_of(track[:, 0], _way(track, axis, sign), at)
         if stop is None or is_over:
             yield from self._back(twist, at - begin)
             return None
@@ -437,3 +427,17 @@ class Calibration(Pattern[CalibrationParams]):
         more = max(late - REACTION_TIME, 0.0) * (surface + others)
         margin = float(barrier["margin"])
         return Figure(margin + more, 0.0, sum(one.samples for one in delays), margin)
+
+
+def _way(track: Array, axis: str, sign: float) -> Array:
+    """(n,) rad turned, or m driven along the first heading, or to the left of it.
+
+    `track` (n, 4): times, x, y, yaw. `sign` -1.0 counts the other way.
+    """
+    _, x, y, turned = (track - track[0]).T
+    if axis == "angular":
+        return sign * turned
+    yaw = float(track[0, 3])
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    way: Array = cos * y - sin * x if axis == "lateral" else cos * x + sin * y
+    return sign * way
