@@ -47,16 +47,29 @@ class Figure(NamedTuple):
         return cls(float(first), float(others[0]), int(others[1]), float(others[2]))
 
 
+AXES = ("linear", "angular", "lateral")
+"""The fields of a Twist, each of which drives measure. Only a base that moves sideways has the last
+and its figures.
+"""
 NAMES: Mapping[str, tuple[str, str]] = {
     "braking_linear": ("braking, linear", "m/s2"),
     "braking_angular": ("braking, angular", "rad/s2"),
+    "braking_lateral": ("braking, lateral", "m/s2"),
     "reaction_linear": ("reaction delay, linear", "s"),
     "reaction_angular": ("reaction delay, angular", "s"),
+    "reaction_lateral": ("reaction delay, lateral", "s"),
     "odometry_age": ("age of odometry in use", "s"),
     "speed_linear": ("speed / commanded, linear", ""),
     "speed_angular": ("speed / commanded, angular", ""),
+    "speed_lateral": ("speed / commanded, lateral", ""),
     "odometry_linear": ("odometry / scan, linear", ""),
     "odometry_angular": ("odometry / scan, angular", ""),
+    "odometry_lateral": ("odometry / scan, lateral", ""),
     "scan_delay": ("scan delay", "s"),
 }
 """The figures by their name in a report, with their title and unit."""
+
+
+def names_of(moves_sideways: bool) -> tuple[str, ...]:
+    """The names of the figures of a base, in the order of NAMES."""
+    return tuple(name for name in NAMES if moves_sideways or not name.endswith(AXES[2]))

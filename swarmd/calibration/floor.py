@@ -20,23 +20,40 @@ _TICK = 0.05  # s, until the next decision, and from a decision to the response 
 _SHARE = 0.95  # of the surface speed that protection allows near obstacles
 
 
-def top_speeds(platform: Platform) -> tuple[float, float]:
-    """The fastest drives in m/s and turns in rad/s: within the limits and the surface speed."""
-    surface = _SHARE * _surface_speed(platform)
-    return (
-        min(platform.limits.linear, surface),
-        min(platform.limits.angular, surface / _outer(platform)),
-    )
+def top_speeds(platform: Platform) -> dict[str, float]:
+    """The fastest drives in m/s and turns in rad/s by axis: within limits and surface speed.
+
+    `lateral` only for a base that moves sideways.
+    """
+    surface, limits = _SHARE * _surface_speed(platform), platform.limits
+    speeds = {
+        "linear": min(limits.linear, surface),
+        "angular": min(limits.angular, surface / _outer(platform)),
+    }
+    if limits.lateral > 0.0:
+        speeds["lateral"] = min(limits.lateral, surface)
+    return speeds
 
 
 def needed_floor(platform: Platform, late: float = 0.0) -> float:
     """Side in m of the square floor, the robot in its middle, rounded up to 0.1 m.
 
-    The gap that mode `barrier` needs at top speed (docs/safety.md), beyond the longest drive.
-    `late`: s by which scans arrive later than declared, which protection adds to their age.
+    The gap that mode `barrier` needs at top speed (docs/safety.md), beyond the longest drive, ahead
+    and at the sides of a base that moves sideways. `late`: s by which scans arrive later than
+    declared, which protection adds to their age.
     """
+    front, left = platform.footprint.max(axis=0).tolist()
+    speeds = top_speeds(platform)
+    half = _needed_half(platform, speeds["linear"], front, late)
+    if "lateral" in speeds:
+        half = max(half, _needed_half(platform, speeds["lateral"], left, late))
+    half = (half + _TOLERANCE[0]) / (1.0 - _TOLERANCE[1])
+    return max(LEAST_FLOOR, math.ceil(20.0 * half - 1e-9) / 10.0)
+
+
+def _needed_half(platform: Platform, speed: float, reach: float, late: float) -> float:
+    """m from the axle that drives at `speed` m/s need free; the outline reaches `reach` m there."""
     barrier, spec = _barrier(platform), platform.scan
-    speed, _ = top_speeds(platform)
     way = travel(speed)
     age = 1.0 / spec.rate + spec.latency + late + _TICK
     brake = float(barrier.get("braking_linear") or 1.0)
@@ -44,18 +61,16 @@ def needed_floor(platform: Platform, late: float = 0.0) -> float:
     gap = speed * _TICK + 0.5 * speed * speed / brake
     gap += others * (age + _TICK + speed / brake)
     gap += float(barrier.get("margin") or 0.0) + float(barrier.get("unseen_extent") or 0.0)
-    front = float(platform.footprint[:, 0].max())
-    half = gap + max(front + way, _outer(platform))
+    half = gap + max(reach + way, _outer(platform))
     keep_out = barrier.get("keep_out")
     if keep_out is not None:  # each of two robots may use half of the room before it
         room = 2.0 * (speed * (2.0 * _TICK + age) + 0.5 * speed * speed / brake)
         half = max(half, float(keep_out) + room + way + float(np.hypot(*spec.offset)))
-    half = (half + _TOLERANCE[0]) / (1.0 - _TOLERANCE[1])
-    return max(LEAST_FLOOR, math.ceil(20.0 * half - 1e-9) / 10.0)
+    return half
 
 
 def travel(speed: float) -> float:
-    """m ahead of its start that no drive exceeds, for a top speed in m/s."""
+    """m from its start that no drive exceeds, for a top speed in m/s."""
     return _TRAVEL_TIME * speed
 
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from typing import Annotated, TypeAlias
 
 import numpy as np
 
 from swarmd.calibration import figures
 from swarmd.calibration.estimators import Stop, is_steady, mean_of, stop_of, stopping, turn_delay
-from swarmd.calibration.figures import Figure
+from swarmd.calibration.figures import AXES, Figure
 from swarmd.calibration.floor import needed_floor, tolerance, top_speeds, travel
 from swarmd.calibration.scan_matching import Located, Reference, points_of
 from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan, Twist
@@ -32,6 +32,12 @@ _SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # s a swing; share of the 
 _LEAST_WAY = 0.08  # m between two scans that tell the scale of odometry
 _RETRIES = 3  # drives without a steady speed before it gives up
 _SLOWER = 0.7  # share of a top speed that is tried next
+# Of each axis: its name, its unit, and why it may not move steadily.
+_KINDS = {
+    "linear": ("drive", "m/s", ""),
+    "lateral": ("drive sideways", "m/s", ", or its wheels do not slide (limits.lateral: 0)"),
+    "angular": ("turn", "rad/s", ""),
+}
 
 _Drives: TypeAlias = Generator[Twist, Inputs, None]
 
@@ -71,7 +77,8 @@ class Calibration(Pattern[CalibrationParams]):
     """Measures brakes, delays and scales by a few short drives; see `swarmctl calibrate`.
 
     `swarmctl calibrate` starts it, asks for the floor first, and prints the figures. The robot
-    drives to and fro and turns within the floor, for about 90 s, and ends.
+    drives to and fro, to both sides if its base moves sideways, and turns within the floor, for
+    about 90 s (sideways 130 s), and ends.
     """
 
     params_type = CalibrationParams
@@ -83,8 +90,11 @@ class Calibration(Pattern[CalibrationParams]):
         super().__init__(params, context)
         platform = context.platform
         self._spec = platform.scan
-        self._speed, self._turn = top_speeds(platform)
-        self._farthest = _BRAKED_SHARE * travel(self._speed)
+        self._speeds = top_speeds(platform)
+        self._farthest = {
+            axis: math.inf if axis == "angular" else _BRAKED_SHARE * travel(speed)
+            for axis, speed in self._speeds.items()
+        }
         self._step_name = "looks"
         self._report: dict[str, Scalar] = {}
         # Odometry: stamp, x, y, yaw not wrapped. `_offset`: robot's clock less that of odometry.
@@ -149,22 +159,16 @@ class Calibration(Pattern[CalibrationParams]):
         x, y, yaw = (float(np.interp(at, track[:, 0], track[:, i])) for i in (1, 2, 3))
         return Pose(x, y, yaw)
 
-    def _way(self, track: Array, is_turn: bool, sign: float) -> Array:
-        """(n,) rad turned, or m driven along the first heading."""
-        _, x, y, turned = (track - track[0]).T
-        yaw = float(track[0, 3])
-        way: Array = turned if is_turn else math.cos(yaw) * x + math.sin(yaw) * y
-        return sign * way
-
     # Drives
 
     def _script(self) -> _Drives:
         yield ZERO
         yield from self._look()
-        scales: list[float] = []
-        stops: dict[bool, list[tuple[float, Stop]]] = {False: [], True: []}
-        for is_turn in (False, True):
-            yield from self._stops(is_turn, stops[is_turn], scales)
+        scales = dict[str, list[float]]()
+        stops = dict[str, list[tuple[float, Stop]]]()
+        for axis in (axis for axis in _KINDS if axis in self._speeds):
+            stops[axis], scales[axis] = [], []
+            yield from self._stops(axis, stops[axis], scales[axis])
         self._step_name = "swings"
         arrivals, seen, track = yield from self._swing()
         self._step_name = "matches scans"
@@ -245,58 +249,52 @@ class Calibration(Pattern[CalibrationParams]):
     def _locate(self, points: Array, guess: Pose) -> Located | None:
         return None if self._reference is None else self._reference.locate(points, guess)
 
-    def _stops(
-        self, is_turn: bool, stops: list[tuple[float, Stop]], scales: list[float]
-    ) -> _Drives:
+    def _stops(self, axis: str, stops: list[tuple[float, Stop]], scales: list[float]) -> _Drives:
         """Stops from two speeds, to and fro; add them to `stops`, each with the speed commanded.
 
         After a drive that was not steady all over again, slower.
         """
-        failures, kind = 0, "turn" if is_turn else "drive"
+        failures, (kind, unit, why) = 0, _KINDS[axis]
         while len(stops) < 4 * self.params.repeats:
-            top, index = self._turn if is_turn else self._speed, len(stops)
+            top, index = self._speeds[axis], len(stops)
             speed = top if index % 4 < 2 else _SLOW * top
             self._step_name = f"{kind} {index + 1} of {4 * self.params.repeats}"
-            stop = yield from self._stop(speed if index % 2 == 0 else -speed, is_turn, scales)
+            stop = yield from self._stop(speed if index % 2 == 0 else -speed, axis, scales)
             if stop is not None:
                 stops.append((speed, stop))
                 continue
             failures += 1
             if failures > _RETRIES:
                 raise _EndError(
-                    f"it does not {kind} steadily when {speed:.2f} {'rad/s' if is_turn else 'm/s'}"
-                    " are commanded: protection limits it, or the base takes too long to get there"
+                    f"it does not {kind} steadily when {speed:.2f} {unit} are commanded: protection"
+                    f" limits it, or the base takes too long to get there{why}"
                 )
             stops.clear()
-            if is_turn:
-                self._turn *= _SLOWER
-            else:
-                self._speed *= _SLOWER
+            self._speeds[axis] *= _SLOWER
 
     def _stop(
-        self, speed: float, is_turn: bool, scales: list[float]
+        self, speed: float, axis: str, scales: list[float]
     ) -> Generator[Twist, Inputs, Stop | None]:
         """Drive or turn until the speed is steady, and stop; None if it was not steady."""
-        twist = Twist(angular=speed) if is_turn else Twist(speed)
+        twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
         before = self._rest()
         begin, steady, is_over = self._now, math.inf, False
         while not is_over and self._now - steady < _CLEAR:
             yield twist
             track = self._track(begin)
-            way = self._way(track, is_turn, sign)
+            way = _way(track, axis, sign)
             if steady == math.inf and is_steady(track[:, 0], way):
                 steady = self._now
-            is_far = not is_turn and way[-1] > self._farthest
-            is_over = is_far or self._now - begin > _LONGEST_DRIVE
+            is_over = way[-1] > self._farthest[axis] or self._now - begin > _LONGEST_DRIVE
         at = self._now
         yield from self._stand()
         track = self._track(begin)
-        stop = stop_of(track[:, 0], self._way(track, is_turn, sign), at)
+        stop = stop_of(track[:, 0], _way(track, axis, sign), at)
         if stop is None or is_over:
             yield from self._back(twist, at - begin)
             return None
-        if not is_turn:
+        if axis != "angular":
             self._compare(before, self._rest(), scales)
         return stop
 
@@ -304,7 +302,7 @@ class Calibration(Pattern[CalibrationParams]):
         """Undo a drive that failed, so that the robot stays on the floor."""
         begin = self._now
         while self._now - begin < seconds:
-            yield Twist(-twist.linear, -twist.angular)
+            yield Twist(-twist.linear, -twist.angular, -twist.lateral)
         yield from self._stand()
 
     def _stand(self) -> _Drives:
@@ -319,7 +317,7 @@ class Calibration(Pattern[CalibrationParams]):
             moved = float(np.hypot(*(track[-1, 1:3] - track[0, 1:3])))
             turned = abs(float(track[-1, 3] - track[0, 3]))
             limit = _STILL * max(float(track[-1, 0] - track[0, 0]), 0.05)
-            if moved > limit * self._speed or turned > limit * self._turn:
+            if moved > limit * self._speeds["linear"] or turned > limit * self._speeds["angular"]:
                 still = self._now
             if self._now - begin > _LONGEST_STOP:
                 raise _EndError("the robot does not come to rest, or scans have stopped")
@@ -354,7 +352,7 @@ class Calibration(Pattern[CalibrationParams]):
         begin, seen = self._now, self._scan
         arrivals: list[float] = []
         points: list[Array] = []
-        most = _SWING_SHARE * self._turn
+        most = _SWING_SHARE * self._speeds["angular"]
         while self._now - begin < _SWINGS * _SWING_PERIOD:
             phase = 2.0 * math.pi * (self._now - begin) / _SWING_PERIOD
             yield Twist(angular=most * math.sin(phase))
@@ -369,8 +367,8 @@ class Calibration(Pattern[CalibrationParams]):
 
     def _finish(
         self,
-        stops: dict[bool, list[tuple[float, Stop]]],
-        scales: Sequence[float],
+        stops: Mapping[str, Sequence[tuple[float, Stop]]],
+        scales: Mapping[str, Sequence[float]],
         headings: Sequence[tuple[float, float]],
         track: Array,
     ) -> None:
@@ -382,9 +380,8 @@ class Calibration(Pattern[CalibrationParams]):
             why = "what stands around shows no turn: too few returns, or a round room"
             late = turned = Figure(why=why)
         why = "what stands around does not show the way: too little of it, or a bare corridor"
-        driven = mean_of(scales, why)
-        for is_turn, word, scale in ((False, "linear", driven), (True, "angular", turned)):
-            pairs = stops[is_turn]
+        for word, pairs in stops.items():
+            scale = turned if word == "angular" else mean_of(scales[word], why)
             brake, delay = stopping([stop for _, stop in pairs])
             fast = max(speed for speed, _ in pairs)
             shares = [stop.speed / speed for speed, stop in pairs if speed == fast]
@@ -392,12 +389,14 @@ class Calibration(Pattern[CalibrationParams]):
             if scale.is_measured:  # protection measures its room by scans
                 share = share._replace(value=share.value / scale.value)
                 brake = brake._replace(value=brake.value / scale.value)
-            braking = float(barrier.get(f"braking_{word}", math.nan))
+            # `braking_linear` holds in each direction.
+            declared = "braking_angular" if word == "angular" else "braking_linear"
+            braking = float(barrier.get(declared, math.nan))
             found[f"braking_{word}"] = brake._replace(assumed=braking)
             found[f"reaction_{word}"] = delay._replace(assumed=REACTION_TIME)
             found[f"speed_{word}"] = share._replace(assumed=1.0)
             found[f"odometry_{word}"] = scale._replace(assumed=1.0)
-        found["margin"] = self._margin(found["reaction_linear"], found["reaction_angular"])
+        found["margin"] = self._margin(*(found[f"reaction_{word}"] for word in stops))
         ages = np.array(self._ages) - self._offset
         found["odometry_age"] = mean_of(ages.tolist(), "no odometry")
         if late.is_measured and self._scan is not None and self._scan.ages is not None:
@@ -408,7 +407,7 @@ class Calibration(Pattern[CalibrationParams]):
         found["scan_delay"] = late._replace(assumed=self._spec.latency)
         self._report = {
             "state": figures.DONE,
-            "drove": f"{self._speed:.6g} {self._turn:.6g}",
+            "drove": " ".join(f"{self._speeds[axis]:.6g}" for axis in AXES if axis in stops),
             **{name: figure.text for name, figure in found.items()},
         }
 
@@ -421,8 +420,24 @@ class Calibration(Pattern[CalibrationParams]):
         if barrier is None:
             return Figure(why="mode barrier has no settings")
         others = float(barrier["others_speed"])
-        surface = max(barrier.get("surface_speed") or others, self.context.platform.limits.linear)
+        limits = self.context.platform.limits
+        own = math.hypot(limits.linear, limits.lateral)
+        surface = max(barrier.get("surface_speed") or others, own)
         late = max((one.value + 2.0 * one.spread for one in delays if one.is_measured), default=0.0)
         more = max(late - REACTION_TIME, 0.0) * (surface + others)
         margin = float(barrier["margin"])
         return Figure(margin + more, 0.0, sum(one.samples for one in delays), margin)
+
+
+def _way(track: Array, axis: str, sign: float) -> Array:
+    """(n,) rad turned, or m driven along the first heading, or to the left of it.
+
+    `track` (n, 4): times, x, y, yaw. `sign` -1.0 counts the other way.
+    """
+    _, x, y, turned = (track - track[0]).T
+    if axis == "angular":
+        return sign * turned
+    yaw = float(track[0, 3])
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    way: Array = cos * y - sin * x if axis == "lateral" else cos * x + sin * y
+    return sign * way

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from swarmd.calibration.figures import NAMES, Figure
+from swarmd.calibration.figures import AXES, NAMES, Figure, names_of
 from swarmd.core.messages import SweepFigure
 
 # A limit is lowered if the base drives slower than commanded by more than this share.
@@ -28,8 +28,11 @@ class Setting(NamedTuple):
 
 
 def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
-    """The figures of a pattern's report; ValueError if it lacks one."""
-    names = (*NAMES, "margin")
+    """The figures of a pattern's report; ValueError if it lacks one.
+
+    Those of `lateral` only if it has any of them: the base moves sideways.
+    """
+    names = (*names_of(any(name.endswith(AXES[2]) for name in report)), "margin")
     missing = [name for name in names if not isinstance(report.get(name), str)]
     if missing:
         raise ValueError(f"the report has no {missing[0]}")
@@ -38,24 +41,23 @@ def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
 
 def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:
     """Title, value, deviation, number of samples and assumed value of each figure."""
-    return [_row(*NAMES[name], figures[name]) for name in NAMES]
+    return [_row(*NAMES[name], figures[name]) for name in NAMES if name in figures]
 
 
 def settings(
-    figures: Mapping[str, Figure], drove: tuple[float, float], sweep: SweepFigure | None = None
+    figures: Mapping[str, Figure], drove: Sequence[float], sweep: SweepFigure | None = None
 ) -> list[Setting]:
     """The settings that follow, two deviations to the safe side.
 
-    `drove`: the fastest speeds that were commanded, in m/s and rad/s. `sweep`: as measured; None if
-    the present file gives it.
+    `drove`: the fastest speeds that were commanded, in m/s and rad/s, in the order of AXES.
+    `sweep`: as measured; None if the present file gives it.
     """
     found = []
-    for word, speed in zip(("linear", "angular"), drove, strict=True):
-        brake, share = figures[f"braking_{word}"], figures[f"speed_{word}"]
-        if brake.is_measured and not math.isnan(brake.assumed):
-            value = _down(max(brake.value - _DEVIATIONS * brake.spread, 0.01 * brake.value))
-            key = f"protection.barrier.braking_{word}"
-            found.append(_lower(key, value, brake.assumed, f"{_text(brake)}, less 2 sd"))
+    for word, speed in zip(AXES, drove, strict=False):
+        share = figures[f"speed_{word}"]
+        if word != "lateral":
+            axes = [word, "lateral"] if word == "linear" and len(drove) > 2 else [word]
+            found += _braking(word, {axis: figures[f"braking_{axis}"] for axis in axes})
         if share.is_measured and share.value < 1.0 - _SLOWER:
             text = f"{_text(share)} of the {speed:.3g} commanded"
             found.append(_lower(f"limits.{word}", _down(share.value * speed), speed, text))
@@ -78,6 +80,22 @@ def settings(
     return found
 
 
+def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
+    """The setting of a braking that must hold on each of these axes, from the weakest of them.
+
+    None if nothing is measured, nor for a stronger braking that was not measured on each axis.
+    """
+    found = []
+    for axis, brake in brakes.items():
+        if brake.is_measured and not math.isnan(brake.assumed):
+            value = _down(max(brake.value - _DEVIATIONS * brake.spread, 0.01 * brake.value))
+            text = f"{_text(brake)}{'' if axis == word else f' {axis}'}, less 2 sd"
+            key = f"protection.barrier.braking_{word}"
+            found.append(_lower(key, value, brake.assumed, text))
+    found.sort(key=lambda setting: setting.value)
+    return found[:1] if found[:1] and (found[0].is_safe or len(found) == len(brakes)) else []
+
+
 def platform_file(
     robot: str, extends: str, day: str, figures: Mapping[str, Figure], chosen: list[Setting]
 ) -> str:
@@ -88,7 +106,7 @@ def platform_file(
         "",
         f"# Measured by `swarmctl calibrate {robot}` on {day}: mean +- sd (samples).",
     ]
-    lines += [f"#   {_line(name, figures[name])}" for name in NAMES]
+    lines += [f"#   {_line(name, figures[name])}" for name in NAMES if name in figures]
     unsafe = [one for one in chosen if not one.is_safe]
     if unsafe:
         lines += [

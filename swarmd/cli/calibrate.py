@@ -74,9 +74,9 @@ def calibrate(
     """Measure brakes, delays and scales of ROBOT by a few short drives.
 
     The robot stands in the middle of a free floor. It looks whether the floor is free, then drives
-    to and fro and turns on the spot for one to two minutes, under protection. Its figures are
-    printed beside the values of its platform file, with the platform file that follows from them.
-    Ctrl-C stops the robot.
+    to and fro, to both sides if its base moves sideways, and turns on the spot, for one to three
+    minutes, under protection. Its figures are printed beside the values of its platform file, with
+    the platform file that follows from them. Ctrl-C stops the robot.
     """
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
@@ -133,7 +133,8 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
     if yes:
         return
     warn(
-        f"{robot} ({platform}) will drive to and fro, and turn on the spot, for one to two minutes."
+        f"{robot} ({platform}) will drive to and fro, to both sides if its base moves sideways, and"
+        " turn on the spot, for one to three minutes."
     )
     question = f"Is the floor free, {square} with {robot} in the middle, and does it stay free?"
     need_consent("calibrate", f"a floor of {square} around {robot} is free", question)
@@ -217,8 +218,8 @@ def _report(robot: str, status: Status) -> Mapping[str, object]:
     decision = status.decision
     if decision.speed_share < 1.0:  # it scales commands, a stop not: brakes and delays are right
         why = f"the assumption monitor slows the robot to {decision.speed_share:.0%}"
-        slowed = dict.fromkeys(("speed_linear", "speed_angular"), Figure(assumed=1.0, why=why).text)
-        return {**status.report, **slowed}
+        speeds = (name for name in status.report if name.startswith("speed_"))
+        return {**status.report, **dict.fromkeys(speeds, Figure(assumed=1.0, why=why).text)}
     if decision.duty > 0.0:
         raise Failure(
             f"{robot}: protection limited {decision.duty:.1%} of the decisions, so that the figures"
@@ -287,10 +288,10 @@ def _show(
     platform, delay = status.platform, status.scan_delay
     try:
         figures = figures_of(report)
-        linear, angular = map(float, str(report.get("drove")).split())
+        drove = tuple(map(float, str(report.get("drove")).split()))
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    chosen = settings(figures, (linear, angular), None if delay is None else delay.sweep)
+    chosen = settings(figures, drove, None if delay is None else delay.sweep)
     extends = platform if platform in platform_names() else f"./{platform}.yaml"
     day = datetime.date.today().isoformat()
     text = platform_file(robot, extends, day, figures, chosen)

@@ -68,8 +68,9 @@ def print_findings(findings: Sequence[Finding]) -> int:
 def _platform_text(settings: DaemonSettings) -> str:
     platform = settings.platform
     limits = platform.limits
+    sideways = f", {limits.lateral:g} m/s sideways" if limits.lateral > 0.0 else ""
     return (
-        f"{platform.name}: up to {limits.linear:g} m/s and {limits.angular:g} rad/s;"
+        f"{platform.name}: up to {limits.linear:g} m/s{sideways} and {limits.angular:g} rad/s;"
         f" protection {protection_text(platform.protection)}"
     )
 

@@ -40,8 +40,9 @@ class RobotState(Struct, frozen=True, kw_only=True):
     """A robot at one moment: `time` in s since 1970, by this machine's clock, when it was heard.
 
     `x` and `y` in m and `yaw` in rad are by the robot's own odometry, in a frame of its own; NaN if
-    they are not known. `linear` in m/s and `angular` in rad/s: the safe command. `report`: what the
-    pattern reports, `readings`: its scalar sensors, such as `battery` from 0 to 1.
+    they are not known. `linear` in m/s, `angular` in rad/s and `lateral` in m/s to the left: the
+    safe command. `report`: what the pattern reports, `readings`: its scalar sensors, such as
+    `battery` from 0 to 1.
     """
 
     time: float
@@ -54,6 +55,7 @@ class RobotState(Struct, frozen=True, kw_only=True):
     yaw: float = math.nan
     linear: float = math.nan
     angular: float = math.nan
+    lateral: float = math.nan
     report: Mapping[str, Scalar] = {}
     readings: Mapping[str, Scalar] = {}
 
@@ -130,9 +132,9 @@ def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:
 def _put(news: queue.Queue[RobotState], status: Status, motion: Motion | None) -> None:
     moved = {}
     if motion is not None and math.isfinite(motion.x + motion.y + motion.yaw):
-        linear, angular, _ = motion.safe
+        linear, angular, lateral = motion.safe
         moved = {"x": motion.x, "y": motion.y, "yaw": motion.yaw}
-        moved |= {"linear": linear, "angular": angular}
+        moved |= {"linear": linear, "angular": angular, "lateral": lateral}
     one = RobotState(
         time=time.time(),
         robot=status.robot,

@@ -183,9 +183,11 @@ def _beyond_limits(
 ) -> str:
     """A note on the changed speeds that the base cannot reach; empty without one."""
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
+    sideways = {"lateral": platform.limits.lateral}  # as the field of a Twist
     notes = []
     for spec in schema(params_type):
-        value, limit = params[spec.name][0], limits.get(spec.unit, math.inf)
+        limit = sideways.get(spec.name, limits.get(spec.unit, math.inf))
+        value = params[spec.name][0]
         if spec.name in changed and isinstance(value, int | float) and abs(value) > limit:
             notes.append(
                 f"{spec.name} is {value:g} {spec.unit},"

@@ -37,9 +37,8 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     unseen_extent: Length
     # m kept free for range noise. Higher: narrow passages close. Lower: noise leads to contact.
     margin: Length = 0.03
-    # m/s2, least deceleration of the base in any direction, sideways included: neither calibration
-    # nor a monitor measures that. Higher than the truth: the robot stops too late. Lower: it drives
-    # more slowly near every obstacle.
+    # m/s2, least deceleration of the base in any direction, sideways included. Higher than the
+    # truth: the robot stops too late. Lower: it drives more slowly near every obstacle.
     braking_linear: Braking = 1.0
     # rad/s2, least angular deceleration of the base. As `braking_linear`, for turns.
     braking_angular: Braking = 3.0

@@ -455,8 +455,10 @@ class Robot(Ticker):
         if odometry is None or age is None:
             return f"{sent}; no odometry"
         twist = odometry.twist
-        linear, angular = round(twist.linear, 2) + 0.0, round(twist.angular, 2) + 0.0  # no -0.00
-        return f"{sent}; measured {linear:.2f} m/s, {angular:.2f} rad/s, {age:.1f} s ago"
+        moves = f"{twist.linear:z.2f} m/s, {twist.angular:z.2f} rad/s"
+        if self.platform.limits.lateral > 0.0:
+            moves += f", {twist.lateral:z.2f} m/s to the left"
+        return f"{sent}; measured {moves}, {age:.1f} s ago"
 
 
 HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {

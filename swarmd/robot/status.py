@@ -20,7 +20,7 @@ from swarmd.robot.state import Lifecycle
 if TYPE_CHECKING:
     from swarmd.robot.tick import DutyCycle
 
-MAX_REPORTED = 16
+MAX_REPORTED = 20
 MAX_ROWS = 4
 MAX_GAP = 1e6  # m, which the message can tell: odometry that jumps puts obstacles anywhere
 MAX_PEERS = 16

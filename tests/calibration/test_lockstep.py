@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.calibration.figures import DONE, NAMES, REFUSED, Figure
+from swarmd.calibration.figures import DONE, REFUSED, Figure, names_of
+from swarmd.calibration.floor import needed_floor
 from swarmd.calibration.report import figures_of, settings
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Platform
+from swarmd.protection.assumption_monitor import axis_of
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
@@ -146,7 +148,7 @@ def test_what_the_surroundings_do_not_show_is_not_measured(
     arena: dict[str, Any], unknown: set[str]
 ) -> None:
     figures = found(simulated(realism=NOISE, arena=arena))
-    assert {name for name in NAMES if not figures[name].is_measured} == unknown
+    assert {name for name in names_of(False) if not figures[name].is_measured} == unknown
     assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
 
 
@@ -156,6 +158,7 @@ def test_what_the_surroundings_do_not_show_is_not_measured(
         ("burger", {"size": [4.0, 4.0], "poles": [{"at": [0.7, 0.3], "radius": 0.01}]}, "0.75"),
         ("burger", {"size": [1.6, 4.0]}, "0.8"),
         ("jackal", {"size": [4.0, 4.0]}, "4.6 x 4.6"),
+        ("rosbot_xl", {"size": [8.0, 5.0]}, "5.9 x 5.9"),  # too little room at its sides
     ],
 )
 def test_nothing_moves_unless_the_floor_is_free(
@@ -167,6 +170,79 @@ def test_nothing_moves_unless_the_floor_is_free(
     assert report["state"] == REFUSED
     assert word in report["why"]
     assert np.array_equal(sim.world.poses(), start)
+
+
+HALL: dict[str, Any] = {
+    "size": [6.6, 6.1],
+    "boxes": [{"name": "crate", "at": [3.1, 2.4], "size": [0.3, 0.3]}],
+}
+
+
+def test_weak_brakes_sideways_are_found_and_the_monitor_names_them_before() -> None:
+    """On a base whose odometry measures too long a way sideways."""
+    body = {"linear_acceleration": 1.0, "lateral_acceleration": 0.4}
+    sim = simulated("rosbot_xl", NOISE, HALL, body=body)
+    measured = sim.world._odometers._measured
+    measured[0, 2, 2] = 1.08
+    sim.advance(0.5)
+    robot = sim.shells[0].robot  # type: ignore[union-attr]  # it has joined
+    findings: tuple[str, ...] = ()
+    while robot.is_running and not findings and sim.world.time < 200.0:
+        sim.advance(1.0)
+        findings = robot.status(sim.world.time).findings
+    assert robot.is_running
+    assert [axis_of(text) for text in findings] == ["lateral"]
+    figures = found(sim)
+    shown = figures_of(robot.status(sim.world.time).report)
+    assert shown.keys() == {*names_of(True), "margin"}  # a status has room for all of them
+    assert figures["odometry_lateral"].value == pytest.approx(1.08, rel=0.02)
+    assert figures["odometry_linear"].value == pytest.approx(measured[0, 0, 0], rel=0.02)
+    assert figures["braking_lateral"].value == pytest.approx(0.4, rel=0.05)
+    assert figures["braking_lateral"].assumed == 0.8
+    assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
+    assert figures["braking_angular"].value == pytest.approx(4.0, rel=0.05)
+    given = 0.03 - 0.5 * STEP
+    assert figures["reaction_lateral"].value == pytest.approx(given, rel=0.05, abs=0.005)
+    chosen = {one.key: one for one in settings(figures, (0.76, 3.14, 0.53))}
+    braking = chosen["protection.barrier.braking_linear"]
+    assert braking.is_safe
+    assert float(braking.value) == pytest.approx(0.4, rel=0.05)
+
+
+def test_drives_sideways_stay_on_the_floor() -> None:
+    """And find a base that is slower sideways than its file says."""
+    sim = simulated("rosbot_xl", NOISE, HALL, limits={"lateral": 0.3})
+    sim.advance(0.5)
+    robot = sim.shells[0].robot  # type: ignore[union-attr]  # it has joined
+    far = 0.0
+    while robot.is_running and sim.world.time < 200.0:
+        sim.advance(0.1)
+        far = max(far, abs(float(sim.world.poses()[0, 1])))
+    assert robot.report["state"] == DONE, robot.report.get("why")
+    assert robot.status(sim.world.time).decision.duty == 0.0
+    assert 0.1 < far < 1.2 * 0.76
+    figures, drove = figures_of(robot.report), str(robot.report["drove"]).split()
+    assert figures["speed_lateral"].value == pytest.approx(0.3 / float(drove[2]), rel=0.05)
+    assert figures["speed_linear"].value == pytest.approx(1.0, rel=0.05)
+    assert figures["braking_lateral"].value == pytest.approx(1.0, rel=0.05)
+
+
+def test_wheels_that_do_not_slide_end_the_drives() -> None:
+    report = calibrated(simulated("rosbot_xl", arena=HALL, limits={"lateral": 0.0}))
+    assert report["state"] == REFUSED
+    assert "limits.lateral" in report["why"]
+
+
+def test_the_floor_has_room_at_the_sides_as_ahead() -> None:
+    """A base turned by 90 degrees needs the same floor."""
+    base = load_platform("rosbot_xl")
+    outline = base.footprint * (1.5, 1.0)
+    ahead = replace(base, footprint=outline, limits=replace(base.limits, lateral=0.2))
+    turned = np.stack((-outline[:, 1], outline[:, 0]), axis=1)
+    limits = replace(base.limits, linear=0.2, lateral=0.8)
+    aside = replace(base, footprint=turned, limits=limits)
+    slow = replace(aside, limits=replace(limits, lateral=0.0))
+    assert needed_floor(slow) < needed_floor(aside) == needed_floor(ahead)
 
 
 LATE = {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}}

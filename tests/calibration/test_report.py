@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.calibration.figures import NAMES, Figure
+from swarmd.calibration.figures import Figure, names_of
 from swarmd.calibration.report import figures_of, platform_file, rows, settings
 from swarmd.core.messages import SweepFigure
 from swarmd.core.values import Sweep
@@ -26,6 +26,14 @@ GOOD = {
     "scan_delay": Figure(0.06, 0.01, 45, 0.1),
     "margin": Figure(0.03, 0.0, 32, 0.03),
 }
+SIDEWAYS = {
+    **GOOD,
+    "braking_lateral": Figure(1.4, 0.1, 8, 1.0),
+    "reaction_lateral": Figure(0.03, 0.002, 16, 0.05),
+    "speed_lateral": Figure(1.0, 0.005, 8, 1.0),
+    "odometry_lateral": Figure(1.0, 0.01, 16, 1.0),
+}
+"""Of a base that moves sideways."""
 DROVE = 0.22, 2.1
 
 
@@ -98,11 +106,54 @@ def test_what_is_more_careful_is_set(tmp_path: Path) -> None:
     )
 
 
-def test_a_figure_survives_the_report() -> None:
-    report = {name: figure.text for name, figure in GOOD.items()}
+@pytest.mark.parametrize(
+    ("linear", "lateral", "value", "is_safe"),
+    [
+        (1.6, Figure(1.4, 0.1, 8, 1.0), 1.2, False),
+        (0.9, Figure(1.4, 0.1, 8, 1.0), 0.9, True),
+        (1.6, Figure(0.6, 0.0, 8, 1.0), 0.6, True),
+        (0.6, Figure(0.6, 0.0, 8, 1.0), 0.6, True),
+        (0.9, Figure(assumed=1.0, why="scatter"), 0.9, True),
+        (1.6, Figure(assumed=1.0, why="scatter"), None, None),  # nothing is known of the weaker
+    ],
+)
+def test_the_braking_is_that_of_the_weakest_direction(
+    linear: float, lateral: Figure, value: float | None, is_safe: bool | None
+) -> None:
+    figures = {
+        **SIDEWAYS,
+        "braking_linear": Figure(linear, 0.0, 8, 1.0),
+        "braking_lateral": lateral,
+        "speed_lateral": Figure(0.9, 0.005, 8, 1.0),
+    }
+    chosen = {one.key: one for one in settings(figures, (*DROVE, 0.2))}
+    assert chosen["limits.lateral"].value == pytest.approx(0.18)
+    braking = chosen.get("protection.barrier.braking_linear")
+    found = (None, None) if braking is None else (braking.value, braking.is_safe)
+    assert found == (value, is_safe)
+
+
+def test_a_file_of_a_base_that_moves_sideways_loads(tmp_path: Path) -> None:
+    weak = {
+        **SIDEWAYS,
+        "braking_lateral": Figure(0.6, 0.02, 8, 0.8),
+        "speed_lateral": Figure(0.9, 0.005, 8, 1.0),
+    }
+    chosen = settings(weak, (0.76, 3.1, 0.76))
+    file = tmp_path / "mine.yaml"
+    file.write_text(platform_file("r01", "rosbot_xl", "2026-01-01", weak, chosen))
+    platform = load_platform(str(file))
+    assert platform.protection["barrier"]["braking_linear"] == 0.56
+    assert (platform.limits.linear, platform.limits.lateral) == (0.8, 0.684)
+
+
+@pytest.mark.parametrize("figures", [GOOD, SIDEWAYS])
+def test_a_figure_survives_the_report(figures: dict[str, Figure]) -> None:
+    report = {name: figure.text for name, figure in figures.items()}
     assert all(len(text) <= 256 for text in report.values())
     back = figures_of(report)
-    for name, figure in GOOD.items():
+    assert back.keys() == figures.keys()
+    for name, figure in figures.items():
         assert back[name].why == figure.why
         assert back[name].samples == figure.samples
         assert back[name].value == pytest.approx(figure.value, nan_ok=True)
@@ -112,10 +163,13 @@ def test_a_figure_survives_the_report() -> None:
 def test_a_report_of_another_pattern_is_refused() -> None:
     with pytest.raises(ValueError, match="braking_linear"):
         figures_of({"state": "straight"})
+    report = {name: figure.text for name, figure in GOOD.items()}
+    with pytest.raises(ValueError, match="braking_lateral"):
+        figures_of({**report, "speed_lateral": SIDEWAYS["speed_lateral"].text})
 
 
 def test_each_figure_has_a_row() -> None:
     table = rows(GOOD)
-    assert len(table) == len(NAMES)
+    assert len(table) == len(names_of(False)) == len(rows(SIDEWAYS)) - 4
     assert table[0] == ("braking, linear", "1.6 m/s2", "0.05", "8", "1 m/s2")
     assert table[7][1:3] == ("not measured", "-")

@@ -153,16 +153,20 @@ class Resetting:
         return Outcome({}, missing=(ROBOT,))
 
 
+@pytest.mark.parametrize(
+    ("finding", "axis"),
+    [(FOUND, "linear"), (FOUND.replace("m/s2", "m/s2 sideways"), "lateral")],
+)
 @pytest.mark.parametrize(("braking", "ends"), [(0.97, True), (0.86, False), (0.6, False)])
 def test_a_calibration_ends_findings_that_it_does_not_confirm(
-    capsys: pytest.CaptureFixture[str], braking: float, ends: bool
+    capsys: pytest.CaptureFixture[str], braking: float, ends: bool, finding: str, axis: str
 ) -> None:
     """It ends nothing that it cannot tell, such as the speed of others."""
-    found = make_status(ROBOT, findings=(FOUND, CAME))
+    found = make_status(ROBOT, findings=(finding, CAME))
     operator = Resetting()
     figure = Figure(braking, 0.02, 8, 1.0)
-    _end_findings(operator, ROBOT, found, {"braking_linear": figure.text})  # type: ignore[arg-type]  # all that it uses
-    assert [one["findings"] for one in operator.asked] == ([(FOUND,)] if ends else [])
+    _end_findings(operator, ROBOT, found, {f"braking_{axis}": figure.text})  # type: ignore[arg-type]  # all that it uses
+    assert [one["findings"] for one in operator.asked] == ([(finding,)] if ends else [])
     assert all(one["epochs"] == {ROBOT: found.epoch} for one in operator.asked)
     assert ("keeps the finding: braked at" in capsys.readouterr().err) is not ends
 

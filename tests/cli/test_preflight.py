@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.cli.preflight import (
+    _platform_text,
     check_daemon,
     check_patterns,
     check_state_dir,
@@ -192,6 +193,13 @@ def test_a_wrong_option_of_the_driver_is_one_line(
     (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("FAIL"))
     assert "driver simulated" in line
     assert "'never'" in line
+
+
+@pytest.mark.parametrize(
+    ("platform", "limits"), [("burger", "up to 0.22 m/s and"), ("rosbot_xl", "0.8 m/s sideways")]
+)
+def test_the_limits_of_the_platform_are_named(tmp_path: Path, platform: str, limits: str) -> None:
+    assert limits in _platform_text(settings_of(tmp_path, platform=platform))
 
 
 def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:

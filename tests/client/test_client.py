@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import queue
 import threading
 from collections.abc import Callable, Generator
 from contextlib import ExitStack
@@ -22,16 +23,17 @@ from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
 from swarmd.client.runs import check_run
 from swarmd.client.session import Session
-from swarmd.client.states import RobotState
+from swarmd.client.states import RobotState, _put
 from swarmd.client.swarm import Swarm, _plain, _targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
-from swarmd.core.messages import State
+from swarmd.core.messages import Motion, State
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.contexts import Context, add_context
 from tests.support.statuses import make_member
+from tests.support.statuses import status as make_status
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -288,6 +290,16 @@ def test_what_robots_send_is_text_in_a_page() -> None:
     assert "<script>" not in page
     assert "<svg" not in Members(MembersView({"r1": member}))._repr_html_()
     assert repr(shown).splitlines()[-1].startswith("# 1/1 alive")
+
+
+def test_a_state_has_the_safe_command_with_its_speed_to_the_left() -> None:
+    news: queue.Queue[RobotState] = queue.Queue()
+    asked, safe = (0.4, 0.5, 0.6), (0.1, 0.2, -0.3)
+    _put(news, make_status("r1"), Motion("r1", 5.0, 1.0, 2.0, 0.5, asked, safe, True))
+    _put(news, make_status("r1"), None)
+    one, unknown = news.get(), news.get()
+    assert (one.linear, one.angular, one.lateral) == safe
+    assert math.isnan(unknown.lateral)
 
 
 def test_a_frame_has_a_row_for_each_state() -> None:

@@ -13,6 +13,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
 from swarmd.core.verbs import StopRequest
+from swarmd.patterns.drive import Drive
 from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.robot.latches import MAX_HELD
 from tests.support.robot_harness import RobotHarness
@@ -284,6 +285,13 @@ def test_answer_to_a_stop_has_the_measured_speed_and_its_age(verb: str) -> None:
     assert text == "commanded zero; measured 0.12 m/s, 0.00 rad/s, 0.2 s ago"
 
 
+def test_answer_to_a_stop_has_the_speed_to_the_left_of_a_base_that_moves_sideways() -> None:
+    harness = RobotHarness("rosbot_xl", patterns=PATTERNS)
+    harness.odometry = Twist(0.0, 0.0, -0.3)
+    harness.advance(0.2)
+    assert "measured 0.00 m/s, 0.00 rad/s, -0.30 m/s to the left" in harness.applied("stop").text
+
+
 def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
     harness = started()
     harness.step(DriverInput(False, "no bridge at 7447"))
@@ -411,6 +419,24 @@ def test_speed_above_the_limit_is_noted_in_the_reply(
 ) -> None:
     reply = started(speed=0.1).applied(verb, params={"speed": speed}, **fields)
     assert ("waffle_pi is limited to 0.26 m/s" in reply.text) is is_noted
+
+
+@pytest.mark.parametrize(
+    ("platform", "lateral", "note"),
+    [
+        ("waffle_pi", 0.1, "lateral is 0.1 m/s, but waffle_pi is limited to 0 m/s"),
+        ("rosbot_xl", 0.9, "limited to 0.8 m/s"),
+        ("rosbot_xl", -0.8, None),
+    ],
+)
+def test_a_lateral_speed_above_the_limit_is_noted_in_the_reply(
+    platform: str, lateral: float, note: str | None
+) -> None:
+    harness = RobotHarness(platform, patterns={"drive": Drive})
+    harness.advance(1.0)
+    text = harness.applied("run", pattern="drive", params={"lateral": lateral}).text
+    assert ("limited to" in text) is (note is not None)
+    assert (note or "") in text
 
 
 def test_param_set_holds_until_the_next_run() -> None:
