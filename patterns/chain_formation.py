@@ -42,7 +42,7 @@ from swarmd.api import (
 _CHANNEL, _WALK = "chain", "walk"
 _MAX_HOPS, _GOAL = 10_000, -1
 _NEAR, _FAR = 0.8, 1.3  # of the distance: explorers join from here, and pass a member up to here
-_LANE, _SLACK = 0.4, 0.2  # of the distance: explorers keep right, and members rest within
+_LANE, _SLACK = 0.6, 0.2  # of the distance: explorers keep right, and members rest within
 _KEEP = 1.2  # of the sight: a member that has seen the goal sees it up to here
 Vector = tuple[float, float]
 
