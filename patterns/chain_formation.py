@@ -42,7 +42,7 @@ from swarmd.api import (
 _CHANNEL, _WALK = "chain", "walk"
 _MAX_HOPS, _GOAL = 10_000, -1
 _NEAR, _FAR = 0.8, 1.3  # of the distance: explorers join from here, and pass a member up to here
-_LANE, _SLACK = 0.4, 0.2  # of the distance: explorers keep right, and members rest within
+_LANE, _SLACK = 0.6, 0.2  # of the distance: explorers keep right, and members rest within
 _KEEP = 1.2  # of the sight: a member that has seen the goal sees it up to here
 Vector = tuple[float, float]
 
@@ -207,15 +207,14 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
 
     def _hold(self, inputs: Inputs, own: _Member) -> Twist:
         """Keep the place in the chain, or leave it."""
-        params, before = self.params, self._places.get(own.before)
-        robot, near = self.context.robot, _NEAR * params.distance
-        leads = self._leads()
-        is_double = any(  # the member that leads stays, else the lower id
-            (not self._heard[name].leads, name) < (not leads, robot)
+        params, before, robot = self.params, self._places.get(own.before), self.context.robot
+        near, leads, is_tail = _NEAR * params.distance, self._leads(), not self._after(robot)
+        is_double = any(  # a member that leads stays, else one with a chain, else the lower id
+            (not self._heard[name].leads, not self._after(name), name) < (not leads, is_tail, robot)
             and math.hypot(*self._places[name]) < near
             for name in self._after(own.before)
         )
-        is_loose = not self._after(robot) and not leads
+        is_loose = is_tail and not leads
         is_over = is_loose and float(self.context.rng.random()) < params.leave * inputs.dt
         if before is None or is_double or is_over:
             self._own, self._by, self._is_homeward = None, own.before, True
@@ -279,7 +278,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             leading = [one for one in after if self._heard[one].leads]
             if self._is_homeward or leading or not self._starts:
                 self._is_homeward = False
-                choices = leading or [*after, ""]
+                choices = leading or [*after, *after, ""]  # seldom a new chain: long ones find it
                 chosen = choices[int(self.context.rng.integers(len(choices)))]
                 self._starts = not chosen
                 self._side = float(self.context.rng.choice((-1.0, 1.0)))

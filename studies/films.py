@@ -77,8 +77,7 @@ SHOTS = MappingProxyType(
         "film_chain_formation": Shot(
             scenario="chain_formation",
             title="chain_formation, from the nest in the middle to the goal on the right",
-            stop=200.0,
-            seed=1,
+            stop=150.0,
             camera="top",
         ),
         "film_circle_formation": Shot(

@@ -17,7 +17,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from msgspec import structs
@@ -25,7 +25,7 @@ from msgspec.structs import replace
 
 from studies.ros.robots import ARENA, BODIES, LAYOUT, PLATFORM, bound
 from swarmd.core.processes import die_with_parent
-from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import ZERO, Detection, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import RosOptions
@@ -88,6 +88,9 @@ class Nodes:
             self._send("truth", json.dumps([robot, time.monotonic(), *pose]).encode())
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
+        """There are none."""
+
+    def detections(self, robot: str, found: Sequence[Detection]) -> None:
         """There are none."""
 
     def close(self) -> None:

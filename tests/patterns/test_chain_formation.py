@@ -163,6 +163,21 @@ def test_of_two_members_at_one_place_the_one_that_leads_to_the_goal_stays() -> N
     assert other.step(nest=nest, z=(0.1, 1.0, [1, "nest", True])).report["state"] == "home"
 
 
+def test_of_two_members_at_one_place_the_one_with_a_chain_behind_it_stays() -> None:
+    nest: Other = (0.6, 0.0, NEST)
+    long, tail = Robot(join=SURE, leave=0.0), Robot(join=SURE, leave=0.0)
+    long.joined(nest=nest)
+    tail.joined(nest=nest)
+    behind: Other = (0.6, math.pi, [2, "robot-1", False])
+    found = long.step(nest=nest, a=(0.1, 1.0, [1, "nest", False]), b=behind)
+    assert found.report["state"] == "chain"
+    other: dict[str, Other] = {
+        "z": (0.1, 1.0, [1, "nest", False]),
+        "b": (0.6, 2.0, [2, "z", False]),
+    }
+    assert tail.step(nest=nest, **other).report["state"] == "home"
+
+
 def test_a_member_whose_member_before_is_gone_leaves() -> None:
     robot = Robot(join=SURE, leave=0.0)
     robot.joined(nest=(0.6, 0.0, NEST))

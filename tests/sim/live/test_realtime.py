@@ -13,7 +13,7 @@ import pytest
 
 from swarmd.core.codec import encode
 from swarmd.core.errors import SwarmError
-from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import Detection, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import EmulatorFactory, OnCommand
 from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.settings.platforms import load_platform
@@ -96,6 +96,9 @@ class Side:
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
         """There are no fields."""
+
+    def detections(self, robot: str, found: Sequence[Detection]) -> None:
+        """It recognises nothing."""
 
     def close(self) -> None:
         """Nothing is open."""
