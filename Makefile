@@ -43,7 +43,7 @@ help:
 	@echo "make reference writes the generated parts of pages again: docs/reference, docs/keys.md, and reasons in docs/trouble.md"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
-	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; over an hour of a core"
+	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"

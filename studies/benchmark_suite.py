@@ -63,8 +63,8 @@ def table(files: Sequence[str]) -> str:
             rows.append(
                 [
                     *(f"`{task.name}`", str(cell.rank or NOTHING), f"`{row}`"),
-                    NOTHING if summary.median is None else f"{summary.median:.2f}",
-                    NOTHING if between is None else f"{between.low:.2f} to {between.high:.2f}",
+                    NOTHING if summary.median is None else f"{summary.median:z.2f}",
+                    NOTHING if between is None else f"{between.low:z.2f} to {between.high:z.2f}",
                     *(task.file.metric.unit, str(summary.n)),
                 ]
             )
