@@ -21,7 +21,7 @@ LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
 # Not $(MAKE), which `make -n` would run, too.
 REST := env -u MAKEFLAGS make --no-print-directory
 ARGS ?=
-# Test files at a time. Five for two cores: at most four have integration tests, since with six of these
+# Test files at a time. Five for two cores: at most four wait for processes, since with six of these
 # daemons on slow cores stall for more than 1 s, which refuses their runs; the fifth computes
 # (tests/support/scheduling.py). 0: one after the other, in this process.
 JOBS ?= 5

@@ -10,7 +10,8 @@ import pytest
 
 from tests.support.scheduling import MixedScheduling, computes
 
-WAITING, COMPUTING = ("w0", "w1", "w2"), ("c0", "c1", "c2", "c3")
+MARKED, COMPUTING = ("w0", "w1"), ("c0", "c1", "c2", "c3")
+WAITING = (*MARKED, "drivers/w2")
 
 
 class Worker:
@@ -40,7 +41,8 @@ class Worker:
 def dealt(folder: Path, files: tuple[str, ...], workers: int) -> list[Worker]:
     """The workers after all files are done, three tests each."""
     for name in files:
-        mark = "@pytest.mark.integration" if name in WAITING else ""
+        mark = "@pytest.mark.integration" if name in MARKED else ""
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(f"{mark}\ndef test(): ...\n")
     config: Any = SimpleNamespace(
         getvalue=lambda name: [f"{workers}*popen"],
@@ -69,11 +71,11 @@ def test_each_test_is_done_once(tmp_path: Path, files: tuple[str, ...], workers:
     assert sorted(done) == sorted(3 * files)
 
 
-def test_files_with_integration_tests_come_first_and_not_to_the_worker_that_computes(
+def test_files_that_wait_come_first_and_not_to_the_worker_that_computes(
     tmp_path: Path,
 ) -> None:
-    one, two, last = dealt(tmp_path, COMPUTING + WAITING, 3)
-    assert {one.files[0], two.files[0]} == {"w0", "w1"}
+    one, two, last = dealt(tmp_path, ("drivers/w2", *COMPUTING, *MARKED), 3)
+    assert {one.files[0], two.files[0]} == {"drivers/w2", "w0"}
     assert last.files[0] == "c0"
     assert not {*last.files} & {*WAITING}
     assert {*one.files, *two.files} & {*COMPUTING}

@@ -12,6 +12,12 @@ from xdist.workermanage import WorkerController
 NICENESS = 5
 """Of a worker that computes: it leaves the processor to the daemons of the others."""
 
+_WAITING = {
+    *("client", "daemon", "driver_api", "drivers", "live", "network", "network_faults"),
+    *("pattern_host", "view"),
+}
+"""Folders whose tests wait for sockets, threads or processes, also without the mark."""
+
 
 class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
     """One file at a time for each worker, and one of three workers for files that compute.
@@ -36,10 +42,11 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
         super()._assign_work_unit(node)
 
     def _waits(self, scope: str) -> bool:
-        """Whether a file has tests of the layer `integration`."""
+        """Whether a file has tests of the layer `integration`, or is in a folder of _WAITING."""
         if scope not in self._found:
             file: Path = self.config.rootpath / scope
-            self._found[scope] = "pytest.mark.integration" in file.read_text()
+            is_marked = "pytest.mark.integration" in file.read_text()
+            self._found[scope] = is_marked or bool(_WAITING & {*Path(scope).parts})
         return self._found[scope]
 
 
