@@ -49,9 +49,9 @@ help:
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make evidence  long tests, then the five studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
-	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; ten minutes"
+	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; six minutes of a core"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
-	@echo "make learning    what protection does to learning: trains a policy with it and without"
+	@echo "make learning    what protection does to learning: trains a policy with it and without; six minutes of a core"
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
@@ -170,11 +170,11 @@ paper: $(VENV)/tools
 outcomes: $(VENV)/tools
 	@$(BIN)/python -m studies.outcomes $(ARGS)
 
-# A policy with protection and without, in training and in runs of other seeds; some ten minutes.
+# A policy with protection and without, in training and in runs of other seeds; some six minutes of a core.
 learning: $(VENV)/tools
 	@$(BIN)/python -m studies.learning --train 23 $(ARGS)
 
-# Attraction and dispersion tuned by `exp tune`; their pages have the results.
+# Attraction and dispersion tuned by `exp tune`, six minutes of a core; their pages have the results.
 tuning: $(VENV)/tools
 	@$(BIN)/python -m studies.tuning $(ARGS)
 
