@@ -5,6 +5,7 @@ python examples/zenoh/plot_pose.py meadow.json5 meadow tb3-01 --count 300 --out 
 """
 
 import argparse
+import contextlib
 import queue
 
 import matplotlib.pyplot as plt
@@ -26,7 +27,10 @@ def main() -> None:
     arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     xs: list[float] = []
     ys: list[float] = []
-    with zenoh.open(zenoh.Config.from_file(options.config)) as session:
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        zenoh.open(zenoh.Config.from_file(options.config)) as session,
+    ):
         key = f"swarm/{options.swarm}/{options.robot}/state/motion"
         session.declare_subscriber(key, lambda sample: arrived.put(sample.payload.to_bytes()))
         while len(xs) < options.count:

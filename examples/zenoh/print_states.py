@@ -5,6 +5,7 @@ python examples/zenoh/print_states.py meadow.json5 meadow
 """
 
 import argparse
+import contextlib
 import queue
 
 import msgpack
@@ -23,7 +24,10 @@ def main() -> None:
     arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     shown: dict[str, tuple[str, ...]] = {}
     count = 0
-    with zenoh.open(zenoh.Config.from_file(options.config)) as session:
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        zenoh.open(zenoh.Config.from_file(options.config)) as session,
+    ):
         key = f"swarm/{options.swarm}/*/state/status"
         session.declare_subscriber(key, lambda sample: arrived.put(sample.payload.to_bytes()))
         while not options.count or count < options.count:

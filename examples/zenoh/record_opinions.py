@@ -6,6 +6,7 @@ python examples/zenoh/record_opinions.py meadow.json5 meadow --out opinions.csv
 """
 
 import argparse
+import contextlib
 import csv
 import queue
 
@@ -27,6 +28,7 @@ def main() -> None:
     arrived: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     count = 0
     with (
+        contextlib.suppress(KeyboardInterrupt),
         zenoh.open(zenoh.Config.from_file(options.config)) as session,
         open(options.out, "w", newline="", encoding="utf-8") as file,
     ):
