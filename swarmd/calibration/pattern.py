@@ -435,9 +435,11 @@ def _way(track: Array, axis: str, sign: float) -> Array:
     `track` (n, 4): times, x, y, yaw. `sign` -1.0 counts the other way.
     """
     _, x, y, turned = (track - track[0]).T
-    if axis == "angular":
-        return sign * turned
     yaw = float(track[0, 3])
     cos, sin = math.cos(yaw), math.sin(yaw)
-    way: Array = cos * y - sin * x if axis == "lateral" else cos * x + sin * y
-    return sign * way
+    ways: dict[str, Array] = {
+        "linear": cos * x + sin * y,
+        "lateral": cos * y - sin * x,
+        "angular": turned,
+    }
+    return sign * ways[axis]
