@@ -86,7 +86,7 @@ def test_a_robot_drives_to_the_nearest_tag_and_stops(
 
 
 def test_a_turtlebot4_drives_to_the_tag_that_its_camera_recognises() -> None:
-    box = {"name": "crate", "at": [1.0, 0.5], "size": [0.3, 0.3], "mass": 5.0}
+    box: dict[str, Any] = {"name": "crate", "at": [1.0, 0.5], "size": [0.3, 0.3], "mass": 5.0}
     group = {
         "platform": "turtlebot4",
         "count": 1,

@@ -292,7 +292,10 @@ def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
         "size": 0.1,
         "kinds": {"tag36h11": "robot", "7": "box"},
     }
-    own = {"message_path": str(detections_folder(tmp_path)), "detections": {"tags": tags}}
+    own: dict[str, Value] = {
+        "message_path": str(detections_folder(tmp_path)),
+        "detections": {"tags": tags},
+    }
     platform = replace(BURGER, drivers={scheme: {**BURGER.drivers[scheme], **own}})
     stage, sink = Stage(scheme, platform), CollectingSink()
     seen = [Detection("robot", 0.3, 1.5, "r-02"), Detection("box", -0.2, 2.0, "crate")]
