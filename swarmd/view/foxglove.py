@@ -144,7 +144,7 @@ class FoxgloveServer:
 
 def _is_absent(row: Mapping[str, Any]) -> bool:
     """True of a robot that does not answer: where and how it is now is not known."""
-    return row.get("presence", "alive") != "alive"
+    return bool(row.get("presence", "alive") != "alive")
 
 
 def _heard(row: Mapping[str, Any], now: float) -> messages.Timestamp:

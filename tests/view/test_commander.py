@@ -190,7 +190,10 @@ class Slow(Noting):
 
 async def test_a_request_whose_browser_has_gone_is_not_sent_and_a_stop_is() -> None:
     operator = Slow()
-    commands = [{"verb": "run", "targets": ["r1"], "pattern": "drive"}, {"verb": "stop"}]
+    commands: list[dict[str, Any]] = [
+        {"verb": "run", "targets": ["r1"], "pattern": "drive"},
+        {"verb": "stop"},
+    ]
     async with serving(commander=commander(operator)) as (server, address):
         try:
             for command in commands:
