@@ -149,7 +149,8 @@ def test_an_example_needs_zenoh_and_msgpack_alone(file: Path) -> None:
     tree = ast.walk(ast.parse(file.read_text()))
     modules = {one.name for node in tree if isinstance(node, ast.Import) for one in node.names}
     assert "from " not in file.read_text().partition("def main")[0].partition('"""\n\n')[2]
-    assert modules <= {"argparse", "csv", "queue", "msgpack", "zenoh", "matplotlib.pyplot"}
+    standard = {"argparse", "contextlib", "csv", "queue"}
+    assert modules <= standard | {"msgpack", "zenoh", "matplotlib.pyplot"}
 
 
 def test_a_viewer_of_a_secured_swarm_reads_states_with_its_certificate(tmp_path: Path) -> None:
