@@ -38,8 +38,13 @@ class Worker:
         return bool(now)
 
 
-def dealt(folder: Path, files: tuple[str, ...], workers: int) -> list[Worker]:
-    """The workers after all files are done, three tests each."""
+def dealt(
+    folder: Path, files: tuple[str, ...], workers: int, *, last_is_first: bool = False
+) -> list[Worker]:
+    """The workers after all files are done, three tests each.
+
+    `last_is_first`: the last worker is ready first, and those of few files end but for it.
+    """
     for name in files:
         mark = "@pytest.mark.integration" if name in MARKED else ""
         (folder / name).parent.mkdir(exist_ok=True)
@@ -52,7 +57,7 @@ def dealt(folder: Path, files: tuple[str, ...], workers: int) -> list[Worker]:
     scheduling = MixedScheduling(config)
     tests = [f"{name}::test_{number}" for name in files for number in range(3)]
     nodes = [Worker(f"gw{number}") for number in range(workers)]
-    for node in nodes:
+    for node in reversed(nodes) if last_is_first else nodes:
         scheduling.add_node(node)
     for node in nodes:
         scheduling.add_node_collection(node, tests)
@@ -69,6 +74,15 @@ def dealt(folder: Path, files: tuple[str, ...], workers: int) -> list[Worker]:
 def test_each_test_is_done_once(tmp_path: Path, files: tuple[str, ...], workers: int) -> None:
     done = [file for node in dealt(tmp_path, files, workers) for file in node.files]
     assert sorted(done) == sorted(3 * files)
+
+
+@pytest.mark.parametrize(("files", "workers"), [(WAITING[:1], 3), (WAITING[:2], 6)])
+def test_a_worker_that_computes_takes_files_that_wait_if_it_is_left_alone(
+    tmp_path: Path, files: tuple[str, ...], workers: int
+) -> None:
+    """Of more workers than files, the first that are ready remain."""
+    nodes = dealt(tmp_path, files, workers, last_is_first=True)
+    assert sorted(file for node in nodes for file in node.files) == sorted(3 * files)
 
 
 def test_files_that_wait_come_first_and_not_to_the_worker_that_computes(

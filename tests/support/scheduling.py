@@ -25,7 +25,7 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
     Tests marked `integration` wait for processes most of their time. Together, before the other
     files, they left half of the processors idle; more of them at once make daemons stall. So the
     workers that `computes` names take the other files from the first second on, at a lower
-    priority, and end when none is left. The others begin with the files that wait.
+    priority, and end when none is left, if others go on. Those begin with the files that wait.
     """
 
     def __init__(self, config: pytest.Config, log: object = None) -> None:
@@ -35,17 +35,22 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
     def _assign_work_unit(self, node: WorkerController) -> None:
         for_computing = computes(node.gateway.id, self.numnodes)
         fitting = [one for one in self.workqueue if self._waits(one) != for_computing]
-        if not fitting and for_computing:
+        if not fitting and for_computing and self._others_go_on(node):
             node.shutdown()
             return
         self.workqueue.move_to_end((fitting or [*self.workqueue])[0], last=False)
         super()._assign_work_unit(node)
 
+    def _others_go_on(self, node: WorkerController) -> bool:
+        """Whether another worker takes the files that wait."""
+        others = (one for one in self.nodes if one is not node and not one.shutting_down)
+        return not all(computes(one.gateway.id, self.numnodes) for one in others)
+
     def _waits(self, scope: str) -> bool:
         """Whether a file has tests of the layer `integration`, or is in a folder of _WAITING."""
         if scope not in self._found:
             file: Path = self.config.rootpath / scope
-            is_marked = "pytest.mark.integration" in file.read_text()
+            is_marked = file.is_file() and "pytest.mark.integration" in file.read_text()
             self._found[scope] = is_marked or bool(_WAITING & {*Path(scope).parts})
         return self._found[scope]
 
