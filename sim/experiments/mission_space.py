@@ -23,6 +23,7 @@ import yaml
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import whole_file
 from swarmd.mission.mission import mission_class
+from swarmd.mission.schema import MissionFile
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import is_same_file, pattern_names
 from swarmd.settings.yamlfile import brief, read, shown
@@ -254,7 +255,7 @@ def mission_file_space(
     groups = groups or _groups(scenario)
     _check_groups(scenario, groups, name)
     found = []
-    for word in words or [f"{key}={_SPAN}" for key in _probabilities(data)]:
+    for word in words or [f"{key}={_SPAN}" for key in _probabilities(data, shown(path))]:
         one = file_parameter(word, data, shown(path))
         if one.present is None or isinstance(one.present, dict | list):
             there = "has no such value" if one.present is None else f"has {brief(one.present)}"
@@ -336,15 +337,29 @@ def _check_groups(scenario: Scenario, groups: Sequence[str], mission: str = "") 
             )
 
 
-def _probabilities(data: Any, keys: tuple[str, ...] = ()) -> Iterator[str]:
-    """The dotted keys of all probabilities of a mission's file."""
+def _probabilities(data: Mapping[str, Any], what: str) -> Iterator[str]:
+    """The dotted keys of all conditions of a mission's file that are probabilities.
+
+    `what` is the file in messages. ConfigError for one below a name that has a dot.
+    """
+    elements = {key: one for key, one in data.items() if key not in MissionFile.__struct_fields__}
+    for place in _places(elements):
+        if dotted := next((key for key in place if "." in key), None):
+            raise ConfigError(
+                f"--mission {what}: the name {dotted!r} has a dot, which separates keys here; take"
+                " another name for this step"
+            )
+        yield ".".join(place)
+
+
+def _places(data: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         place = (*keys, str(key))
         if isinstance(value, dict | list):
-            yield from _probabilities(value, place)
+            yield from _places(value, place)
         elif key == PROBABILITY:
-            yield ".".join(place)
+            yield place
 
 
 def _state(key: str) -> int:

@@ -217,6 +217,9 @@ WRONG: dict[str, Callable[[Swarm], object]] = {
     "robot is": lambda swarm: swarm.describe(["r1"]),  # type: ignore[arg-type]
     "frame takes": lambda swarm: swarm.frame(3),  # type: ignore[arg-type]
     "seeds is 5": lambda _: swarmd.connect(seeds=5),  # type: ignore[arg-type]
+    "config is 5": lambda _: swarmd.connect(config=5),  # type: ignore[arg-type]
+    "identity is 5": lambda _: swarmd.connect(identity=5),  # type: ignore[arg-type]
+    "insecure is 'no'": lambda _: swarmd.connect(insecure="no"),  # type: ignore[arg-type]
 }
 
 
