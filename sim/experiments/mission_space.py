@@ -16,12 +16,14 @@ import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import whole_file
+from swarmd.kit.factory import Find
 from swarmd.mission.mission import mission_class
 from swarmd.mission.schema import MissionFile
 from swarmd.pattern_host.loader import PatternLoader
@@ -268,7 +270,26 @@ def mission_file_space(
             f"--mission {shown(path)}: has no probability; name what is searched with"
             f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
         )
-    return MissionFileSpace(groups, path, data, once(found), folder, is_present=is_present)
+    space = MissionFileSpace(groups, path, data, once(found), folder, is_present=is_present)
+    _check_values(space, path, find)
+    return space
+
+
+def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
+    """ConfigError if the mission is refused with a bound or a choice of a parameter."""
+    present = {one.name: one.present for one in space.parameters}
+    with TemporaryDirectory() as folder:
+        tried = Path(folder) / path.name
+        for one in space.parameters:
+            for value in one.choices or (one.low, one.high):
+                tried.write_text(space.mission({**present, one.name: value}), encoding="utf-8")
+                try:
+                    mission_class(tried, find)
+                except ConfigError as error:
+                    text = str(error).removeprefix(f"{shown(tried)}:").partition(" ")[2]
+                    raise ConfigError(
+                        f"{SOURCE} {one.key}: {value} is refused: {text}"
+                    ) from error
 
 
 def mission_space(

@@ -184,6 +184,8 @@ def test_a_dotted_name_above_a_probability_is_named(file: Path, tmp_path: Path) 
         ("", "", ["nearer=5..9"], "or give a dotted key of .*gather.yaml"),
         ("", "", ["sequence.1.until.timeout=9..5"], "LO below HI"),
         ("", "", ["sequence.1.until.timeout=5..9"] * 2, "given twice"),
+        ("", "", ["sequence.0.until.all.1.probability=0.5..2"], "2.0 is refused: .*up to 1"),
+        ("", "", ["sequence.0.part=walk,rset"], "rset is refused: .*no part 'rset'"),
         ("probability", "probabilty", [], "gather.yaml:4: .*probabilty"),
         (", {probability: 0.3}", "", ["sequence.0.until.all.0.nearer"], "no parameter"),
     ],
