@@ -287,9 +287,7 @@ def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
                     mission_class(tried, find)
                 except ConfigError as error:
                     text = str(error).removeprefix(f"{shown(tried)}:").partition(" ")[2]
-                    raise ConfigError(
-                        f"{SOURCE} {one.key}: {value} is refused: {text}"
-                    ) from error
+                    raise ConfigError(f"{SOURCE} {one.key}: {value} is refused: {text}") from error
 
 
 def mission_space(
