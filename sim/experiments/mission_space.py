@@ -16,13 +16,16 @@ import hashlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import whole_file
+from swarmd.kit.factory import Find
 from swarmd.mission.mission import mission_class
+from swarmd.mission.schema import MissionFile
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import is_same_file, pattern_names
 from swarmd.settings.yamlfile import brief, read, shown
@@ -254,7 +257,7 @@ def mission_file_space(
     groups = groups or _groups(scenario)
     _check_groups(scenario, groups, name)
     found = []
-    for word in words or [f"{key}={_SPAN}" for key in _probabilities(data)]:
+    for word in words or [f"{key}={_SPAN}" for key in _probabilities(data, shown(path))]:
         one = file_parameter(word, data, shown(path))
         if one.present is None or isinstance(one.present, dict | list):
             there = "has no such value" if one.present is None else f"has {brief(one.present)}"
@@ -267,7 +270,24 @@ def mission_file_space(
             f"--mission {shown(path)}: has no probability; name what is searched with"
             f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
         )
-    return MissionFileSpace(groups, path, data, once(found), folder, is_present=is_present)
+    space = MissionFileSpace(groups, path, data, once(found), folder, is_present=is_present)
+    _check_values(space, path, find)
+    return space
+
+
+def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
+    """ConfigError if the mission is refused with a bound or a choice of a parameter."""
+    present = {one.name: one.present for one in space.parameters}
+    with TemporaryDirectory() as folder:
+        tried = Path(folder) / path.name
+        for one in space.parameters:
+            for value in one.choices or (one.low, one.high):
+                tried.write_text(space.mission({**present, one.name: value}), encoding="utf-8")
+                try:
+                    mission_class(tried, find)
+                except ConfigError as error:
+                    text = str(error).removeprefix(f"{shown(tried)}:").partition(" ")[2]
+                    raise ConfigError(f"{SOURCE} {one.key}: {value} is refused: {text}") from error
 
 
 def mission_space(
@@ -336,15 +356,29 @@ def _check_groups(scenario: Scenario, groups: Sequence[str], mission: str = "") 
             )
 
 
-def _probabilities(data: Any, keys: tuple[str, ...] = ()) -> Iterator[str]:
-    """The dotted keys of all probabilities of a mission's file."""
+def _probabilities(data: Mapping[str, Any], what: str) -> Iterator[str]:
+    """The dotted keys of all conditions of a mission's file that are probabilities.
+
+    `what` is the file in messages. ConfigError for one below a name that has a dot.
+    """
+    elements = {key: one for key, one in data.items() if key not in MissionFile.__struct_fields__}
+    for place in _places(elements):
+        if dotted := next((key for key in place if "." in key), None):
+            raise ConfigError(
+                f"--mission {what}: the name {dotted!r} has a dot, which separates keys here; take"
+                " another name for this step"
+            )
+        yield ".".join(place)
+
+
+def _places(data: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         place = (*keys, str(key))
         if isinstance(value, dict | list):
-            yield from _probabilities(value, place)
+            yield from _places(value, place)
         elif key == PROBABILITY:
-            yield ".".join(place)
+            yield place
 
 
 def _state(key: str) -> int:

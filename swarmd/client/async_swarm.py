@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import AsyncGenerator, Callable, Coroutine, Iterator
+from concurrent.futures import Future, wait
 from functools import partial, wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -17,6 +18,7 @@ R = TypeVar("R")
 
 MAX_WAITING = 1000
 """Items of an iterator that wait for the loop; its thread waits then."""
+_ENDING = 6.0  # s; a call that is cancelled sends its stops within 5 s
 
 
 def _awaited(
@@ -26,8 +28,11 @@ def _awaited(
     async def call(self: AsyncSwarm, /, *args: P.args, **kwargs: P.kwargs) -> R:
         cancelled = threading.Event()
         swarm = self._swarm._cancellable(cancelled)
+        work = begin(partial(method, swarm, *args, **kwargs))
+        self._under_way.add(work)
+        work.add_done_callback(self._under_way.discard)
         try:
-            return await in_thread(partial(method, swarm, *args, **kwargs))
+            return await asyncio.wrap_future(work)
         except asyncio.CancelledError:
             cancelled.set()
             raise
@@ -60,6 +65,7 @@ class AsyncSwarm:
 
     def __init__(self, swarm: Swarm) -> None:
         self._swarm = swarm
+        self._under_way: set[Future[Any]] = set()
 
     members = _awaited(Swarm.members)
     describe = _awaited(Swarm.describe)
@@ -90,8 +96,17 @@ class AsyncSwarm:
         await self.close()
 
     async def close(self) -> None:
-        """Leave the network; see `Swarm.close`."""
-        await asyncio.shield(in_thread(self._swarm.close))
+        """Leave the network; see `Swarm.close`.
+
+        Waits up to 6 s for calls under way to end: those that are cancelled stop their robots,
+        which a program that ends would prevent.
+        """
+
+        def close() -> None:
+            self._swarm.close()
+            wait(tuple(self._under_way), _ENDING)
+
+        await asyncio.shield(in_thread(close))
 
 
 async def _from_thread(

@@ -143,6 +143,11 @@ def connect(
     for name, value in texts.items():
         if value is not None and not isinstance(value, str):
             raise ConfigError(f"{name} is {value!r}; expected a text")
+    for name, place in {"config": config, "identity": identity}.items():
+        if place is not None and not isinstance(place, str | Path):
+            raise ConfigError(f"{name} is {place!r}; expected a path")
+    if not isinstance(insecure, bool):  # a text such as "no" would count as True
+        raise ConfigError(f"insecure is {insecure!r}; expected True or False")
     if config is None and context is None:
         config = NetworkOptions.of_environment().config
     given = NetworkOptions(

@@ -6,6 +6,7 @@ import asyncio
 import math
 import queue
 import threading
+import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 import swarmd
-from swarmd.client.async_swarm import _from_thread
+from swarmd.client.async_swarm import AsyncSwarm, _from_thread
 from swarmd.client.canary import choose_canaries
 from swarmd.client.connect import Connection
 from swarmd.client.members import Members
@@ -217,6 +218,9 @@ WRONG: dict[str, Callable[[Swarm], object]] = {
     "robot is": lambda swarm: swarm.describe(["r1"]),  # type: ignore[arg-type]
     "frame takes": lambda swarm: swarm.frame(3),  # type: ignore[arg-type]
     "seeds is 5": lambda _: swarmd.connect(seeds=5),  # type: ignore[arg-type]
+    "config is 5": lambda _: swarmd.connect(config=5),  # type: ignore[arg-type]
+    "identity is 5": lambda _: swarmd.connect(identity=5),  # type: ignore[arg-type]
+    "insecure is 'no'": lambda _: swarmd.connect(insecure="no"),  # type: ignore[arg-type]
 }
 
 
@@ -345,6 +349,27 @@ async def test_an_iterator_that_is_left_tells_its_thread_to_end() -> None:
     await items.aclose()
     assert cancelled.is_set()
     assert await asyncio.to_thread(ended.wait, 10.0)
+
+
+async def test_closing_waits_for_a_cancelled_call_to_end() -> None:
+    begun, closed, ended = threading.Event(), threading.Event(), threading.Event()
+
+    def members(**_: object) -> MembersView:
+        begun.set()
+        assert closed.wait(10.0)
+        time.sleep(0.1)  # as a stop takes time
+        ended.set()
+        return MembersView({})
+
+    operator = SimpleNamespace(members=members, close=lambda: None)
+    swarm = AsyncSwarm(Swarm(OperatorPool(lambda: cast("Operator", operator)), cancelled=closed))
+    task = asyncio.create_task(swarm.members())
+    assert await asyncio.to_thread(begun.wait, 10.0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    await swarm.close()  # else the program could end before its robots are stopped
+    assert ended.is_set()
 
 
 async def test_a_task_that_is_cancelled_at_an_iterator_leaves_no_task_in_the_loop() -> None:

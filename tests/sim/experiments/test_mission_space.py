@@ -154,6 +154,23 @@ def test_without_a_word_all_probabilities_of_the_file_are_searched(
     assert space.present == dict(zip(keys, (0.3, 0.1), strict=True))
 
 
+def test_a_probability_that_is_no_condition_is_not_searched(file: Path, tmp_path: Path) -> None:
+    more = "parameters: {probability: walk.speed}\nreport: {probability: walk.state}\n"
+    file.write_text(GATHER + more)
+    space = mission_file_space(load_scenario("dispersion"), file, [], tmp_path / "missions")
+    keys = ["sequence.0.until.all.1.probability", "sequence.1.transitions.walk.probability"]
+    assert [one.key for one in space.parameters] == keys
+
+
+def test_a_dotted_name_above_a_probability_is_named(file: Path, tmp_path: Path) -> None:
+    text = GATHER.replace("{part: walk, until", "{part: walk, name: go.on, until")
+    file.write_text(text.replace("transitions: {walk", "transitions: {go.on"))
+    with pytest.raises(ConfigError, match=r"gather.yaml: the name 'go\.on' has a dot"):
+        mission_file_space(load_scenario("dispersion"), file, [], tmp_path / "missions")
+    words = ["sequence.1.until.timeout=5..9"]
+    assert mission_file_space(load_scenario("dispersion"), file, words, tmp_path).parameters
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words", "message"),
     [
@@ -167,6 +184,8 @@ def test_without_a_word_all_probabilities_of_the_file_are_searched(
         ("", "", ["nearer=5..9"], "or give a dotted key of .*gather.yaml"),
         ("", "", ["sequence.1.until.timeout=9..5"], "LO below HI"),
         ("", "", ["sequence.1.until.timeout=5..9"] * 2, "given twice"),
+        ("", "", ["sequence.0.until.all.1.probability=0.5..2"], "2.0 is refused: .*up to 1"),
+        ("", "", ["sequence.0.part=walk,rset"], "rset is refused: .*no part 'rset'"),
         ("probability", "probabilty", [], "gather.yaml:4: .*probabilty"),
         (", {probability: 0.3}", "", ["sequence.0.until.all.0.nearer"], "no parameter"),
     ],
