@@ -1,6 +1,18 @@
 """Drives to the nearest object of a kind that a camera recognises, such as an AprilTag."""
 
-from swarmd.api import ZERO, Annotated, Inputs, MovementPattern, Params, TopSpeed, Twist, about
+import math
+
+from swarmd.api import (
+    ZERO,
+    Annotated,
+    Detection,
+    Inputs,
+    MovementPattern,
+    Params,
+    TopSpeed,
+    Twist,
+    about,
+)
 
 
 class ApproachTagParams(Params, frozen=True, kw_only=True):
@@ -12,7 +24,10 @@ class ApproachTagParams(Params, frozen=True, kw_only=True):
 
 
 class ApproachTag(MovementPattern[ApproachTagParams]):
-    """Turns on the spot until it sees one, drives to it, and stops there."""
+    """Turns on the spot until it sees one, drives to it, and stops there.
+
+    It stands while it sees only tags whose distance is not measured.
+    """
 
     params_type = ApproachTagParams
     needs = frozenset({"scan", "detections"})
@@ -20,7 +35,7 @@ class ApproachTag(MovementPattern[ApproachTagParams]):
     def drive(self, inputs: Inputs) -> Twist:
         """The requested command; protection may change it."""
         seen = [one for one in inputs.detections or () if one.kind == self.params.kind]
-        tag = min(seen, key=lambda one: one.distance or 0.0, default=None)
+        tag = min(seen, key=_distance, default=None)
         if tag is None:
             return Twist(angular=0.5)
         if tag.distance is None or tag.distance <= self.params.distance:
@@ -28,3 +43,7 @@ class ApproachTag(MovementPattern[ApproachTagParams]):
         return Twist(
             linear=self.params.speed * max(0.0, 1.0 - abs(tag.bearing)), angular=tag.bearing
         )
+
+
+def _distance(tag: Detection) -> float:
+    return math.inf if tag.distance is None else tag.distance

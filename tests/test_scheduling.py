@@ -38,6 +38,23 @@ class Worker:
         return bool(now)
 
 
+def scheduler(folder: Path, workers: int) -> Any:
+    config: Any = SimpleNamespace(
+        getvalue=lambda name: [f"{workers}*popen"],
+        rootpath=folder,
+        option=SimpleNamespace(loadscopereorder=False),
+    )
+    return MixedScheduling(config)
+
+
+def ready(scheduling: Any, nodes: list[Worker], tests: list[str]) -> None:
+    """All of them have collected."""
+    for node in nodes:
+        scheduling.add_node(node)
+    for node in nodes:
+        scheduling.add_node_collection(node, tests)
+
+
 def dealt(
     folder: Path, files: tuple[str, ...], workers: int, *, last_is_first: bool = False
 ) -> list[Worker]:
@@ -49,18 +66,10 @@ def dealt(
         mark = "@pytest.mark.integration" if name in MARKED else ""
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text(f"{mark}\ndef test(): ...\n")
-    config: Any = SimpleNamespace(
-        getvalue=lambda name: [f"{workers}*popen"],
-        rootpath=folder,
-        option=SimpleNamespace(loadscopereorder=False),
-    )
-    scheduling = MixedScheduling(config)
+    scheduling = scheduler(folder, workers)
     tests = [f"{name}::test_{number}" for name in files for number in range(3)]
     nodes = [Worker(f"gw{number}") for number in range(workers)]
-    for node in reversed(nodes) if last_is_first else nodes:
-        scheduling.add_node(node)
-    for node in nodes:
-        scheduling.add_node_collection(node, tests)
+    ready(scheduling, nodes[::-1] if last_is_first else nodes, tests)
     scheduling.schedule()
     while any([node.do(scheduling, tests) for node in nodes]):
         pass
@@ -83,6 +92,31 @@ def test_a_worker_that_computes_takes_files_that_wait_if_it_is_left_alone(
     """Of more workers than files, the first that are ready remain."""
     nodes = dealt(tmp_path, files, workers, last_is_first=True)
     assert sorted(file for node in nodes for file in node.files) == sorted(3 * files)
+
+
+def test_tests_that_end_their_worker_are_not_done_again_and_the_others_are(tmp_path: Path) -> None:
+    """Two workers end at the same time, the second while what replaces the first collects."""
+    files = ("c0", "c1", "c2")
+    for name in files:
+        (tmp_path / name).touch()
+    tests = [f"{name}::test_{number}" for name in files for number in range(3)]
+    scheduling, nodes = scheduler(tmp_path, 2), [Worker("gw0"), Worker("gw1")]
+    ready(scheduling, nodes, tests)
+    scheduling.schedule()
+    for number in range(3):  # c0 is done
+        scheduling.mark_test_complete(nodes[0], number)
+    third = Worker("gw2")
+    ended = [scheduling.remove_node(nodes[0])]
+    scheduling.add_node(third)
+    ended.append(scheduling.remove_node(nodes[1]))
+    scheduling.add_node_collection(third, tests)
+    scheduling.schedule()
+    while third.do(scheduling, tests):
+        pass
+    assert sorted(map(str, ended)) == ["c1::test_0", "c2::test_0"]
+    assert sorted(third.files) == ["c1", "c1", "c2", "c2"]
+    assert not scheduling.has_pending
+    assert third.shutting_down
 
 
 def test_files_that_wait_come_first_and_not_to_the_worker_that_computes(

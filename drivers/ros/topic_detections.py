@@ -127,6 +127,8 @@ class TopicDetections:
             return math.atan2(left, ahead), math.hypot(left, ahead)
         width = self.options.image_width or 1.0
         focal = _focal(width, self.options.field_of_view_deg or 90.0)
+        if not math.isfinite(place.x):
+            return math.nan, None
         across = math.atan2(0.5 * width - place.x, focal)
         pixels, size = self._pixels(item), self.options.size
         if size is None or not 0.0 < pixels < math.inf:

@@ -25,6 +25,7 @@ _SETTLE = 0.4  # s at standstill by odometry before a stop counts as over
 _STILL = 0.01  # share of the top speed, per s: slower counts as standstill
 _LONGEST_STOP = 8.0  # s
 _LONGEST_DRIVE = 8.0  # s
+_UNSEEN = (0.7, 0.03)  # s of a drive sideways, and least share of the commanded way seen by then
 _BRAKED_SHARE = 0.75  # of a drive's longest way, after which it ends; the rest is for its stop
 _LOOKS = 6  # scans at rest before the first drive
 _LOOK_TIME = 10.0  # s within which they must come
@@ -286,7 +287,15 @@ class Calibration(Pattern[CalibrationParams]):
             way = _way(track, axis, sign)
             if steady == math.inf and is_steady(track[:, 0], way):
                 steady = self._now
-            is_over = way[-1] > self._farthest[axis] or self._now - begin > _LONGEST_DRIVE
+            passed = self._now - begin
+            is_over = way[-1] > self._farthest[axis] or passed > _LONGEST_DRIVE
+            least = _UNSEEN[1] * abs(speed) * passed
+            if axis == "lateral" and passed > _UNSEEN[0] and way[-1] < least:
+                raise _EndError(
+                    f"odometry shows no way sideways when {abs(speed):.2f} m/s are commanded: its"
+                    " wheels do not slide (limits.lateral: 0), its driver measures no way sideways,"
+                    " or protection stops it"
+                )
         at = self._now
         yield from self._stand()
         track = self._track(begin)

@@ -233,6 +233,15 @@ def test_wheels_that_do_not_slide_end_the_drives() -> None:
     assert "limits.lateral" in report["why"]
 
 
+def test_odometry_without_the_way_sideways_ends_the_drives_before_the_robot_goes_far() -> None:
+    sim = simulated("rosbot_xl", NOISE, HALL)
+    sim.world._odometers._measured[0, 2, 2] = 0.0
+    report = calibrated(sim)
+    assert report["state"] == REFUSED
+    assert "odometry shows no way sideways" in report["why"]
+    assert abs(float(sim.world.poses()[0, 1])) < 0.76
+
+
 def test_the_floor_has_room_at_the_sides_as_ahead() -> None:
     """A base turned by 90 degrees needs the same floor."""
     base = load_platform("rosbot_xl")

@@ -70,6 +70,8 @@ def test_a_walk_waits_at_a_meeting_the_longer_the_warmer(temperature: float, sec
         ((Detection("robot", 0.0, 1.0),), Twist(angular=0.5)),
         ((Detection("box", 0.5, 2.0), Detection("box", 0.0, 3.0)), Twist(0.05, 0.5)),
         ((Detection("box", 2.0, 2.0),), Twist(angular=2.0)),
+        ((Detection("box", 0.1), Detection("box", 0.5, 2.0)), Twist(0.05, 0.5)),
+        ((Detection("box", 0.1),), Twist()),
         ((Detection("box", 0.1, 0.7),), Twist()),
     ],
 )

@@ -32,7 +32,27 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
         super().__init__(config, log)
         self._found: dict[str, bool] = {}
 
+    def remove_node(self, node: WorkerController) -> str | None:
+        """Give back the files of a worker that ended, without tests that are done.
+
+        The test that ended it, which this names, counts as done: it would end the next one, too.
+        """
+        units = self.assigned_work[node]
+        left = {one: tests for one, tests in units.items() if not all(tests.values())}
+        self.assigned_work[node] = left
+        for tests in left.values():
+            ended = next(name for name, is_done in tests.items() if not is_done)
+            tests[ended] = True
+            if all(tests.values()):
+                del left[self._split_scope(ended)]
+            super().remove_node(node)
+            return str(ended)
+        super().remove_node(node)
+        return None
+
     def _assign_work_unit(self, node: WorkerController) -> None:
+        if node not in self.registered_collections:
+            return  # it replaces one that ended, and still collects
         for_computing = computes(node.gateway.id, self.numnodes)
         fitting = [one for one in self.workqueue if self._waits(one) != for_computing]
         if not fitting and for_computing and self._others_go_on(node):

@@ -135,6 +135,13 @@ def test_a_tag_has_bearing_and_distance_by_its_side_in_the_image(topics: Topics)
     ]
 
 
+@pytest.mark.parametrize("column", [math.inf, -math.inf, math.nan])
+def test_a_tag_without_a_column_is_left_out(topics: Topics, column: float) -> None:
+    options = topics.options(tags={**TAGS, "size": None})
+    found = told(options, {"tags": topics.tags((7, column, 32.0), (8, 320.0, 32.0))})
+    assert [one.id for one in found] == ["8"]
+
+
 def test_the_place_of_the_camera_counts(topics: Topics) -> None:
     mounted: dict[str, Value] = {
         **TAGS,
