@@ -72,9 +72,11 @@ def test_robots_out_of_each_others_radio_are_one_swarm_over_a_mesh(
         def is_whole() -> bool:
             answer = swarm.ctl("a", *words, "members", "-o", "json").json
             members = [] if answer is None else answer["members"]
-            return {one["robot"] for one in members if one["presence"] == "alive"} == set(ROBOTS)
+            # Alive by another's word is not enough: it may not be reachable from here yet.
+            answered = [one for one in members if one["status"] is not None]
+            return {one["robot"] for one in answered if one["presence"] == "alive"} == set(ROBOTS)
 
-        wait_until(is_whole, "all robots of the line, seen from one end")
+        wait_until(is_whole, "answers of all robots of the line, from one end")
         answer = swarm.ctl("a", *words, "run", "drive", "--all", "-o", "json")
         assert (answer.code, answer.json["missing"]) == (0, []), answer
         swarm.await_moving(*ROBOTS)
