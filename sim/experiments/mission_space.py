@@ -168,7 +168,7 @@ class MissionSpace(Missions):
         """Up to MAX_TRANSITIONS of state n, each to another state."""
         for k in range(1, min(MAX_TRANSITIONS, states - 1) + 1):
             place = f"{n}_{k}"
-            # The first leads to another state; a later one that leads to none is no transition.
+            # The first transition leads to another state; a later one may be left out: 0 steps.
             least = 1 if k == 1 else 0
             steps = trial.suggest_int(f"target_{place}_of_{states}", least, states - 1)
             target = (n - 1 + steps) % states + 1

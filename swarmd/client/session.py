@@ -55,7 +55,7 @@ class Session:
         return view
 
     def check_awaited(self) -> None:
-        """SwarmError if a request would be sent for a caller who does not wait any more."""
+        """Raise SwarmError if the caller has gone or the connection is closed."""
         if self.is_cancelled():
             raise SwarmError("not sent: its caller has gone, or the connection was closed")
 

@@ -224,7 +224,7 @@ def needs_of(condition: Condition) -> frozenset[str]:
 
 
 def is_drawn(condition: Condition) -> bool:
-    """Whether a random draw decides on the condition, or on one that it is made of."""
+    """Whether a random draw decides on the condition, or on a part of it."""
     return any(
         isinstance(one, Probability) or (isinstance(one, Neighbors) and one.slope is not None)
         for one in simple_conditions(condition)

@@ -130,7 +130,7 @@ class Client:
             self._sending = asyncio.create_task(self._send(texts, [], frame))
 
     def own(self, request: asyncio.Task[None]) -> None:
-        """Cancel a request with the page: nothing moves for a user who has gone."""
+        """Cancel the task of a request when the page closes."""
         self._requests.add(request)
         request.add_done_callback(self._requests.discard)
 

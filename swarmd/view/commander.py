@@ -134,7 +134,7 @@ class LiveCommander:
         words = str(fields.get("labels") or "").split()
         added, removed = read_changes(words) if verb == "label" else ((), ())
         with self._limit.request(), self._make() as operator:
-            operator.expect(names)  # shown robots: one that is not heard counts as missing
+            operator.expect(names)  # robots that the page shows count as missing if silent
             session = Session(operator, is_cancelled=cancelled.is_set)
             try:
                 targeted = session.target(Targets(names), needs_status=verb in ("reset", "label"))

@@ -52,7 +52,7 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         if node not in self.registered_collections:
-            return  # it replaces one that ended, and still collects
+            return  # a replacement of a crashed worker, which still collects
         for_computing = computes(node.gateway.id, self.numnodes)
         fitting = [one for one in self.workqueue if self._waits(one) != for_computing]
         if not fitting and for_computing and self._others_go_on(node):
@@ -78,7 +78,7 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
 def computes(worker: str, workers: int) -> bool:
     """Whether a worker, such as gw5, takes files that compute alone: the last third of them.
 
-    One that replaces a worker that crashed has a higher number, and takes any file.
+    The replacement of a crashed worker has a higher number, and takes any file.
     """
     number = int(re.sub(r"\D", "", worker) or 0)
     return workers - workers // 3 <= number < workers

@@ -179,7 +179,7 @@ def seconds(message: Any) -> float:
 
 
 class Broken:
-    """A publisher that fails in a way that nobody expects."""
+    """A publisher that raises an error of no declared kind."""
 
     def __init__(self) -> None:
         self.count = 0
