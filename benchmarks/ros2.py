@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import socket
 import subprocess
 import sys
 import threading
@@ -38,6 +37,7 @@ from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
+from tests.support.processes import free_endpoint
 from tests.support.ros2_bridge import why_no_bridge
 
 SECONDS = 15.0
@@ -177,9 +177,7 @@ async def _drive(name: str, endpoint: str, child: subprocess.Popen[str], sink: A
 
 
 def _hub() -> tuple[zenoh.Session, str]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([endpoint]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +20,7 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeSwarm
 from tests.support.keys import SwarmKeys
-from tests.support.processes import unique_swarm, wait_until
+from tests.support.processes import free_endpoint, unique_swarm, wait_until
 from tests.support.router import Router
 
 pytestmark = pytest.mark.integration
@@ -29,18 +28,10 @@ pytestmark = pytest.mark.integration
 ROBOTS = ("r1", "r2", "r3")
 
 
-def free_endpoints(count: int) -> list[str]:
-    probes = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
-    endpoints = [f"tcp/127.0.0.1:{probe.getsockname()[1]}" for probe in probes]
-    for probe in probes:
-        probe.close()
-    return endpoints
-
-
 @pytest.fixture
 def routers() -> Iterator[list[Router]]:
     """Two routers with a link to each other."""
-    first, second = free_endpoints(2)
+    first, second = free_endpoint(), free_endpoint()
     made = [Router(first), Router(second, first)]
     yield made
     for router in made:
@@ -60,7 +51,7 @@ def answered(settings: NetworkSettings) -> set[str]:
 def test_a_router_with_keys_lets_each_name_do_what_its_role_may(tmp_path: Path) -> None:
     swarm = unique_swarm()
     keys = SwarmKeys(tmp_path, swarm, ROBOTS, operators=["alice"], viewers=["eve", "router"])
-    (endpoint,) = free_endpoints(1)
+    endpoint = free_endpoint()
     configuration = router_configuration(keys["router"], endpoint.replace("tcp/", "tls/"))
     (tmp_path / "router.json").write_text(json.dumps(configuration))
     router = Router(str(tmp_path / "router.json"))
@@ -129,7 +120,7 @@ def test_the_other_router_takes_over_when_one_dies(routers: list[Router]) -> Non
 
 
 def test_robots_that_start_before_their_router_are_found_later() -> None:
-    (endpoint,) = free_endpoints(1)
+    endpoint = free_endpoint()
     settings = NetworkSettings(profile="routed", swarm=unique_swarm(), routers=(endpoint,))
     swarm = FakeSwarm(settings, ("r1",), is_awaited=False)
     router: Router | None = None

@@ -22,6 +22,7 @@ from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import ANY_SWARM, Address, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Until
+from tests.support.processes import free_port
 
 TAG = tag_of("dev", f"test-{secrets.token_hex(6)}")
 OTHER = tag_of("dev", "another")
@@ -221,8 +222,8 @@ def test_a_full_queue_is_no_error(peers: Peers) -> None:
 
 def test_the_port_is_the_one_that_was_given(peers: Peers) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+        port = free_port()
+        probe.bind(("127.0.0.1", port))
         with pytest.raises(NetworkError, match=f"udp port {port} is in use"):
             peers.open(port=port)
     assert peers.open(port=port).port == port

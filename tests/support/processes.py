@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -57,9 +58,28 @@ def run_command(
 
 def free_endpoint() -> str:
     """A TCP endpoint on loopback at which nothing listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
+
+
+def free_port() -> int:
+    """A port of loopback that no socket has, by TCP or UDP.
+
+    It is none of those that the kernel gives to sockets which ask for any: it stays free.
+    """
+    while True:
+        port = 20000 + secrets.randbelow(_first_given_port() - 20000)
+        with socket.socket() as stream, socket.socket(type=socket.SOCK_DGRAM) as datagram:
+            try:
+                stream.bind(("127.0.0.1", port))
+                datagram.bind(("127.0.0.1", port))
+            except OSError:
+                continue
+        return port
+
+
+@cache
+def _first_given_port() -> int:
+    return int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
 
 
 def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> None:

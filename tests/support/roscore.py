@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import time
 import xmlrpc.client
@@ -13,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from swarmd.testing.driver_contract import is_running
-from tests.support.processes import CAP, children, wait_until
+from tests.support.processes import CAP, children, free_port, wait_until
 
 PYTHON = "/usr/bin/python3"
 """Debian's packages of ROS work with this interpreter alone."""
@@ -44,9 +43,7 @@ class RosCore:
 
     def __init__(self, folder: Path, *, is_whole: bool = True) -> None:
         self._is_whole = is_whole
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self.uri = f"http://127.0.0.1:{self.port}"
         self.environ = {
             **{name: value for name, value in os.environ.items() if name != "ROS_HOSTNAME"},

@@ -46,7 +46,7 @@ from swarmd.security.datagram_keys import KEY_BYTES, reader_keys
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import SharedRoster
 from tests.support.keys import flipped
-from tests.support.processes import free_endpoint, wait_until
+from tests.support.processes import free_port, wait_until
 from tests.support.secured_swarm import SecuredSwarm
 
 pytestmark = pytest.mark.integration
@@ -160,11 +160,13 @@ class KeyThief:
         self._signer._pairs["anna"] = self.FALSE
         keys = replace(authority.keys_of("anna"), answers=dict.fromkeys(self._names, self.FALSE))
         self._blob = msgspec.msgpack.encode(SharedRoster(authority.signed_roster, keys=keys))
-        endpoint = free_endpoint()
+        port = free_port()
         self._mouth = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         left.callback(self._mouth.close)
-        self._mouth.bind(("127.0.0.1", int(endpoint.rpartition(":")[2])))
-        options = session_options(replace(swarm.settings, listen=(endpoint,)), identity)
+        self._mouth.bind(("127.0.0.1", port))
+        options = session_options(
+            replace(swarm.settings, listen=(f"tcp/127.0.0.1:{port}",)), identity
+        )
         del options["access_control"]  # it answers on the keys of other robots as well
         session = open_with(options, "a thief")
         left.callback(session.close)
