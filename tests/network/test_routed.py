@@ -45,7 +45,7 @@ def routed(routers: list[Router]) -> NetworkSettings:
 
 
 def asked(robot: FakeDaemon) -> int:
-    """How many requests it has had, without stops: these are repeated by datagrams, and come late."""
+    """How many requests it has had, without stops, which are repeated and may come late."""
     return sum(not isinstance(one, Stop) for one in robot.requests)
 
 
