@@ -42,6 +42,7 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
     np.testing.assert_allclose(
         np.exp(1j * scan.bearings), np.exp(1j * np.radians(90.0 - np.arange(360))), atol=1e-5
     )
+    await harness.until(lambda: bool(sink.odometries))
     assert sink.odometries[-1].pose.yaw == pytest.approx(0.6)
     assert sink.odometries[-1].twist == Twist(0.1, -0.2)
 
