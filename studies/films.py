@@ -1,17 +1,18 @@
-"""A short film of each pattern: `python -m studies.films [OUT]`, by default in build/films.
+"""A short film of each pattern: film_PATTERN.gif for docs/patterns, and demo.gif for README.md.
 
-Draws film_PATTERN.gif for docs/patterns, and demo.gif for README.md. `make films` runs it.
+`make films` runs it.
 """
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Mapping
+import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from swarmd.core.errors import unknown
 from swarmd.sim.film.film import FilmSettings, make_film
 from swarmd.sim.film.renderer import Camera
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -253,9 +254,21 @@ def shoot(name: str, out: Path) -> Path:
     return path
 
 
-if __name__ == "__main__":
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "build/films")
-    folder.mkdir(parents=True, exist_ok=True)
-    for chosen in sys.argv[2:] or SHOTS:
-        made = shoot(chosen, folder)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Film what the command line names."""
+    parser = argparse.ArgumentParser(prog="python -m studies.films", description=__doc__)
+    parser.add_argument("out", nargs="?", type=Path, default=Path("build/films"), help="folder")
+    parser.add_argument("films", nargs="*", metavar="FILM", help="default: all")
+    options = parser.parse_args(arguments)
+    for name in options.films:
+        if name not in SHOTS:
+            parser.error(unknown("film", name, SHOTS))
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name in options.films or SHOTS:
+        made = shoot(name, options.out)
         print(f"{made}: {megabytes(made.stat().st_size, 2)}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
