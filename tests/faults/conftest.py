@@ -24,7 +24,7 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
-from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.processes import CAP, DaemonProcess, free_endpoint, unique_swarm, wait_until
 from tests.support.viewer import Viewer
 
 ROBOT = "tb3-01"
@@ -110,7 +110,9 @@ class Bench:
         shutil.copytree(PLUGINS, self._plugins, ignore=shutil.ignore_patterns("__pycache__"))
         self._left = contextlib.ExitStack()
         platform = load_platform("waffle_pi")
-        self.body = self._left.enter_context(Body(platform, swarm=self.swarm, robot=ROBOT))
+        self.body = self._left.enter_context(
+            Body(platform, swarm=self.swarm, robot=ROBOT, endpoint=free_endpoint())
+        )
         self.witness = self._left.enter_context(Witness(self.swarm))
         self.daemon: DaemonProcess
         self.driver_options: Mapping[str, Value] = {}
