@@ -23,7 +23,7 @@ from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
 from tests.support.fake_daemon import FakeDaemon, FakeSwarm, light_status
-from tests.support.processes import unique_swarm, wait_until
+from tests.support.processes import CAP, unique_swarm, wait_until
 from tests.support.statuses import status as make_status
 from tests.support.swarmctl import SWARMCTL, Finished, swarmctl
 
@@ -56,6 +56,17 @@ def status(swarm: str) -> Status | None:
         return statuses_of(operator.members()).get(ROBOT)
 
 
+def answered_status(swarm: str) -> Status:
+    found: list[Status] = []
+
+    def answers() -> bool:
+        found.extend(one for one in (status(swarm),) if one is not None)
+        return bool(found)
+
+    wait_until(answers, "the robot answers")
+    return found[0]
+
+
 def scans(swarm: str) -> bool:
     found = status(swarm)
     return found is not None and found.health.scan_rate > 0.0
@@ -68,9 +79,7 @@ def calibrate(swarm: str, *options: str) -> Finished:
 def test_nothing_is_sent_without_confirmation(swarm: str) -> None:
     done = calibrate(swarm, "--floor", "2")
     assert (done.code, "--yes" in done.err) == (2, True)
-    found = status(swarm)
-    assert found is not None
-    assert found.generation == 0
+    assert answered_status(swarm).generation == 0
 
 
 def test_a_file_is_not_overwritten_without_a_terminal(swarm: str, tmp_path: Path) -> None:
@@ -98,11 +107,9 @@ def test_an_interrupt_stops_the_robot(swarm: str) -> None:
         if "drive 1" in line:
             break
     process.send_signal(signal.SIGINT)
-    assert "commanded zero" in process.communicate(timeout=30.0)[1]
+    assert "commanded zero" in process.communicate(timeout=CAP)[1]
     assert process.returncode == 130
-    found = status(swarm)
-    assert found is not None
-    assert found.state is State.STOPPED
+    assert answered_status(swarm).state is State.STOPPED
 
 
 @pytest.mark.timeout(600)
@@ -181,7 +188,7 @@ def test_a_reset_ends_findings_only_if_it_is_asked_to(monkeypatch: pytest.Monkey
         for words in (), ("--findings", "--reason", "a test"):
             done = swarmctl("reset", ROBOT, *words, environ={"SWARM": settings.swarm})
             assert (done.code, FOUND in done.err) == (0, True), done
-        asked = [(one.findings, one.reason) for one in fleet[ROBOT].requests]  # type: ignore[union-attr]  # resets
+        asked = [(one.findings, one.reason) for one in fleet[ROBOT].different_requests]  # type: ignore[union-attr]  # resets
     assert asked == [((), ""), ((FOUND,), "a test")]
 
 

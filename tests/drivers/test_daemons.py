@@ -24,6 +24,7 @@ from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, command, odometry, scan
 from tests.support import ros2_types as dds
 from tests.support.drive_daemon import ROBOT, drive, status
+from tests.support.fake_body import IN_FLIGHT
 from tests.support.processes import DaemonProcess, children, unique_swarm, wait_until, watchdogs
 from tests.support.ros2_bridge import why_no_bridge
 
@@ -49,7 +50,7 @@ class Setup:
     publish: Callable[[int], None]
     platform: str = "burger"
     zero_time: float = 3.0
-    slack: float = 1.0
+    slack: float = 4.0
 
 
 class Course:
@@ -79,11 +80,15 @@ class Course:
         return found[0]
 
     def gets_only_zeros(self, since: float, seconds: float) -> None:
-        """Only zeros arrive for `seconds`, at least 5 per second."""
-        wait_until(lambda: self.commands[-1][0] > since + seconds, "commands for long enough")
-        after = [(t - since, twist) for t, twist in self.commands if t >= since]
+        """Only zeros arrive for `seconds` at least, more than 5 for each of these."""
+        after: list[tuple[float, Twist]] = []
+
+        def have_come() -> bool:
+            after[:] = [(t - since, twist) for t, twist in self.commands if t >= since]
+            return self.commands[-1][0] > since + seconds and len(after) > 5.0 * seconds
+
+        wait_until(have_come, "commands for long enough")
         assert not [t for t, twist in after if not twist.is_zero]
-        assert len(after) > 5.0 * seconds
 
     def _run(self) -> None:
         count = 0
@@ -110,7 +115,7 @@ def ros2(driver: str, robot: Robot) -> Setup:
 def ros1(request: pytest.FixtureRequest) -> Setup:
     robot = RosRobot(request.getfixturevalue("roscore"))
     robot.do("rate", hz=10)
-    return Setup("ros1", robot, robot.options, lambda count: None, zero_time=1.0, slack=2.0)
+    return Setup("ros1", robot, robot.options, lambda count: None, zero_time=1.0, slack=5.0)
 
 
 KINDS: dict[str, Callable[[pytest.FixtureRequest], Setup]] = {
@@ -178,8 +183,8 @@ def test_the_robot_of_a_frozen_daemon_stops(moving: tuple[Course, DaemonProcess]
         daemon.thaw()
     wait_until(lambda: course.commands[-1][0] > thawed + 1.0, "the daemon commands again")
     assert is_running(daemon.process.pid)
-    late = [t - thawed for t, twist in course.commands if t > thawed + 0.2 and not twist.is_zero]
-    assert not late, "the stall has ended the run"
+    late = [t - thawed for t, twist in course.commands if t > thawed and not twist.is_zero]
+    assert len(late) <= IN_FLIGHT, "the stall has ended the run"
 
 
 class Rival:
@@ -254,6 +259,7 @@ def test_a_thymio_drives_with_its_platform_file_and_avoids_a_hand(tmp_path: Path
         wait_until(lambda: course.commands[-1][1].linear > 0.0, "it drives ahead")
         robot.ranges = dict.fromkeys(FRONT, 0.03)  # a hand
         wait_until(lambda: course.commands[-1][1].linear < 0.0, "it backs away")
+        wait_until(lambda: status(operator) is not None, "it answers")
         now = status(operator)
         assert now is not None
         gap = now.decision.min_gap

@@ -39,6 +39,7 @@ from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness, Rig
+from tests.support.processes import free_endpoint
 from tests.support.range_ring import ring_spec, with_ring
 from tests.support.stories import story
 
@@ -66,9 +67,9 @@ class Body:
 
     platform = PLATFORM
 
-    def __init__(self, endpoint: str = "tcp/127.0.0.1:0") -> None:
-        self.link = RecordingLink(endpoint)
-        self.endpoint = self.link.endpoint
+    def __init__(self) -> None:
+        self.endpoint = free_endpoint()  # which it has again after it has reconnected
+        self.link = RecordingLink(self.endpoint)
         self._published_count = 0
 
     def make(self, options: Mapping[str, Value]) -> SimulatedDriver:

@@ -24,7 +24,8 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
-from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.processes import CAP, DaemonProcess, free_endpoint, unique_swarm, wait_until
+from tests.support.swarmctl import STALLED
 from tests.support.viewer import Viewer
 
 ROBOT = "tb3-01"
@@ -110,7 +111,9 @@ class Bench:
         shutil.copytree(PLUGINS, self._plugins, ignore=shutil.ignore_patterns("__pycache__"))
         self._left = contextlib.ExitStack()
         platform = load_platform("waffle_pi")
-        self.body = self._left.enter_context(Body(platform, swarm=self.swarm, robot=ROBOT))
+        self.body = self._left.enter_context(
+            Body(platform, swarm=self.swarm, robot=ROBOT, endpoint=free_endpoint())
+        )
         self.witness = self._left.enter_context(Witness(self.swarm))
         self.daemon: DaemonProcess
         self.driver_options: Mapping[str, Value] = {}
@@ -193,7 +196,7 @@ class Bench:
             if reply.code is Code.APPLIED:
                 return self.body.wait_moving(asked)
             print(f"not loaded: {reply.text}")
-            assert "loading took more than" in reply.text
+            assert STALLED.search(reply.text)
         raise AssertionError(f"{pattern} was not loaded in {ATTEMPTS} attempts")
 
     def drive_until_restarted(self, pattern: str, fail: Callable[[], float] = boottime) -> Return:
@@ -234,11 +237,16 @@ class Bench:
         """It stands, senses and can be run again, whatever was before."""
         self.body.scans, self.body.odometry = self.body.clear, Twist()
         self.halt("stop")
-        status = self.status()
-        if status.state in (State.ESTOPPED, State.FAULTED):
-            reply = self.ask("reset", ids=list(status.latches))
-            assert reply.code is Code.APPLIED, reply.text
+        wait_until(self._has_reset, "its reset is not refused by a stall")
         wait_until(lambda: _sensors(self.status()), "it senses again")
+
+    def _has_reset(self) -> bool:
+        status = self.status()
+        if status.state not in (State.ESTOPPED, State.FAULTED):
+            return True
+        reply = self.ask("reset", ids=list(status.latches))
+        assert reply.code is Code.APPLIED or STALLED.search(reply.text), reply.text
+        return reply.code is Code.APPLIED
 
     # Looking at it
 

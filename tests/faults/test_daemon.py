@@ -180,7 +180,7 @@ def test_an_estop_that_cannot_be_written_down_latches_all_the_same(bench: Bench)
     zero = bench.body.wait_zero(moving.at)
     assert ack.text.startswith("commanded zero")
     assert bench.status().state is State.ESTOPPED
-    assert "latched in memory only" in bench.daemon.text()
+    wait_until(lambda: "latched in memory only" in bench.daemon.text(), "it tells in its log")
     assert bench.run("drive").code is Code.REFUSED
     bench.moves_not(zero.at)
 

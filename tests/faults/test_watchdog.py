@@ -30,7 +30,7 @@ pytestmark = pytest.mark.integration
 
 WITHIN = 0.6
 """Seconds within which a base without a timeout is told to stand; on a starved machine later."""
-SLACK = 1.0
+SLACK = 4.0
 
 
 @pytest.fixture
@@ -133,7 +133,7 @@ def test_a_daemon_that_is_back_before_the_zeros_end_requires_zero_too(guarded: B
     ]
     moving = [one for one in meanwhile if not one.twist.is_zero]
     assert len(moving) <= 1, "but for one that was on its way when the daemon froze"
-    wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
+    wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on")
 
 
 def test_asked_to_end_the_watchdog_sends_zeros_for_2_s_and_ends(guarded: Bench) -> None:

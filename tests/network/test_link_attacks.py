@@ -26,11 +26,11 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity, load_identity
 from tests.support.fake_daemon import light_status
 from tests.support.keys import SwarmKeys
-from tests.support.processes import free_endpoint, wait_until
+from tests.support.processes import CAP, free_endpoint, wait_until
 from tests.support.secured_swarm import SecuredSwarm
 
 WILD = ("**", "swarm/**", "swarm/*/*/control/**", "swarm/*/r1/state/*")
-LINK_TIME = 1.0  # s in which an attacker that is let in has its link; it takes 10 ms
+LINK_TIME = 1.0  # s; an attacker that is let in has its link after 10 ms
 REQUESTS = tuple(r.name for r in VERBS.values() if r.is_request and not r.is_datagram)
 _reply = Decoder(Reply)
 
@@ -80,7 +80,7 @@ class Attacker:
         options = {**operator_options(settings, [endpoint]), **tls}
         self.session = open_with(options, "an attacker")
 
-    def is_linked(self, within: float = LINK_TIME) -> bool:
+    def is_linked(self, within: float = CAP) -> bool:
         """True as soon as it has a link, False if it has no link after that time."""
         until = time.monotonic() + within
         while not list(self.session.info.peers_zid()) and time.monotonic() < until:
@@ -172,7 +172,7 @@ def test_without_a_certificate_that_is_valid_there_is_no_link(
     options = {} if of is None else of(besieged, tmp_path)
     endpoint = besieged.endpoint if of is None else ""
     with unchanged(besieged), attacker(besieged, options, endpoint) as attacking:
-        assert not attacking.is_linked()
+        assert not attacking.is_linked(LINK_TIME)
 
 
 @pytest.mark.evidence
@@ -183,7 +183,7 @@ def test_an_open_link_ends_with_the_certificate_of_its_other_end(
     with attacker(besieged, load_identity(tmp_path / "eve")) as attacking:
         assert attacking.is_linked(5.0)
         wait_until(lambda: not list(attacking.session.info.peers_zid()), "the link ends", 20.0)
-        assert not attacking.is_linked()
+        assert not attacking.is_linked(LINK_TIME)
 
 
 def test_a_stolen_certificate_of_a_robot_commands_no_other_robot(besieged: Besieged) -> None:

@@ -10,6 +10,7 @@ from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
+from tests.support.processes import wait_until
 
 
 def test_a_swarm_without_daemons_is_an_empty_view(settings: NetworkSettings) -> None:
@@ -36,4 +37,4 @@ def test_a_robot_that_died_since_the_last_look_has_not_answered(
 def test_other_swarms_can_be_seen(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     with Operator(replace(settings, swarm="another")) as operator:
-        assert settings.swarm in operator.swarms()
+        wait_until(lambda: settings.swarm in operator.swarms(), "the other swarm answers")

@@ -19,7 +19,7 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
         targets = operator.members().epochs(["a", "b"])
         outcome = operator.request(RunRequest, targets, pattern="attraction")
     assert outcome.line == "2 targeted, 2 applied"
-    [request] = swarm["a"].requests
+    [request] = swarm["a"].different_requests
     assert isinstance(request, RunRequest)
     assert request == RunRequest(
         id=request.id,
@@ -28,7 +28,9 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
         pattern="attraction",
         age=request.age,
     )
-    assert swarm["b"].requests == [request]
+    [other] = swarm["b"].different_requests
+    assert isinstance(other, RunRequest)
+    assert replace(other, age=request.age) == request
     assert swarm["c"].requests == []
 
 
@@ -43,17 +45,23 @@ def test_a_request_waits_for_links_that_are_not_up_when_it_begins(
     assert view.missing == ()
     assert targets["a"] == swarm["a"].status().epoch
     assert outcome.line == "2 targeted, 2 applied"
-    assert len(swarm["a"].requests) == 1
+    assert len(swarm["a"].different_requests) == 1
     assert swarm["c"].requests == []
 
 
 def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     robots("b", answer=lambda request: Code.REFUSED)
-    robots("c", answer=lambda request: None)
+    silent = robots("c", answer=lambda request: None)["c"]
     with Operator(settings) as operator:
         targets = operator.members().epochs(["a", "b", "c"])
-        outcome = operator.request(RunRequest, {**targets, "d": None}, pattern="x", timeout=0.5)
+        outcome = operator.request(
+            RunRequest,
+            {**targets, "d": None},
+            pattern="x",
+            timeout=20.0,
+            is_ended=lambda: len(silent.requests) > 2,  # the others were asked as often
+        )
     assert outcome.line == "4 targeted, 1 applied, 1 refused (b), 2 no answer (c, d)"
     assert outcome.exit_code == PARTIAL
 
@@ -71,10 +79,10 @@ def test_a_request_is_repeated_to_robots_without_a_reply(
         targets = operator.members().epochs(["a", "deaf"])
         outcome = operator.request(RunRequest, targets, pattern="x", timeout=20.0)
     assert outcome.line == "2 targeted, 2 applied"
-    [request] = swarm["a"].requests
+    [request] = swarm["a"].different_requests
     assert isinstance(request, RunRequest)
     repeats = [one for one in deaf["deaf"].requests if isinstance(one, RunRequest)]
-    assert [replace(one, age=request.age) for one in repeats] == [request] * 3
+    assert [replace(one, age=request.age) for one in repeats[:3]] == [request] * 3
     ages = [one.age for one in repeats]
     assert ages == sorted(ages)
-    assert ages[-1] >= 2 * REPEAT_PERIOD
+    assert ages[2] >= 2 * REPEAT_PERIOD

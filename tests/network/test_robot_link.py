@@ -260,13 +260,11 @@ def test_a_connection_that_does_not_listen_is_sent_nothing(server: RobotServer) 
 
 
 def test_a_client_connects_again_to_a_server_that_returns() -> None:
-    endpoint = "tcp/127.0.0.1:0"
+    endpoint = free_endpoint()
     came: list[Frame] = []
 
     async def story() -> None:
-        nonlocal endpoint
         server = RobotServer(endpoint, "s", ("a",), "the test")
-        endpoint = server.endpoint
         client = RobotClient(read_endpoint(endpoint, ""), Hello("s", "a"), came.extend)
         running = asyncio.create_task(client.run())
         for number in range(2):

@@ -66,15 +66,15 @@ def test_a_router_with_keys_lets_each_name_do_what_its_role_may(tmp_path: Path) 
     thief = open_with(operator_options(settings, (), keys["r2"]), "a thief")
     try:
         with Operator(settings, identity=keys["alice"]) as operator:
+            wait_until(lambda: operator.members().answered == set(ROBOTS), "all answer")
             view = operator.members()
-            assert view.answered == set(ROBOTS)
             outcome = operator.request(RunRequest, view.epochs(ROBOTS), pattern="x")
             assert outcome.applied == ROBOTS
             operator.take_identity(keys["alice"])  # as a newer roster does
-            assert operator.members().answered == set(ROBOTS)
+            wait_until(lambda: operator.members().answered == set(ROBOTS), "all answer again")
             assert operator.send_stop("stop").applied == ROBOTS
         with Operator(settings, identity=keys["eve"]) as viewer:
-            assert viewer.members().answered == set(ROBOTS)
+            wait_until(lambda: viewer.members().answered == set(ROBOTS), "all answer the viewer")
             with pytest.raises(ConfigError, match="viewer"):
                 viewer.request(RunRequest, view.epochs(ROBOTS), pattern="x")
         wait_until(lambda: bool(list(thief.info.routers_zid())), "the thief has a link")

@@ -253,9 +253,9 @@ def test_other_sockets_are_left_alone(pair: tuple[socket.socket, socket.socket])
 def test_looking_for_sockets_leaks_no_descriptor(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
-    before = sorted(os.listdir("/proc/self/fd"))
+    before = set(os.listdir("/proc/self/fd"))
     assert len(list(connected_sockets())) >= 2
-    assert sorted(os.listdir("/proc/self/fd")) == before
+    assert set(os.listdir("/proc/self/fd")) <= before  # another thread may close one
     pair[0].sendall(b"still there")
     assert pair[1].recv(20) == b"still there"
 

@@ -53,11 +53,15 @@ def test_deaf_and_failed_robots_are_named_by_a_stop(
     settings: NetworkSettings, robots: Robots
 ) -> None:
     swarm = robots("a", "lost")
-    robots("deaf", answer=lambda request: None)
+    deaf = robots("deaf", answer=lambda request: None)["deaf"]
     swarm.call(swarm["lost"].vanish)
     swarm.until(lambda: swarm["a"].network.members["lost"].presence is Presence.FAILED)
     with Operator(settings) as operator:
-        outcome = operator.send_stop("estop", timeout=0.5)
+        outcome = operator.send_stop(
+            "estop",
+            timeout=20.0,
+            is_ended=lambda: len(deaf.requests) > 5,  # the others were sent as many
+        )
     assert outcome.line == "3 targeted, 1 applied, 2 no answer (deaf, lost)"
     assert outcome.exit_code == PARTIAL
 
@@ -94,7 +98,7 @@ def test_until_all_goes_on_until_the_last_robot_has_acked(
 
     def on_progress(missing: tuple[str, ...]) -> None:
         shown.append(missing)
-        if not starting:
+        if missing == ("late",) and not starting:
             starting.append(threading.Thread(target=lambda: robots("late")))
             starting[0].start()
 
@@ -102,7 +106,7 @@ def test_until_all_goes_on_until_the_last_robot_has_acked(
         outcome = operator.send_stop("estop", until_all=True, timeout=0.1, on_progress=on_progress)
         starting[0].join()
     assert outcome.line == "2 targeted, 2 applied"
-    assert shown[0] == ("late",)
+    assert ("late",) in shown
 
 
 def test_an_interrupt_of_until_all_gives_what_was_reached(
@@ -111,7 +115,8 @@ def test_an_interrupt_of_until_all_gives_what_was_reached(
     robots("a")
 
     def interrupt(missing: tuple[str, ...]) -> None:
-        raise KeyboardInterrupt
+        if missing == ("lost",):
+            raise KeyboardInterrupt
 
     with Operator(settings, roster=["lost"]) as operator:
         outcome = operator.send_stop("estop", until_all=True, on_progress=interrupt)

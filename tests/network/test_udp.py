@@ -26,6 +26,8 @@ from tests.support.processes import free_port
 
 TAG = tag_of("dev", f"test-{secrets.token_hex(6)}")
 OTHER = tag_of("dev", "another")
+SEARCH = pack(ANY_SWARM, Solicit(echo=0))
+"""That of an operator for any swarm: another process of this host may send it at any time."""
 
 
 def beacon(number: int = 0, tag: bytes = TAG) -> bytes:
@@ -68,7 +70,7 @@ def arrived(carrier: UdpCarrier, count: int = 1) -> list[tuple[bytes, Address]]:
     found: list[tuple[bytes, Address]] = []
     deadline = time.monotonic() + 10.0
     while len(found) < count and time.monotonic() < deadline:
-        found += [one[:2] for one in carrier.receive()]
+        found += [one[:2] for one in carrier.receive() if one.payload != SEARCH]
         time.sleep(0.001)
     return found
 
@@ -177,8 +179,10 @@ def test_a_datagram_tells_for_how_long_it_waited_here(peers: Peers) -> None:
     found = [one for one in b.receive() if one.source == of(a)]
     assert [one.payload for one in found] == [stop("waits")]
     assert 0.3 < found[0].waited <= time.monotonic() - began + 0.1
+    began = time.monotonic()
     a.send_to(stop("waits not"), of(b))
-    assert [one.waited < 0.3 for one in b.receive() if one.source == of(a)] == [True]
+    (last,) = (one for one in b.receive() if one.source == of(a))
+    assert last.waited <= time.monotonic() - began + 0.1
 
 
 def test_a_copy_by_another_way_is_dropped_and_a_repeat_by_the_same_is_not(peers: Peers) -> None:
@@ -241,7 +245,8 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
     found: list[tuple[bytes, Address, float]] = []
 
     async def main() -> None:
-        b.attach(asyncio.get_running_loop(), lambda *one: found.append(one))
+        loop = asyncio.get_running_loop()
+        b.attach(loop, lambda *one: found.append(one) if one[0] != SEARCH else None)
         for number in range(300):
             a.send(beacon(number))
         await until(lambda: len(found) == 300)
@@ -256,7 +261,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
 def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
     a, b = peers.open(), peers.open()
     found: list[tuple[bytes, Address, float]] = []
-    b.start_thread(lambda *one: found.append(one))
+    b.start_thread(lambda *one: found.append(one) if one[0] != SEARCH else None)
     for number in range(300):
         a.send(beacon(number))
     deadline = time.monotonic() + 20.0

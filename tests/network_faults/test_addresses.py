@@ -172,7 +172,7 @@ def test_a_robot_that_starts_before_dhcp_is_found_with_its_first_address(
         systemd.bind(str(tmp_path / "notify"))
         swarm.spawn("r01", environ={"NOTIFY_SOCKET": str(tmp_path / "notify")}).wait_ready()
         swarm.start(("r02", "r03"))
-        assert logged(swarm, "r01", "eth0: no address yet")
+        await_log(swarm, "r01", "eth0: no address yet")
         server.offer("r01", "10.80.0.101")
         server.ask("r01")
         wait_until(lambda: read_addresses(swarm, "r01") == ["10.80.0.101"], "it has an address")
@@ -341,7 +341,7 @@ def test_no_wall_clock_is_needed(made: Made, tmp_path: Path) -> None:
     run_all(swarm)
     assert swarm.ctl(LAPTOP, "estop").code == 0
     await_all(swarm, "after the estop", "estopped", *ROBOTS)
-    assert swarm.ctl(LAPTOP, "reset", "--all", "--yes").code == 0
+    wait_until(lambda: swarm.ctl(LAPTOP, "reset", "--all", "--yes").code == 0, "all are reset")
     run_all(swarm)
     for daemon in swarm.daemons.values():
         years_of_lines = {line[:4] for line in daemon.text().splitlines()}

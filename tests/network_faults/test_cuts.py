@@ -66,11 +66,11 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(made: Made) -> None:
     late = late_operator(swarm)
 
     swarm.field.split(FAR, *LEFT)
-    stop_right = swarm.begin(NEAR, "stop", "--timeout", "1s")
+    stop_right = swarm.begin(NEAR, "stop", "--timeout", "3s")
     swarm.await_standing(*RIGHT)
     swarm.moved()
     swarm.await_moving(*LEFT)  # the other side is autonomous
-    stop_left = swarm.begin(FAR, "stop", "--timeout", "1s")
+    stop_left = swarm.begin(FAR, "stop", "--timeout", "3s")
     swarm.await_standing(*LEFT)
     swarm.moved()
     assert [stop.finish().outcome for stop in (stop_left, stop_right)] == [

@@ -71,6 +71,11 @@ class FakeDaemon:
         self._roster = roster
         self._advancing: asyncio.Task[None] | None = None
 
+    @property
+    def different_requests(self) -> list[AnyRequest | Stop]:
+        """The requests without their repetitions, which come if an answer takes its time."""
+        return [*{one.id: one for one in reversed(self.requests)}.values()][::-1]
+
     async def __aenter__(self) -> Self:
         await self.start()
         return self

@@ -101,20 +101,22 @@ class FedSwarm:
         """Set the state of a robot and other values of its status, and publish it at once."""
         with self.lock:
             self.states[name], self.changes[name] = state, changes
-        self._made = {key: one for key, one in self._made.items() if key[0] != name}
+        kept = [one for one in [*self._made.items()] if one[0][0] != name]
+        self._made = dict(kept)
         self._publish("status", name, self.member(name)[1])
 
     def member(self, name: str) -> tuple[SeenMember, bytes]:
         """What an operator sees of the robot, and its status as it is published."""
+        made = self._made  # another thread may replace it
         key = name, self.states[name], name in self.silent
-        if key not in self._made:
+        if (found := made.get(key)) is None:
             if key[2]:
                 member, seen = make_member(name, Presence.FAILED, age=20.0), self.status(name)
             else:
                 seen = self.status(name)
                 member = make_member(name, **{k: getattr(seen, k) for k in CHANGING})
-            self._made[key] = member, encode(seen)
-        return self._made[key]
+            made[key] = found = member, encode(seen)
+        return found
 
     def _lap(self, index: int) -> Sequence[Motion]:
         columns = math.ceil(math.sqrt(len(self.names)))
@@ -152,7 +154,7 @@ class FedSwarm:
                 if step % 10 == i % 10:
                     self._publish("status", name, self.member(name)[1])
             if step % 2 == 0:
-                for _, name in [key for key in self.watched if key[0] == "scan"]:
+                for _, name in [key for key in [*self.watched] if key[0] == "scan"]:
                     scan = Scan(step, step * PERIOD, ranges, bearings, 0.12, 3.5)
                     self._publish("scan", name, encode_scan(scan))
             due = max(due + PERIOD, time.monotonic())

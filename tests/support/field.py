@@ -69,7 +69,7 @@ class Field:
         """Take the namespaces away; processes in them have to be gone."""
         if self._switch is not None:
             with self._switch as process:
-                process.communicate(timeout=10.0)
+                process.communicate(timeout=60.0)
             self._switch = None
         there = os.listdir("/run/netns") if os.path.isdir("/run/netns") else ()
         mine = [name for name in there if name.startswith(self.namespace(""))]

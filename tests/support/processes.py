@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import secrets
 import signal
@@ -160,7 +161,7 @@ class DaemonProcess:
     def __exit__(self, *_: object) -> None:
         self.kill()
         for pid in watchdogs(self.swarm, self.robot):
-            os.kill(pid, signal.SIGKILL)
+            end_process(pid)
 
     def wait_ready(self) -> DaemonProcess:
         """Return once it says that it is ready; AssertionError with its log if it ends before."""
@@ -211,8 +212,15 @@ def children(pid: int) -> list[int]:
     """The process ids of a process's living children, oldest first."""
     found: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        found += [int(child) for child in task.read_text().split()]
+        with contextlib.suppress(OSError):  # this thread has ended meanwhile
+            found += [int(child) for child in task.read_text().split()]
     return sorted(found)
+
+
+def end_process(pid: int) -> None:
+    """SIGKILL to a process that may have ended."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
 
 
 def watchdogs(swarm: str, robot: str) -> list[int]:

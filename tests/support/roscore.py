@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from swarmd.testing.driver_contract import is_running
-from tests.support.processes import CAP, children, free_port, wait_until
+from tests.support.processes import CAP, children, end_process, free_port, wait_until
 
 PYTHON = "/usr/bin/python3"
 """Debian's packages of ROS work with this interpreter alone."""
@@ -88,7 +88,7 @@ class RosCore:
         self._process, self._all = None, []
         for pid in found:
             if is_running(pid):
-                os.kill(pid, signal.SIGKILL)
+                end_process(pid)
         deadline = time.monotonic() + CAP
         while any(is_running(pid) for pid in found) and time.monotonic() < deadline:
             time.sleep(0.01)

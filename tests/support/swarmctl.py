@@ -23,6 +23,7 @@ import pytest
 
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
+from swarmd.network.exit_codes import APPLIED, UNREACHABLE
 from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
 
 STALLED = re.compile("by a stall of|loop_stalled|loading took more than")
@@ -65,6 +66,17 @@ def swarmctl(*words: str, environ: Mapping[str, str] | None = None) -> Finished:
     ):
         code = run_cli(cli, list(words), "swarmctl", exit_code_of)
     return Finished(code, out.getvalue(), err.getvalue())
+
+
+def swarmctl_in_time(*words: str, environ: Mapping[str, str] | None = None) -> Finished:
+    """`swarmctl`, asked again if robots refused or did not answer while the machine stalled."""
+    done = swarmctl(*words, environ=environ)
+    for _ in range(3):
+        is_late = STALLED.search(done.out) or done.code == UNREACHABLE
+        if done.code == APPLIED or not is_late:
+            break
+        done = swarmctl(*words, environ=environ)
+    return done
 
 
 class Running(ForkedProcess):

@@ -51,7 +51,7 @@ class Viewer:
 
     def close(self) -> None:
         self.carrier.close()
-        for session, _ in self._sessions.values():
+        for session, _ in [*self._sessions.values()]:
             session.close()
 
     def send(self, body: Datagram) -> None:
@@ -74,7 +74,7 @@ class Viewer:
     def sessions(self, robot: str) -> list[zenoh.Session]:
         """The session to a robot that was heard."""
         found = self._robots.get(robot)
-        return [session for address, (session, _) in self._sessions.items() if address == found]
+        return [session for address, (session, _) in [*self._sessions.items()] if address == found]
 
     def get(self, key: str, payload: bytes = b"", *, timeout: float = 5.0) -> list[zenoh.Sample]:
         """The answers to a query; again for as long as a link is new and none has come."""
@@ -90,7 +90,7 @@ class Viewer:
                     payload=payload,
                 )
                 found += [reply.ok for reply in replies if reply.ok is not None]
-            newest = max((since for _, since in self._sessions.values()), default=0.0)
+            newest = max((since for _, since in [*self._sessions.values()]), default=0.0)
             if found or time.monotonic() - newest > LINK_TIME:
                 return found
 
@@ -103,7 +103,7 @@ class Viewer:
     def subscribe(self, key: str, handler: Callable[[zenoh.Sample], object]) -> None:
         """Subscribe at every robot that is found, now and later by `look`."""
         self._subscriptions.append((key, handler))
-        for session, _ in self._sessions.values():
+        for session, _ in [*self._sessions.values()]:
             self._entities.append(session.declare_subscriber(key, handler))
 
     def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:

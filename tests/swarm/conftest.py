@@ -16,13 +16,12 @@ from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
 from swarmd.network.carriers.session import MAX_WIRE
-from swarmd.network.exit_codes import APPLIED
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
-from tests.support.swarmctl import Finished, Running, swarmctl
+from tests.support.swarmctl import Finished, Running, swarmctl, swarmctl_in_time
 from tests.support.viewer import Viewer
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -109,13 +108,12 @@ class Swarm:
         return self._left.enter_context(Running(*words, environ=self.environ(user)))
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
-        """A `swarmctl` in this process; asked again if a stall of the machine refused it."""
-        done = swarmctl(*words, environ=self.environ(user))
-        for _ in range(3):
-            if done.code == APPLIED or "stall" not in done.out:
-                break
-            done = swarmctl(*words, environ=self.environ(user))
-        return done
+        """A `swarmctl` in this process; asked again if the machine was too busy to answer it."""
+        return swarmctl_in_time(*words, environ=self.environ(user))
+
+    def ctl_once(self, *words: str, user: str = "anna") -> Finished:
+        """A `swarmctl` in this process, whose failure is the answer."""
+        return swarmctl(*words, environ=self.environ(user))
 
     def audit(self, *robots: str) -> list[dict[str, Any]]:
         """The entries of robots, or of all, once each has answered and no disk lacks any."""

@@ -52,7 +52,7 @@ def test_of_daemons_started_at_once_exactly_one_owns_the_id(
         (owner,) = [daemon for daemon in daemons if daemon not in _ended(daemons)]
         owner.wait_ready()
         assert [daemon.process.poll() for daemon in _ended(daemons)] == [ID_HELD] * (count - 1)
-        assert len(swarm.statuses("r1")) == 1
+        wait_until(lambda: len(swarm.statuses("r1")) == 1, "it alone answers")
         assert owner.terminate() == 0
 
 

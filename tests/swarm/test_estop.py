@@ -188,7 +188,7 @@ def test_an_estop_without_acks_is_no_success(trio: Trio) -> None:
     swarm = trio.swarm
     for daemon in trio.daemons.values():
         daemon.freeze()
-    done = swarm.ctl("estop", "--timeout", "0.5s")
+    done = swarm.ctl_once("estop", "--timeout", "0.5s")
     assert (done.code, done.out) == (6, "")
     assert done.err.startswith(f"error: no daemon of swarm '{swarm.name}' can be reached")
 

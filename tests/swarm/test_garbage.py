@@ -540,7 +540,7 @@ def test_a_daemon_answers_after_hostile_messages(swarm: Swarm, vandal: Vandal) -
         vandal.viewer.carrier.send(datagram_of(vandal.tag, *one).ljust(8))
 
     send()
-    assert swarm.status("r1").health.dropped
+    swarm.await_status("r1", "counting drops", lambda one: bool(one.health.dropped))
     listed = swarm.ctl("members", "-o", "json")  # robots that do not exist are among them
     assert "r1" in {member["robot"] for member in listed.json["members"]}
     assert daemon.process.poll() is None, daemon.text()[-3000:]

@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Presence, Reason, State
-from tests.support.processes import CAP, DaemonProcess
+from tests.support.processes import CAP, DaemonProcess, wait_until
 
 if TYPE_CHECKING:
     from tests.support.fake_body import Body
@@ -75,8 +75,8 @@ def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(
     thawed = boottime()
     daemon.thaw()
     print(f"alive again after {swarm.await_presence('r2', 'r1', Presence.ALIVE):.3f} s")
-    status = swarm.status("r1")
-    assert (status.state, status.reason) == (State.STOPPED, Reason.LOOP_STALLED)
+    status = swarm.await_state("r1", State.STOPPED)
+    assert status.reason is Reason.LOOP_STALLED
     body.wait_zero(thawed)
     assert body.moved_anew(thawed) == []
     assert daemon.terminate() == 0
@@ -92,6 +92,6 @@ def test_a_daemon_that_is_ended_commands_zero_and_is_listed_as_left(
         assert daemon.process.wait(CAP) == 0
         assert "Traceback" not in daemon.text()
         swarm.await_presence("r2", "r1", Presence.LEFT)
-        assert body.commands[-1].twist.is_zero
+        wait_until(lambda: body.commands[-1].twist.is_zero, "the last command is zero")
     done = swarm.ctl("stop")  # does not wait for a robot that left
     assert done.outcome == (0, "1 targeted, 1 applied")

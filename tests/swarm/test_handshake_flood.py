@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.messages import State
+from swarmd.core.messages import Code, State
 from swarmd.core.verbs import ResetRequest, RunRequest
 from tests.support.handshakes import KINDS
 from tests.support.keys import SwarmKeys
 from tests.support.processes import wait_until
 from tests.support.secured_swarm import SecuredSwarm
+from tests.support.swarmctl import STALLED
 
 pytestmark = pytest.mark.integration
 
@@ -72,9 +73,15 @@ def is_reset(flooded: Flooded) -> bool:
 def run_and_stop(flooded: Flooded) -> None:
     """An operator without a link runs all robots, stops them, latches them and resets them."""
     with flooded.operator() as anna:
-        view = anna.members(timeout=20.0)
-        done = anna.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
-        assert done.exit_code == 0, done
+
+        def runs() -> bool:
+            view = anna.members(timeout=20.0)
+            done = anna.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
+            texts = [one.text for one in done.replies.values() if one.code is not Code.APPLIED]
+            assert all(map(STALLED.search, texts)), done
+            return done.exit_code == 0
+
+        wait_until(runs, "both run")
         for verb in ("stop", "estop"):
             assert anna.send_stop(verb).exit_code == 0
     wait_until(lambda: is_reset(flooded), "both are reset")
@@ -91,7 +98,7 @@ def check(flooded: Flooded, kind: str, at_once: int, rate: float = 0.0) -> None:
     wait_until(lambda: flooded.files() <= before + SPARE_FILES, "its files are closed again")
     flood.kill()
     flood.wait()
-    assert set(flooded.states()) == set(ROBOTS)
+    wait_until(lambda: set(flooded.states()) == set(ROBOTS), "both answer after the flood")
     assert log.terminate() == 0
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.core.messages import Reason, State
+from swarmd.core.messages import Presence, Reason, State
 from swarmd.settings.platforms import load_platform
 from tests.support.fake_body import Body
 
@@ -31,11 +31,13 @@ def test_a_jackal_beside_a_burger_is_held_until_it_is_forgotten_or_granted(swarm
         assert [(f.robot, f.kind, f.holds) for f in held.peers] == [("tb3-01", "unseen", True)]
         assert any("tb3-01" in event.text and "not seen" in event.text for event in held.events)
         assert not any(command.twist.linear for command in body.commands)
+        swarm.await_status("tb3-01", "aware of its peer", lambda status: bool(status.peers))
         lines = swarm.ctl("members").out.splitlines()
         assert [line for line in lines if "jackal-01 held by tb3-01" in line]
         assert [line for line in lines if "tb3-01 beside jackal-01" in line and "accepted" in line]
 
         assert burger.terminate() == 0  # it left, and stands there still
+        swarm.await_presence("jackal-01", "tb3-01", Presence.LEFT)
         assert swarm.status("jackal-01").peers
         assert swarm.ctl("members", "forget", "tb3-01").code == 0
         swarm.await_status("jackal-01", "free of its peer", lambda status: not status.peers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -92,11 +93,14 @@ def test_no_recorder_outlives_a_daemon_that_is_killed(swarm: Swarm) -> None:
     status = swarm.await_status("tb3-01", "recording", lambda status: bool(status.recording))
     assert status.recording is not None
     folder = swarm.folder / "state" / swarm.name / "tb3-01" / "recordings"
-    (recorder,) = (
-        pid
-        for pid in children(daemon.process.pid)
-        if b"swarmd.recording.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    )
+    found: list[int] = []
+
+    def has_recorder() -> bool:
+        found[:] = (pid for pid in children(daemon.process.pid) if is_recorder(pid))
+        return len(found) == 1
+
+    wait_until(has_recorder, "the recorder is there")
+    (recorder,) = found
     daemon.kill()
     wait_until(lambda: not is_running(recorder), "the recorder has ended")
     (path,) = folder.glob("*.mcap")
@@ -104,12 +108,18 @@ def test_no_recorder_outlives_a_daemon_that_is_killed(swarm: Swarm) -> None:
     assert path.with_suffix(".index.json").exists()
 
 
+def is_recorder(pid: int) -> bool:
+    with contextlib.suppress(OSError):  # another child has ended meanwhile
+        return b"swarmd.recording.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
+
+
 def test_robots_without_an_answer_are_named(swarm: Swarm, tmp_path: Path) -> None:
     swarm.start("tb3-01")
     lost = swarm.start("tb3-02")
     lost.freeze()
     fetched = swarm.ctl(
-        "record", "fetch", "tb3-01", "tb3-02", "--timeout", "2s", "-d", str(tmp_path)
+        "record", "fetch", "tb3-01", "tb3-02", "--timeout", "4s", "-d", str(tmp_path)
     )
     assert fetched.code == 3
     assert "tb3-02 does not answer" in fetched.err

@@ -267,5 +267,5 @@ def test_a_daemon_that_ends_during_a_trial_leaves_no_process(own: Own) -> None:
     begun = own.start_reload()
     hosts = own.hosts()
     assert own.daemon.terminate() == 0
-    assert not any(map(is_running, hosts))
+    wait_until(lambda: not any(map(is_running, hosts)), "its processes are gone")
     assert begun.finish().code in (5, 7)

@@ -385,11 +385,17 @@ def test_no_ack_counts_by_keys_that_a_stolen_robot_handed_over(tmp_path: Path) -
         authority.change(add={"r5": Role.ROBOT})
         thief = KeyThief(swarm, left)
 
-        def estop(is_ended: Callable[[], bool]) -> Outcome:
-            until = boottime() + 60.0
-            return anna.send_stop(
-                "estop", until_all=True, is_ended=lambda: is_ended() or boottime() > until
-            )
+        def estop(is_ended: Callable[[], bool], answering: str = "") -> Outcome:
+            """Until then, and until the robot `answering` has acked."""
+            until, lacking = boottime() + 60.0, {answering} - {""}
+
+            def is_over() -> bool:
+                return (is_ended() and not lacking) or boottime() > until
+
+            def show(missing: tuple[str, ...]) -> None:
+                lacking.intersection_update(missing)
+
+            return anna.send_stop("estop", until_all=True, is_ended=is_over, on_progress=show)
 
         def has_acked() -> Callable[[], bool]:
             enough = thief.acked + 100
@@ -412,7 +418,7 @@ def test_no_ack_counts_by_keys_that_a_stolen_robot_handed_over(tmp_path: Path) -
             swarm.spawn("r1").wait_ready()
             estop(lambda: has(4))
             assert has(4)
-            outcome = estop(has_acked())
+            outcome = estop(has_acked(), "r1")
         assert set(outcome.replies) == {"r1"}
         assert {"r2", "r4", "r5"} <= set(outcome.missing)
         true = authority.keys_of("anna").answers

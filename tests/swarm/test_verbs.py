@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from swarmd.core.messages import Param, Presence, Reason, State
+from swarmd.network.exit_codes import UNREACHABLE
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from tests.support.swarmctl import swarmctl
 
@@ -103,12 +104,17 @@ def test_logs_are_filtered_and_followed(swarm: Swarm) -> None:
 
 
 def test_links_tell_who_hears_whom(swarm: Swarm) -> None:
-    links = swarm.ctl("links", "-o", "json").json["links"]
-    pairs = {(one["robot"], one["hears"]) for one in links}
-    assert pairs == set(itertools.permutations(ROBOTS, 2))
+    links: list[dict[str, Any]] = []
+
+    def are_measured() -> bool:
+        links[:] = swarm.ctl("links", "-o", "json").json["links"]
+        pairs = {(one["robot"], one["hears"]) for one in links if one["round_trip"] is not None}
+        return pairs == set(itertools.permutations(ROBOTS, 2))
+
+    wait_until(are_measured, "each robot has measured its link to each other one")
+    assert len(links) == 6
     for one in links:
         assert one["received"] > 0
-        assert one["round_trip"] is not None
         assert "multicast" in one["ways"]
     assert swarm.ctl("links", "r9").code == 4
 
@@ -186,14 +192,19 @@ def test_no_answer_in_time_ends_with_5(swarm: Swarm, daemons: dict[str, DaemonPr
 
 
 def test_a_pattern_that_cannot_be_loaded_ends_with_1(swarm: Swarm) -> None:
-    done = swarm.ctl("run", "hangs", "r1", "--timeout", "10s")
+    done = swarm.ctl_once("run", "hangs", "r1", "--timeout", "10s")
     assert done.outcome == (1, "1 targeted, 0 applied, 1 failed (r1)")
 
 
 def test_an_unreachable_swarm_names_the_swarms_found(swarm: Swarm) -> None:
-    done = swarm.ctl("members", "--swarm", unique_swarm())
-    assert done.code == 6
-    assert swarm.name in done.err
+    unknown = unique_swarm()
+
+    def names_those_that_answer() -> bool:
+        done = swarm.ctl_once("members", "--swarm", unknown)
+        assert done.code == UNREACHABLE
+        return swarm.name in done.err
+
+    wait_until(names_those_that_answer, "this swarm is named")
 
 
 def test_param_set_changes_and_param_get_shows_the_source(swarm: Swarm) -> None:
@@ -286,10 +297,11 @@ def test_a_killed_robot_is_listed_until_it_is_forgotten_everywhere(
     done = swarm.ctl("run", "drive", "--all")
     assert done.outcome == (3, "3 targeted, 2 applied, 1 no answer (r3)")
     daemons["r4"] = swarm.start("r4")
-    swarm.await_presence("r1", "r4", Presence.ALIVE)
+    for peer in ("r1", "r2"):
+        swarm.await_presence(peer, "r4", Presence.ALIVE)
     done = swarm.ctl("members", "forget", "r3")
     assert done.outcome == (0, "3 targeted, 3 applied")
-    assert swarm.presences("r1").keys() == {"r2", "r4"}
-    assert swarm.presences("r2").keys() == {"r1", "r4"}
+    wait_until(lambda: swarm.presences("r1").keys() == {"r2", "r4"}, "r1 has forgotten it")
+    wait_until(lambda: swarm.presences("r2").keys() == {"r1", "r4"}, "r2 has forgotten it")
     assert "r3" not in swarm.ctl("members").out
     assert swarm.ctl("run", "drive", "--all").outcome == (0, "3 targeted, 3 applied")

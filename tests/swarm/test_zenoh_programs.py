@@ -22,7 +22,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.key_table import PUBLISHED
 from swarmd.core.keys import ANY, STATE, build, parse
-from swarmd.core.messages import State
+from swarmd.core.messages import Presence, State
 from swarmd.core.values import Pose, SharedPose
 from swarmd.driver_api.hw_codec import encode_pose
 from swarmd.network.carriers.session import MAX_WIRE
@@ -45,6 +45,8 @@ def voting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Swarm, di
         bodies = {robot: swarm.body(robot) for robot in ROBOTS}
         for daemon in [swarm.spawn(robot, body) for robot, body in bodies.items()]:
             daemon.wait_ready()
+        for robot, other in (ROBOTS, ROBOTS[::-1]):
+            swarm.await_presence(robot, other, Presence.ALIVE)
         done = swarm.ctl("run", "voter_model", "--all", "-p", "share_period=0.2")
         assert done.code == 0, done
         yield swarm, bodies
@@ -199,7 +201,9 @@ def _check_what_a_hostile_viewer_reads(
             name: [
                 str(reply.ok.key_expr)
                 for reply in session.get(
-                    f"swarm/{swarm.name}/*/{name}", target=zenoh.QueryTarget.ALL, timeout=1.0
+                    f"swarm/{swarm.name}/*/{name}",
+                    target=zenoh.QueryTarget.ALL,
+                    timeout=CAP if name == "control/members/class" else 1.0,
                 )
                 if reply.ok is not None
             ]
@@ -227,7 +231,7 @@ def _check_what_a_hostile_viewer_reads(
 
 
 def test_without_robots_the_configuration_is_an_error(swarm: Swarm) -> None:
-    done = swarm.ctl("zenoh", "--timeout", "0.3s")
+    done = swarm.ctl_once("zenoh", "--timeout", "0.3s")
     assert (done.code, done.out) == (6, "")
     assert len(done.err.splitlines()) == 1
     assert swarm.name in done.err

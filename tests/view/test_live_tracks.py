@@ -29,7 +29,10 @@ def test_the_tracks_of_a_selected_robot_are_in_its_row() -> None:
         source.start()
         try:
             one, other = swarm.names
-            wait_until(lambda: "tracks" in source.rows().get(other, {}), "a status")
+            wait_until(
+                lambda: all("tracks" in source.rows().get(name, {}) for name in swarm.names),
+                "statuses",
+            )
             assert ("tracks", one) not in swarm.watched
             source.select([one])
             told = Tracks(one, (ShownTrack(0.6, 0.3, 0.1, -0.05, 0.09),))

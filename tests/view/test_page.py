@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import pytest
 
 from swarmd.core.messages import State
 from tests.support.chromium import FOUND, Page
+from tests.support.processes import free_port
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -27,9 +27,9 @@ LAST = "document.querySelector('.answer[data-final=\"true\"]')"
 
 
 @contextlib.contextmanager
-def served(swarm: Swarm, *options: str) -> Iterator[list[str]]:
+def served(swarm: Swarm, *options: str, port: int = 0) -> Iterator[list[str]]:
     """`swarmctl view --web` for the swarm; the addresses that it prints."""
-    process = swarm.begin("view", "--web", "--port", "0", *options)
+    process = swarm.begin("view", "--web", "--port", str(port), *options)
     try:
         count = 1 + ("--viewer-token" in options)
         lines = [process.out.readline() for _ in range(count)]
@@ -109,17 +109,15 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
 def test_a_lost_server_is_found_again_and_a_killed_robot_is_not_shown_as_alive(
     swarm: Swarm, page: Page
 ) -> None:
-    daemon = swarm.start("tb3-01", swarm.body("tb3-01"))
-    with served(swarm) as (address,):
+    daemon, port = swarm.start("tb3-01", swarm.body("tb3-01")), free_port()
+    with served(swarm, port=port) as (address,):
         page.open(address)
         shown(page, "tb3-01", "idle")
     page.until("!document.getElementById('banner').hidden", "the banner")
     page.until(STALE, "a stale row")
     page.click("#stop")
     page.until(f"{ANSWER}.textContent.includes('not sent')", "not sent")
-    port = re.search(r":(\d+)/", address)
-    assert port is not None
-    process = swarm.begin("view", "--web", "--port", port[1])
+    process = swarm.begin("view", "--web", "--port", str(port))
     try:
         page.until("document.getElementById('banner').hidden", "no banner")
         shown(page, "tb3-01", "idle")

@@ -393,6 +393,9 @@ async def test_connections_that_ask_nothing_take_the_place_of_no_page(
                     for reader, _ in idle[:3]:
                         with contextlib.suppress(ConnectionError):
                             await reader.read()  # to the end
+                async with asyncio.timeout(CAP):
+                    while len(server._waiting) < 3:  # a connection is taken later than it is made
+                        await asyncio.sleep(0.01)
                 assert len(server._waiting) == 3
                 await frame(page)
         finally:

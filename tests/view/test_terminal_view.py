@@ -126,6 +126,7 @@ def test_keys_command_three_robots_and_answers_are_counted(swarm: Swarm) -> None
         shown.press("q")
         assert shown.end() == 0
         assert termios.tcgetattr(shown.child) == shown.before
+        wait_until(lambda: NORMAL in shown.text, "all is read")
         assert shown.text.count(ALTERNATE) == shown.text.count(NORMAL) == 1
         assert not re.search(r"\x1b\[(?:\d+;)*(?:3[0-7]|9[0-7]|38)[;m]", shown.text)
 
@@ -138,6 +139,7 @@ def test_the_terminal_is_restored_after_a_signal(swarm: Swarm, number: signal.Si
         shown.process.send_signal(number)
         assert shown.end() == 128 + number
         assert termios.tcgetattr(shown.child) == shown.before
+        wait_until(lambda: NORMAL in shown.text, "all is read")
         assert shown.text.count(ALTERNATE) == shown.text.count(NORMAL) == 1
 
 

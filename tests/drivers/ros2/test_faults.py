@@ -224,7 +224,7 @@ def test_invalid_names_add_no_second_line(make: Callable[[], Robot]) -> None:
     robot = make()
     robot.announce("MP", "bot1/scan\nok    scan", LASER)
     robot.announce("MP", "bot1/" + 2000 * "x", LASER)
-    found = check(robot, robot.publish_odometry, seconds=1.0)
+    found = check(robot, robot.publish_odometry, seconds=2.0)
     assert "announces no topic at all" in found["scan"].text
     assert found["scan"].text.isprintable()
 

@@ -167,5 +167,5 @@ def test_check_finds_the_topic_in_another_domain() -> None:
     robot.announce("MP", "rosout", "rcl_interfaces/msg/Log")
     robot.announce("MP", "bot1/scan", LASER)
     robot.announce("MP", "scan", LASER, 30)
-    found = check(robot, robot.publish_odometry, seconds=0.7)
+    found = check(robot, robot.publish_odometry, seconds=2.0)
     assert "no /scan in domain 0, but in 30; correct driver_options.domain" in found["scan"].text

@@ -143,6 +143,8 @@ async def test_a_place_has_the_time_of_its_measurement_and_ends_with_the_odometr
         return all(listener.taken.values())
 
     await harness.until(has_all, publishing=True)
+    last = robot._published_count * 0.1 + 100.0  # the stamp of the last odometry
+    await harness.until(lambda: harness.sink.odometries[-1].stamp > last - 0.05)
     odometry_at = time.time()
     told = counts(listener)
 

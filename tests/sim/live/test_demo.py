@@ -19,8 +19,8 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.sim.cli.demo import report
 from swarmd.sim.live.summary import Numbers, Summary
 from tests.sim.conftest import Refusal
-from tests.support.processes import run_command, unique_swarm, wait_until
-from tests.support.swarmctl import swarmctl
+from tests.support.processes import CAP, run_command, unique_swarm, wait_until
+from tests.support.swarmctl import swarmctl_in_time
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
 RAISES = '''
@@ -159,8 +159,10 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
         config = str(tmp_path / "tb3-02.yaml")
         try:
             assert "2 robots are up" in process.stdout.readline()
-            run = swarmctl("run", "dispersion", "--all", environ={"SWARM": swarm})
+            run = swarmctl_in_time("run", "dispersion", "--all", environ={"SWARM": swarm})
             again = run_command("swarmctl", "sim", "up", "-n", "2", cwd=tmp_path, SWARM=swarm)
+            # A process that it forks has its name for a moment.
+            wait_until(lambda: len(named("tb3-02", tmp_path)) == 1, "tb3-02 is there")
             (daemon,) = named("tb3-02", tmp_path)
             os.kill(daemon, signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL (log: ")
@@ -171,8 +173,8 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
                 second.terminate()
         finally:
             process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 0
+        assert process.wait(CAP) == 0
     assert run.outcome == (0, "2 targeted, 2 applied"), run
     assert again.returncode == 2
     assert f"swarm '{swarm}' already has tb3-01, tb3-02" in again.stderr
-    assert named("", tmp_path) == []
+    wait_until(lambda: named("", tmp_path) == [], "no process is left")

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.messages import Code
 from swarmd.core.values import Array, Value
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
@@ -25,7 +26,8 @@ from swarmd.sim.live.starting import statuses_of
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.driver_contract import is_running
-from tests.support.processes import children, unique_swarm, wait_until, watchdogs
+from tests.support.processes import children, end_process, unique_swarm, wait_until, watchdogs
+from tests.support.swarmctl import STALLED
 from tests.support.vendor_messages import detections_folder
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -55,10 +57,17 @@ class Show:
         self._watch = WorldWatcher(view)
 
     def run(self, pattern: str, **params: Value) -> None:
+        """Run it on all; asked again if a stall of the machine refused it."""
         robots = tuple(self.spec.robots)
-        epochs = self.operator.members().epochs(robots)
-        outcome = self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
-        assert len(outcome.applied) == len(robots), outcome.line
+
+        def runs() -> bool:
+            epochs = self.operator.members().epochs(robots)
+            outcome = self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
+            texts = [one.text for one in outcome.replies.values() if one.code is not Code.APPLIED]
+            assert all(map(STALLED.search, texts)), outcome
+            return len(outcome.applied) == len(robots)
+
+        wait_until(runs, f"all run {pattern}")
 
     def state(self) -> WorldState:
         return self._watch.wait()
@@ -176,7 +185,7 @@ def test_the_watchdog_stops_a_base_without_command_timeout(emulator: str, tmp_pa
         assert after.commanded == (True,)  # its watchdog sends zero again and again
         assert not show.is_moving(0)
         for pid in watchdogs(spec.swarm, "tb3-01"):
-            os.kill(pid, signal.SIGTERM)
+            end_process(pid)
 
 
 @pytest.mark.integration
@@ -224,7 +233,9 @@ def test_turtlebot4_runs_its_patterns_over_ros2dds_with_stamped_commands(tmp_pat
     )
     with on(spec) as show:
         show.run("approach_tag", kind="box")
-        wait_until(lambda: math.dist(show.state().poses[0][:2], (1.0, 0.5)) < 0.9, "it is there")
+        wait_until(
+            lambda: math.dist(show.state().poses[0][:2], (1.0, 0.5)) < 0.9, "it is there", GATHERING
+        )
         for pattern in ("policy", "random_walk", "attraction", "collective_perception"):
             show.run(pattern)
             wait_until(lambda: show.is_moving(0), f"{pattern} drives")

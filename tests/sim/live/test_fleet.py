@@ -40,8 +40,16 @@ def make_spec(folder: Path, **changes: object) -> FleetSpec:
 
 
 def family(fleet: Fleet) -> set[int]:
-    """The ids of a fleet's processes and of theirs."""
-    return {pid for own in fleet.pids.values() for pid in (own, *children(own))}
+    """The ids of a fleet's processes and of theirs, once each daemon has a host."""
+    found: set[int] = set()
+
+    def look() -> bool:
+        found.clear()
+        found.update(pid for own in fleet.pids.values() for pid in (own, *children(own)))
+        return len(found) == 1 + 2 * len(ROBOTS)
+
+    wait_until(look, "each daemon has a host")
+    return found
 
 
 def is_gone(pid: int) -> bool:
@@ -100,6 +108,7 @@ def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:
     """The daemon's forked pattern host."""
     (host,) = children(daemon)
     own = Path(f"/proc/{host}")
+    wait_until(lambda: "Seccomp:\t2\n" in (own / "status").read_text(), "the host is confined")
     assert (own / "comm").read_text() == "swarmd-host\n"
     kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
     assert kinds == ["/dev/null", "pipe", "pipe", "socket"]

@@ -25,10 +25,10 @@ from tests.support.processes import children
     ],
 )
 def test_a_demo_that_cannot_be_starts_no_process(values: dict[str, Any], subject: str) -> None:
-    before = children(os.getpid())
+    before = {*children(os.getpid())}
     with pytest.raises(ConfigError, match=subject):
         swarmd.demo(**values).start()
-    assert children(os.getpid()) == before
+    assert {*children(os.getpid())} <= before  # one of an earlier test may end
 
 
 def test_a_demo_that_has_not_started_knows_no_pose() -> None:
