@@ -77,7 +77,7 @@ async def run(
         await daemon.run(stop or asyncio.Event())
 
 
-async def test_zero_is_sent_at_20_hz_before_any_run(settings: DaemonSettings) -> None:
+async def test_zero_is_sent_again_and_again_before_any_run(settings: DaemonSettings) -> None:
     driver, stop = RecordingDriver(), asyncio.Event()
 
     def end_if_sent() -> None:

@@ -11,15 +11,16 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Self
 
-from swarmd.core.messages import Code, Presence, Status
+from swarmd.core.messages import Presence, Status
 from swarmd.core.verbs import ResetRequest
 from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
 from swarmd.network.datagram import Address, Beacon, Datagram, tag_of, unpack
 from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from tests.support.keys import SwarmKeys
 from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
-from tests.support.swarmctl import STALLED
+from tests.support.swarmctl import await_applied
 
 RUNNING = ("r1", "r2")
 
@@ -157,15 +158,12 @@ class SecuredSwarm:
     def reset(self, robot: str) -> None:
         """Reset it; asked again if a stall of the machine refused it."""
 
-        def is_reset() -> bool:
+        def ask() -> Outcome:
             view = self.anna.members()
             latches = tuple(view.latches([robot]))
-            outcome = self.anna.request(ResetRequest, view.epochs([robot]), ids=latches)
-            texts = [one.text for one in outcome.replies.values() if one.code is not Code.APPLIED]
-            assert all(map(STALLED.search, texts)), outcome
-            return outcome.exit_code == 0
+            return self.anna.request(ResetRequest, view.epochs([robot]), ids=latches)
 
-        wait_until(is_reset, f"{robot} is reset")
+        await_applied(ask, f"{robot} is reset")
 
     def calm(self) -> None:
         """No daemon is frozen, and no robot runs or is latched, whatever was before."""

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,9 @@ import pytest
 
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
+from swarmd.core.messages import Code
 from swarmd.network.exit_codes import APPLIED, UNREACHABLE
+from swarmd.network.operator.outcome import Outcome
 from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
 
 STALLED = re.compile("by a stall of|loop_stalled|loading took more than")
@@ -77,6 +79,18 @@ def swarmctl_in_time(*words: str, environ: Mapping[str, str] | None = None) -> F
             break
         done = swarmctl(*words, environ=environ)
     return done
+
+
+def await_applied(ask: Callable[[], Outcome], what: str) -> None:
+    """Ask until all robots have applied it; only a stall of the machine may have refused it."""
+
+    def is_applied() -> bool:
+        outcome = ask()
+        texts = [one.text for one in outcome.replies.values() if one.code is not Code.APPLIED]
+        assert all(map(STALLED.search, texts)), outcome
+        return outcome.exit_code == APPLIED
+
+    wait_until(is_applied, what)
 
 
 class Running(ForkedProcess):

@@ -11,13 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.messages import Code, State
+from swarmd.core.messages import State
 from swarmd.core.verbs import ResetRequest, RunRequest
+from swarmd.network.operator.outcome import Outcome
 from tests.support.handshakes import KINDS
 from tests.support.keys import SwarmKeys
 from tests.support.processes import wait_until
 from tests.support.secured_swarm import SecuredSwarm
-from tests.support.swarmctl import STALLED
+from tests.support.swarmctl import await_applied
 
 pytestmark = pytest.mark.integration
 
@@ -74,14 +75,11 @@ def run_and_stop(flooded: Flooded) -> None:
     """An operator without a link runs all robots, stops them, latches them and resets them."""
     with flooded.operator() as anna:
 
-        def runs() -> bool:
+        def run() -> Outcome:
             view = anna.members(timeout=20.0)
-            done = anna.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
-            texts = [one.text for one in done.replies.values() if one.code is not Code.APPLIED]
-            assert all(map(STALLED.search, texts)), done
-            return done.exit_code == 0
+            return anna.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
 
-        wait_until(runs, "both run")
+        await_applied(run, "both run")
         for verb in ("stop", "estop"):
             assert anna.send_stop(verb).exit_code == 0
     wait_until(lambda: is_reset(flooded), "both are reset")

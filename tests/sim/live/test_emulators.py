@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.core.messages import Code
 from swarmd.core.values import Array, Value
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec, robot_ids
@@ -27,7 +27,7 @@ from swarmd.sim.live.state import WorldState
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import children, end_process, unique_swarm, wait_until, watchdogs
-from tests.support.swarmctl import STALLED
+from tests.support.swarmctl import await_applied
 from tests.support.vendor_messages import detections_folder
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
@@ -60,14 +60,11 @@ class Show:
         """Run it on all; asked again if a stall of the machine refused it."""
         robots = tuple(self.spec.robots)
 
-        def runs() -> bool:
+        def ask() -> Outcome:
             epochs = self.operator.members().epochs(robots)
-            outcome = self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
-            texts = [one.text for one in outcome.replies.values() if one.code is not Code.APPLIED]
-            assert all(map(STALLED.search, texts)), outcome
-            return len(outcome.applied) == len(robots)
+            return self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
 
-        wait_until(runs, f"all run {pattern}")
+        await_applied(ask, f"all run {pattern}")
 
     def state(self) -> WorldState:
         return self._watch.wait()
