@@ -52,7 +52,7 @@ help:
 	@echo "make tuning      attraction and dispersion tuned, with held-out seeds; six minutes of a core"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
 	@echo "make learning    what protection does to learning: trains a policy with it and without; six minutes of a core"
-	@echo "make voting      how voting scales with the number of robots; ten minutes"
+	@echo "make voting      how voting scales with robots and tiles; half an hour"
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make screens     pictures of the page in all sizes, to look at, in build/screens; three minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
@@ -178,7 +178,7 @@ learning: $(VENV)/tools
 tuning: $(VENV)/tools
 	@$(BIN)/python -m studies.tuning $(ARGS)
 
-# How voting scales with robots, drawn for docs/figures; some ten minutes.
+# How voting scales with robots and the share of black tiles, for docs/figures; half an hour.
 voting: $(VENV)/tools
 	@$(BIN)/python -m studies.voting $(ARGS)
 

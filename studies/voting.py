@@ -1,6 +1,7 @@
-"""Times of agreement by number of robots: `python -m studies.voting [OUT]`, about ten minutes.
+"""Times of agreement, and who wins: `python -m studies.voting [OUT]`, about half an hour.
 
-Draws `pattern_majority_rule.png` and `pattern_voter_model.png` into OUT, by default docs/figures,
+Draws `pattern_majority_rule.png` and `pattern_voter_model.png`, by the number of robots, and
+`pattern_collective_perception.png`, by the share of black tiles, into OUT, by default docs/figures,
 and prints their numbers.
 """
 
@@ -15,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from studies.debates import IN_STEP, Motion, Result, hold_all
+from studies.outcomes import collective_perception as perception
 from studies.outcomes import voter_model
 from studies.outcomes.majority_rule import LOSSY
 from swarmd.core.values import Value
@@ -130,6 +132,39 @@ def _voting_times(axes: Any) -> None:
     axes.legend(frameon=False, fontsize=9)
 
 
+def floors(out: Path) -> None:
+    """Who wins, and the time to agree, by the share of black tiles."""
+    figure = new_figure(8.0, 3.2)
+    left, right = figure.subplots(1, 2)
+    found = perception.agreements(range(20), os.cpu_count() or 1)
+    percent = 100.0 * np.array(perception.SHARES)
+    for index, (rule, colour) in enumerate(zip(perception.RULES, VARIANT_COLOURS, strict=False)):
+        runs = [found[rule, share] for share in perception.SHARES]
+        wins = [sum(one.opinion == perception.BLACK for one in some) for some in runs]
+        within = [wilson(won, len(some)) for won, some in zip(wins, runs, strict=True)]
+        shares = [won / len(some) for won, some in zip(wins, runs, strict=True)]
+        low, high = ([getattr(one, end) for one in within] for end in ("low", "high"))
+        bars = np.abs(np.array((low, high)) - shares)
+        # Runs without agreement are the longest.
+        times = [[min(one.at, perception.SECONDS) for one in some] for some in runs]
+        few, middle, most = np.quantile(times, (0.05, 0.5, 0.95), axis=1)
+        look = {"color": colour, "marker": "o", "ms": 4, "capsize": 2, "label": rule}
+        at = percent + 0.3 * (index - 1)
+        left.errorbar(at, shares, bars, **look)
+        right.errorbar(at, middle, (middle - few, most - middle), **look)
+        for n, share in enumerate(perception.SHARES):
+            none = sum(one.opinion is None for one in runs[n])
+            text = f"{few[n]:.0f} / {middle[n]:.0f} / {most[n]:.0f} s"
+            wrong = len(runs[n]) - wins[n] - none
+            print(f"{rule} {share:.0%} black: {wins[n]} right, {wrong} wrong, {none} none, {text}")
+    for axes in (left, right):
+        axes.set_xticks(percent)
+    left.set(xlabel="black tiles, %", ylabel="share of runs that agree on black", ylim=(0.0, 1.03))
+    left.legend(frameon=False, fontsize=9)
+    right.set(xlabel="black tiles, %", ylabel="time until all agree, s", ylim=(0.0, None))
+    _keep(figure, (left, right), out / "pattern_collective_perception.png")
+
+
 def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:
     for one in axes:
         tidy(one)
@@ -140,3 +175,4 @@ if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/figures")
     majority_rule(folder)
     voters(folder)
+    floors(folder)

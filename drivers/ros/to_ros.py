@@ -98,7 +98,7 @@ class TagEncoder:
     """
 
     def __init__(self, options: RosOptions, entry: TopicDetections) -> None:
-        self.topic, self.message_type = entry.topic, entry.message_type
+        self.name, self.topic, self.message_type = entry.name, entry.topic, entry.message_type
         self._entry, types = entry, options.message_types
         self._tag, self._point = types.kind(f"{TAGS}Detection"), types.kind(_POINT)
         self._keys = {kind: key for key, kind in reversed(entry.options.kinds.items())}
@@ -113,11 +113,9 @@ class TagEncoder:
         if key is None or place is None:
             return
         across, side = place
-        name = key if key.isdecimal() else seen.id
-        digits = name[len(name.rstrip("0123456789")) :]
         yield self._tag(
             family=_FAMILY if key.isdecimal() else key,
-            id=int(digits[-_MAX_DIGITS:] or 0),
+            id=_number(key if key.isdecimal() else seen.id),
             hamming=0,
             goodness=0.0,
             decision_margin=100.0,
@@ -126,8 +124,21 @@ class TagEncoder:
             homography=np.zeros(9),
         )
 
+    def taken_for(self, kind: str, name: str) -> str:
+        """The kind that drivers find for an object of this kind and name: another by its number."""
+        key = self._keys.get(kind)
+        if key is None or key.isdecimal():
+            return kind
+        return self._entry.options.kinds.get(str(_number(name)), kind)
+
     def _at(self, x: float, y: float) -> Any:
         return self._point(x=x, y=y)
+
+
+def _number(name: str) -> int:
+    """The number at the end of a name, 0 without."""
+    digits = name[len(name.rstrip("0123456789")) :]
+    return int(digits[-_MAX_DIGITS:] or 0)
 
 
 def scan_encoders(

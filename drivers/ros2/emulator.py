@@ -29,6 +29,9 @@ NAMESPACE = "{robot}"
 MAX_COMMAND = 100.0
 """m/s or rad/s; a faster command is dropped as unreadable."""
 
+_ROBOTS = "robot"
+"""The kind of robots in the simulated world."""
+
 _OPTIONS: dict[str, object] = {
     **PROMPT_OPTIONS,  # the world never waits for a daemon that does not read
     "mode": "router",
@@ -61,6 +64,7 @@ class EmulatedRobots:
         self._on_command = on_command
         read = {robot: _options(spec, robot, robots[robot]) for robot in robots}
         _check_distinct(spec, read)
+        _check_tags(spec, read)
         cdr.warm(ros.LaserScan, ros.Range, ros.Odometry, ros.Twist, ros.TwistStamped)
         self._hub, self.endpoint = open_listening(endpoint, _OPTIONS, f"the robots' {spec.driver}")
         kinds = {platform.name: platform for platform in robots.values()}
@@ -217,6 +221,19 @@ def _check_distinct(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
                 raise ConfigError(
                     f"robots {other} and {robot} have one topic {topic}; take the first slash off"
                     f" its name in the platform's file, under drivers.{spec.driver}"
+                )
+
+
+def _check_tags(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
+    """ConfigError if a robot's tag has the number that stands for another kind."""
+    for robot, options in read.items():
+        for encoder in tag_encoders(options):
+            kind = encoder.taken_for(_ROBOTS, robot)
+            if kind != _ROBOTS:
+                raise ConfigError(
+                    f"drivers.{spec.driver}.detections.{encoder.name}.kinds: the tag of robot"
+                    f" {robot} has its number, which stands for {kind}; give {kind} a number that"
+                    " no robot's name ends with"
                 )
 
 

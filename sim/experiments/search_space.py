@@ -207,7 +207,7 @@ def patterns_of(scenario: Scenario) -> tuple[str, ...]:
 def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
     """Each parameter of the patterns, and why it cannot be tuned without bounds; empty if it can.
 
-    A bound on a speed is the limit of the slowest robot.
+    A bound on a speed is the limit of the slowest robot in that direction, backwards too.
     """
     origins = pattern_names(scenario.plugin_dir)
     load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -247,8 +247,13 @@ def _with_bounds(one: Parameter, spec: ParamSpec, platform: Platform) -> tuple[P
     if spec.ge is None or spec.le is None:
         return one, f"it has no {'lower' if spec.ge is None else 'upper'} bound"
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
-    high = min(spec.le, limits.get(spec.unit, math.inf))
-    return replace(one, low=spec.ge, high=high), "" if spec.ge < high else "it has one value"
+    limit = limits.get(spec.unit, math.inf)
+    if spec.name == "lateral" and spec.unit == "m/s":
+        limit = platform.limits.lateral
+        if limit == 0.0:
+            return one, f"{platform.name} does not move sideways"
+    low, high = max(spec.ge, -limit), min(spec.le, limit)
+    return replace(one, low=low, high=high), "" if low < high else "it has one value"
 
 
 def _robot_of(scenario: Scenario, pattern: str) -> str:

@@ -71,6 +71,7 @@ def simulate(
     shard: str | None = None,
     cores: int = 1,
     metrics: Iterable[str | Metric] = (),
+    on_progress: OnProgress | None = None,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -83,7 +84,8 @@ def simulate(
     With `cores` above 1 as many processes share the robots of each run, which is for large ones.
     `metrics` are measured besides those of the catalog: `report:...`, `reading:...`,
     `FILE.py:FUNCTION`. With `shard="3/40"` only the third of forty parts is run; `merge` joins
-    their folders.
+    their folders. `on_progress` is called with the progress, after each run and in worker processes
+    also during runs; `progress()` of `swarmd.sim.cli.progress` gives that of `swarmctl exp run`.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
     in `failures` of the results; SwarmError if all runs failed.
@@ -104,7 +106,7 @@ def simulate(
     runner = in_workers if max(jobs, cores) > 1 else run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        results = run_experiment(manifest, folder, runner)
+        results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)

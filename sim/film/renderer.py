@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+import threading
 from contextlib import suppress
 from importlib import import_module
 from typing import Any, Literal
@@ -13,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.film.colours import Colouring
 from swarmd.sim.film.stage import Stage
@@ -44,8 +45,8 @@ class Renderer:
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:4] = 0, 1, 1, 1  # without collision shapes
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MAX_TRAILS + 100)
-        self._gl = gl_context(*size)
-        self._gl.make_current()
+        self._gl, self._thread = gl_context(*size), threading.current_thread()
+        self._make_current()
         self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
 
@@ -56,9 +57,10 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Free the context of OpenGL."""
-        self._gl.make_current()
-        self._context.free()
+        """Free the context of OpenGL, in another thread as far as that thread can."""
+        with suppress(SwarmError):
+            self._make_current()
+            self._context.free()
         self._gl.free()
 
     def show(self, trace: Trace, colouring: Colouring) -> None:
@@ -67,8 +69,11 @@ class Renderer:
         self._t = trace.t - trace.t[0]
 
     def frame(self, time: float, trail: float = 0.0) -> NDArray[np.uint8]:
-        """The run at `time` in s from its start; `trail`: s of the path behind each robot."""
-        self._gl.make_current()  # another renderer may have been at work
+        """The run at `time` in s from its start; `trail`: s of the path behind each robot.
+
+        ConfigError in another thread than the one that made the renderer.
+        """
+        self._make_current()  # another renderer may have been at work
         at = self._place(time)
         model, data, scene = self.stage.model, self._data, self._scene
         mujoco.mj_kinematics(model, data)
@@ -82,6 +87,20 @@ class Renderer:
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
         mujoco.mjr_readPixels(picture, None, rect, self._context)
         return picture[::-1]
+
+    def _make_current(self) -> None:
+        try:
+            self._gl.make_current()
+        except Exception as error:  # libraries raise what they like
+            thread = threading.current_thread()
+            if thread is self._thread:
+                what = type(error).__name__
+                raise PluginError(f"OpenGL cannot render here any more ({what})") from error
+            raise ConfigError(
+                f"thread {thread.name} cannot render with the OpenGL of thread"
+                f" {self._thread.name}; render in that thread alone, or make a renderer or"
+                " environment in each thread"
+            ) from error
 
     def _place(self, time: float) -> int:
         """Move and colour everything; the index of the latest instant."""

@@ -13,7 +13,7 @@ from swarmd.core.values import Platform
 LEAST_FLOOR = 2.0
 """m, side of the smallest floor."""
 
-_TRAVEL_TIME = 1.2  # s at the top speed: no drive goes further, its stop included
+_TRAVEL_TIME = 1.2  # s at the top speed: a drive, with 0.3 s for its stop
 _TOLERANCE = (0.05, 0.06)  # m, and share of the distance
 
 _TICK = 0.05  # s, until the next decision, and from a decision to the response of the base
@@ -70,7 +70,11 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
 
 
 def travel(speed: float) -> float:
-    """m from its start that no drive exceeds, for a top speed in m/s."""
+    """m from its start within which a drive at a top speed in m/s begins to brake, and stops.
+
+    A base that needs more than 0.3 s at that speed to stop, as one with 1.0 m/s2 from 0.4 m/s on,
+    stops beyond it, in the gap that `needed_floor` adds for its brake.
+    """
     return _TRAVEL_TIME * speed
 
 

@@ -25,7 +25,7 @@ _SETTLE = 0.4  # s at standstill by odometry before a stop counts as over
 _STILL = 0.01  # share of the top speed, per s: slower counts as standstill
 _LONGEST_STOP = 8.0  # s
 _LONGEST_DRIVE = 8.0  # s
-_UNSEEN = (0.7, 0.03)  # s of a drive sideways, and least share of the commanded way seen by then
+_UNSEEN = (0.7, 0.03)  # s of a drive, and least share of the commanded way seen in the last of them
 _BRAKED_SHARE = 0.75  # of a drive's longest way, after which it ends; the rest is for its stop
 _LOOKS = 6  # scans at rest before the first drive
 _LOOK_TIME = 10.0  # s within which they must come
@@ -38,6 +38,11 @@ _KINDS = {
     "linear": ("drive", "m/s", ""),
     "lateral": ("drive sideways", "m/s", ", or its wheels do not slide (limits.lateral: 0)"),
     "angular": ("turn", "rad/s", ""),
+}
+_WAYS = {"linear": "way", "lateral": "way sideways", "angular": "turn"}
+_STANDS = "the base stands (motors off, a stop button), its odometry does not change"
+_CAUSES = {
+    "lateral": "its wheels do not slide (limits.lateral: 0), its driver measures no way sideways"
 }
 
 _Drives: TypeAlias = Generator[Twist, Inputs, None]
@@ -289,12 +294,11 @@ class Calibration(Pattern[CalibrationParams]):
                 steady = self._now
             passed = self._now - begin
             is_over = way[-1] > self._farthest[axis] or passed > _LONGEST_DRIVE
-            least = _UNSEEN[1] * abs(speed) * passed
-            if axis == "lateral" and passed > _UNSEEN[0] and way[-1] < least:
+            lately = way[-1] - np.interp(self._now - _UNSEEN[0], track[:, 0], way)
+            if passed > _UNSEEN[0] and lately < _UNSEEN[1] * abs(speed) * _UNSEEN[0]:
                 raise _EndError(
-                    f"odometry shows no way sideways when {abs(speed):.2f} m/s are commanded: its"
-                    " wheels do not slide (limits.lateral: 0), its driver measures no way sideways,"
-                    " or protection stops it"
+                    f"odometry shows no {_WAYS[axis]} when {abs(speed):.2f} {_KINDS[axis][1]} are"
+                    f" commanded: {_CAUSES.get(axis, _STANDS)}, or protection stops it"
                 )
         at = self._now
         yield from self._stand()

@@ -205,7 +205,9 @@ def read_document(path: Path) -> Document:
         yield from found
 
     file, faults = read(own, MissionFile, check)
-    root, root_faults = read(_expanded(rest), Element, check)
+    expanded = _expanded(rest)
+    root, root_faults = read(expanded, Element, check)
+    root_faults += _check_names(expanded, (), names)
     document = Document(
         path=path,
         description=file.mission,
@@ -318,8 +320,6 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
-        case RunPart():
-            yield from _check_part(value.part, (*keys, "part"), names)
         case Sequence():
             yield from _check_sequence(value, keys)
         case Parallel():
@@ -359,19 +359,41 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
                 yield fault_at((*keys, _tag(value), index, "transitions"), _TRANSITIONS)
 
 
-def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
-    *before, last = sequence.children
-    place = (*keys, "sequence", len(before))
-    labels = [step.label for step in sequence.children]
-    named = Counter(labels)
-    for index, step in enumerate(sequence.children):
-        for name in step.transitions or ():
-            where = (*keys, "sequence", index, "transitions", name)
+def _check_names(element: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    """Unknown parts and steps in the data of an element, which may have other faults."""
+    if not isinstance(element, dict):
+        return
+    if element.get("part") and isinstance(element["part"], str):
+        yield from _check_part(element["part"], (*keys, "part"), names)
+    for kind in _KINDS:
+        children = element.get(kind)
+        if not isinstance(children, list):
+            continue
+        if kind == "sequence":
+            yield from _check_transitions(children, (*keys, kind))
+        for index, child in enumerate(children):
+            yield from _check_names(child, (*keys, kind, index), names)
+
+
+def _check_transitions(steps: list[Any], keys: Keys) -> Iterator[Fault]:
+    found = [one if isinstance(one, dict) else {} for one in steps]
+    labels = [one.get("name") or one.get("part") or "" for one in found]
+    named = Counter(map(str, labels))
+    for index, step in enumerate(found):
+        transitions = step.get("transitions")
+        for name in transitions if isinstance(transitions, dict) else ():
+            where = (*keys, index, "transitions", name)
             if named[name] > 1:
                 text = f"is {name}, the name of two steps; give each a name of its own"
                 yield fault_at(where, text)
             elif name not in named or not name:
-                yield fault_at(where, f"names {unknown('step', name, filter(None, labels))}")
+                yield fault_at(where, f"names {unknown('step', name, filter(None, named))}")
+
+
+def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
+    *before, last = sequence.children
+    place = (*keys, "sequence", len(before))
+    labels = [step.label for step in sequence.children]
     for index in sorted({*range(len(labels))} - _reached(sequence)):
         text = "is never reached; name it in a transition, or give the step before it an until"
         yield fault_at((*keys, "sequence", index), text)

@@ -146,6 +146,27 @@ def test_a_step_that_nothing_leads_to_is_a_fault(tmp_path: Path) -> None:
     assert "tried.yaml:4: sequence[0].transitions.c is c, the name of two steps" in twice
 
 
+def test_unknown_names_are_faults_beside_others_of_the_same_elements(tmp_path: Path) -> None:
+    path = tmp_path / "two.yaml"
+    path.write_text(
+        "mission: Drives by turns\n"
+        "parts: {go: {pattern: drive}}\n"
+        "sequence:\n"
+        "  - {part: go, name: a, transitions: {d: {timeot: 1}}}\n"
+        "  - {part: og, until: {timeout: 1}}\n"
+        "  - {part: go, name: c, until: {timeot: 1}, transitions: {e: {timeout: 1}}}\n"
+        "then: repeat\n"
+    )
+    found = check_mission(path, PLATFORM, tmp_path)
+    assert [re.sub(r".*yaml:(\d+): (\S+).*", r"\1 \2", one) for one in found] == [
+        "4 sequence[0].transitions.d",
+        "4 sequence[0].transitions.d",
+        "5 sequence[1].part",
+        "6 sequence[2].until",
+        "6 sequence[2].transitions.e",
+    ]
+
+
 def test_two_parts_on_one_channel_are_a_fault(tmp_path: Path) -> None:
     two = "  vote: {pattern: vote_on}\n  more: {pattern: vote_on}"
     text = GOOD.replace("  vote: {pattern: vote_on}", two).replace("[vote, go]", "[vote, more, go]")

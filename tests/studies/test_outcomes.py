@@ -15,6 +15,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
     "attraction": {"duration": 40.0},
     "best_of_n": {"has_hard": False},
     "chain_formation": {"has_more": False},
+    "collective_perception": {"shares": (0.66,), "has_bodies": False},
     "cooperative_transport": {"shapes": ((0.5, 0.5),), "duration": 80.0},
     "cross_inhibition": {"has_bounds": False},
     "circle_formation": {"settings": (SHORT,)},

@@ -54,6 +54,18 @@ def varied_scan(platform: Platform, seq: int = 1) -> Scan:
     return Scan(seq, seq / spec.rate, ranges, spec.bearings, spec.range_min, spec.range_max)
 
 
+TAGS: dict[str, Value] = {
+    "topic": "detections",
+    "type": "apriltag_msgs/AprilTagDetectionArray",
+    "at": [-0.06, 0.02],
+    "bearing_deg": 10.0,
+    "image_width": 1280,
+    "field_of_view_deg": 63.0,
+    "size": 0.1,
+    "kinds": {"tag36h11": "robot", "7": "box"},
+}
+
+
 def odometry(seq: int = 1) -> Odometry:
     return Odometry(0.1 * seq, Pose(1.0, -2.0, 2.5), Twist(0.1, -0.2))
 
@@ -278,23 +290,36 @@ def test_readings_of_the_platform_reach_the_driver_by_topics(scheme: str) -> Non
         stage.side.close()
 
 
+def with_tags(folder: Path, **kinds: str) -> Platform:
+    path = str(detections_folder(folder))
+    return given(BURGER, message_path=path, detections={"tags": {**TAGS, "kinds": kinds}})
+
+
+def test_a_tag_with_the_number_of_a_robot_is_one_clear_error(tmp_path: Path) -> None:
+    platform = with_tags(tmp_path, tag36h11="robot", **{"2": "box"})
+    with pytest.raises(ConfigError, match=r"detections.tags.kinds: .* robot r-2 .* for box"):
+        Stage("ros2dds", platform)
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        {"tag36h11": "robot", "2": "robot", "7": "box"},
+        {"9": "robot", "2": "box"},  # all robots have tag 9
+        {"2": "box"},  # robots have no tag
+    ],
+)
+def test_other_tags_may_have_any_number(kinds: dict[str, str], tmp_path: Path) -> None:
+    Stage("ros2dds", with_tags(tmp_path, **kinds)).side.close()
+
+
 @pytest.mark.parametrize("scheme", ["ros2dds", "rmw_zenoh"])
 def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
     scheme: str, tmp_path: Path
 ) -> None:
-    tags: dict[str, Value] = {
-        "topic": "detections",
-        "type": "apriltag_msgs/AprilTagDetectionArray",
-        "at": [-0.06, 0.02],
-        "bearing_deg": 10.0,
-        "image_width": 1280,
-        "field_of_view_deg": 63.0,
-        "size": 0.1,
-        "kinds": {"tag36h11": "robot", "7": "box"},
-    }
     own: dict[str, Value] = {
         "message_path": str(detections_folder(tmp_path)),
-        "detections": {"tags": tags},
+        "detections": {"tags": TAGS},
     }
     platform = replace(BURGER, drivers={scheme: {**BURGER.drivers[scheme], **own}})
     stage, sink = Stage(scheme, platform), CollectingSink()

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.simulate import Progress, simulate
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.trace import Trace
 from tests.sim.conftest import write_duo
@@ -114,6 +115,18 @@ def test_sweeps_have_a_variant_for_each_point(duo: Path) -> None:
         results.summary()
     with pytest.raises(ConfigError, match=r"'speed=0\.3'"):
         results.summary("speed=0.3")
+
+
+def test_progress_is_told_after_each_run(duo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told: list[Progress] = []
+    small(duo, on_progress=told.append)
+    assert [(one.done, one.total, one.failed) for one in told] == [(0, 2, 0), (1, 2, 0), (2, 2, 0)]
+    assert [one.worked for one in told] == [0.0, told[0].left / 2, told[0].left]
+    assert told[-1].left == 0.0
+    assert capsys.readouterr() == ("", "")
+    with progress() as show:
+        small(duo, on_progress=show)
+    assert "2 of 2 runs" in capsys.readouterr().err
 
 
 def test_a_scenario_that_is_loaded_can_be_run_and_changed(duo: Path) -> None:

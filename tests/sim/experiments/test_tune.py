@@ -306,6 +306,28 @@ def test_a_pattern_declares_what_can_be_tuned() -> None:
     assert few.present is None  # law is none of its values
 
 
+@pytest.mark.parametrize(
+    ("platform", "speed", "lateral"),
+    [("burger", (-0.22, 0.22), None), ("slider", (-0.8, 0.8), (-0.5, 0.5))],
+)
+def test_a_speed_sideways_has_the_bounds_of_the_platform(
+    platform: str, speed: tuple[float, float], lateral: tuple[float, float] | None
+) -> None:
+    notes: list[str] = []
+    slider = {"extends": "rosbot_xl", "limits": {"lateral": 0.5}}
+    changes = {
+        "platforms": {"slider": slider},
+        "groups.tb3.platform": platform,
+        "groups.tb3.pattern": "drive",
+    }
+    space = parameter_space(load_scenario("aggregation", changes), (), notes.append)
+    bounds = {one.name: (one.low, one.high) for one in space.parameters}
+    assert bounds["speed"] == speed
+    assert bounds.get("lateral") == lateral
+    reason = [] if lateral else ["lateral is not tuned: burger does not move sideways"]
+    assert [note.partition(";")[0] for note in notes] == reason
+
+
 def test_the_document_is_a_scenario(whole: tuple[Path, Tuning, Bench], duo: Path) -> None:
     body = yaml.safe_load(whole[1].document)
     assert body["extends"] == str(duo)

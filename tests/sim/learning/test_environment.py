@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -325,6 +327,23 @@ def test_two_environments_draw_their_own_runs() -> None:
     one.close()
     np.testing.assert_array_equal(two.render(), other)
     two.close()
+
+
+def test_another_thread_gets_one_line_and_may_close() -> None:
+    env = make({"groups.tb3.count": 1}, seed=1, render_mode="rgb_array")
+    env.reset()
+    first = env.render()
+    if os.environ.get("MUJOCO_GL") == "osmesa":
+        pytest.skip("OSMesa draws in any thread")
+    with ThreadPoolExecutor(1, thread_name_prefix="trainer") as other:
+        with pytest.raises(ConfigError, match=r"thread trainer_0 .* MainThread; render in") as told:
+            other.submit(env.render).result()
+        np.testing.assert_array_equal(env.render(), first)
+        other.submit(env.close).result()
+    assert "\n" not in str(told.value)
+    env.reset(1)
+    np.testing.assert_array_equal(env.render(), first)
+    env.close()
 
 
 def test_a_robot_that_comes_back_within_a_step_is_another_agent() -> None:
