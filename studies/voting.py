@@ -154,9 +154,10 @@ def floors(out: Path) -> None:
         right.errorbar(at, middle, (middle - few, most - middle), **look)
         for n, share in enumerate(perception.SHARES):
             none = sum(one.opinion is None for one in runs[n])
+            wrong, mean = len(runs[n]) - wins[n] - none, f"{perception.taken(runs[n]):.0f} s"
             text = f"{few[n]:.0f} / {middle[n]:.0f} / {most[n]:.0f} s"
-            wrong = len(runs[n]) - wins[n] - none
-            print(f"{rule} {share:.0%} black: {wins[n]} right, {wrong} wrong, {none} none, {text}")
+            won = f"{wins[n]} of {len(runs[n])}"
+            print(f"| {rule} | {share:.0%} | {won} | {wrong} | {none} | {mean} | {text} |")
     for axes in (left, right):
         axes.set_xticks(percent)
     left.set(xlabel="black tiles, %", ylabel="share of runs that agree on black", ylim=(0.0, 1.03))

@@ -71,7 +71,7 @@ class Renderer:
     def frame(self, time: float, trail: float = 0.0) -> NDArray[np.uint8]:
         """The run at `time` in s from its start; `trail`: s of the path behind each robot.
 
-        ConfigError in another thread than the one that made the renderer.
+        ConfigError if the caller's thread did not make the renderer.
         """
         self._make_current()  # another renderer may have been at work
         at = self._place(time)

@@ -273,8 +273,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     def render(self) -> NDArray[np.uint8]:
         """The present state from above, as films show it: (480, 640, 3) uint8, for `rgb_array`.
 
-        ConfigError before the first `reset`, without a `render_mode`, and in another thread than
-        the one of the first `render`; PluginError if OpenGL cannot render on this machine.
+        ConfigError before the first `reset`, without a `render_mode`, or if another thread called
+        `render` first; PluginError if OpenGL cannot render on this machine.
         """
         if self.render_mode is None:
             raise ConfigError(

@@ -25,8 +25,8 @@ NAME = "collective_perception"
 RULES = ("voter", "majority", "comparison")
 SHARES = (0.52, 0.56, 0.60, 0.66)
 """Shares of black tiles."""
-BLACK = 0
-"""The opinion that is right."""
+BLACK, NONE = 0, -1
+"""The opinion that is right, and that of a robot that has not told any."""
 ROBOTS, SIDE, REACH = 20, 4.0, 1.4
 """Robots, side of the room in m and range of the radio in m: those of the scenario."""
 SPEED = 0.12
@@ -140,17 +140,17 @@ def run(setting: _Setting) -> Agreement:
         sense=sense,
         see=see,
     )
-    last: deque[set[Scalar | None]] = deque(maxlen=AGREED)
+    last: deque[set[Scalar]] = deque(maxlen=AGREED)
 
     def have_agreed(reports: Sequence[Mapping[str, Scalar]]) -> bool:
-        last.append({report.get("opinion") for report in reports})
-        return len(last) == AGREED and all(one == last[0] and len(one) == 1 for one in last)
+        last.append({report.get("opinion", NONE) for report in reports})
+        return len(last) == AGREED and len(set().union(*last)) == 1
 
     track = swarm.run(SECONDS, every=1.0, until=have_agreed)
-    opinions = track.reported("opinion")[-AGREED:]
-    if len(opinions) < AGREED or np.ptp(opinions) > 0.0:
+    held = set[Scalar]().union(*last)
+    if len(held) > 1:
         return Agreement(None, math.inf)
-    return Agreement(int(opinions[0, 0]), float(track.t[-AGREED]))
+    return Agreement(int(held.pop()), float(track.t[-AGREED]))
 
 
 def tiles(share: float, seed: int) -> Patch:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Mapping, Sequence
-from typing import Annotated, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -33,16 +33,30 @@ _SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # s a swing; share of the 
 _LEAST_WAY = 0.08  # m between two scans that tell the scale of odometry
 _RETRIES = 3  # drives without a steady speed before it gives up
 _SLOWER = 0.7  # share of a top speed that is tried next
-# Of each axis: its name, its unit, and why it may not move steadily.
-_KINDS = {
-    "linear": ("drive", "m/s", ""),
-    "lateral": ("drive sideways", "m/s", ", or its wheels do not slide (limits.lateral: 0)"),
-    "angular": ("turn", "rad/s", ""),
-}
-_WAYS = {"linear": "way", "lateral": "way sideways", "angular": "turn"}
 _STANDS = "the base stands (motors off, a stop button), its odometry does not change"
-_CAUSES = {
-    "lateral": "its wheels do not slide (limits.lateral: 0), its driver measures no way sideways"
+_NO_SLIDE = "its wheels do not slide (limits.lateral: 0)"
+
+
+class _Axis(NamedTuple):
+    """How messages name the moves on an axis, and why they may be unsteady or unseen."""
+
+    move: str
+    unit: str
+    way: str
+    unsteady: str = ""
+    unseen: str = _STANDS
+
+
+_AXES = {
+    "linear": _Axis("drive", "m/s", "way"),
+    "lateral": _Axis(
+        "drive sideways",
+        "m/s",
+        "way sideways",
+        f", or {_NO_SLIDE}",
+        f"{_NO_SLIDE}, its driver measures no way sideways",
+    ),
+    "angular": _Axis("turn", "rad/s", "turn"),
 }
 
 _Drives: TypeAlias = Generator[Twist, Inputs, None]
@@ -172,7 +186,7 @@ class Calibration(Pattern[CalibrationParams]):
         yield from self._look()
         scales = dict[str, list[float]]()
         stops = dict[str, list[tuple[float, Stop]]]()
-        for axis in (axis for axis in _KINDS if axis in self._speeds):
+        for axis in (axis for axis in _AXES if axis in self._speeds):
             stops[axis], scales[axis] = [], []
             yield from self._stops(axis, stops[axis], scales[axis])
         self._step_name = "swings"
@@ -260,11 +274,11 @@ class Calibration(Pattern[CalibrationParams]):
 
         After a drive that was not steady all over again, slower.
         """
-        failures, (kind, unit, why) = 0, _KINDS[axis]
+        failures, told = 0, _AXES[axis]
         while len(stops) < 4 * self.params.repeats:
             top, index = self._speeds[axis], len(stops)
             speed = top if index % 4 < 2 else _SLOW * top
-            self._step_name = f"{kind} {index + 1} of {4 * self.params.repeats}"
+            self._step_name = f"{told.move} {index + 1} of {4 * self.params.repeats}"
             stop = yield from self._stop(speed if index % 2 == 0 else -speed, axis, scales)
             if stop is not None:
                 stops.append((speed, stop))
@@ -272,8 +286,8 @@ class Calibration(Pattern[CalibrationParams]):
             failures += 1
             if failures > _RETRIES:
                 raise _EndError(
-                    f"it does not {kind} steadily when {speed:.2f} {unit} are commanded: protection"
-                    f" limits it, or the base takes too long to get there{why}"
+                    f"it does not {told.move} steadily when {speed:.2f} {told.unit} are commanded:"
+                    f" protection limits it, or the base takes too long to get there{told.unsteady}"
                 )
             stops.clear()
             self._speeds[axis] *= _SLOWER
@@ -296,9 +310,10 @@ class Calibration(Pattern[CalibrationParams]):
             is_over = way[-1] > self._farthest[axis] or passed > _LONGEST_DRIVE
             lately = way[-1] - np.interp(self._now - _UNSEEN[0], track[:, 0], way)
             if passed > _UNSEEN[0] and lately < _UNSEEN[1] * abs(speed) * _UNSEEN[0]:
+                told = _AXES[axis]
                 raise _EndError(
-                    f"odometry shows no {_WAYS[axis]} when {abs(speed):.2f} {_KINDS[axis][1]} are"
-                    f" commanded: {_CAUSES.get(axis, _STANDS)}, or protection stops it"
+                    f"odometry shows no {told.way} when {abs(speed):.2f} {told.unit} are"
+                    f" commanded: {told.unseen}, or protection stops it"
                 )
         at = self._now
         yield from self._stand()

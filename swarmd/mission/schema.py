@@ -393,8 +393,7 @@ def _check_transitions(steps: list[Any], keys: Keys) -> Iterator[Fault]:
 def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
     *before, last = sequence.children
     place = (*keys, "sequence", len(before))
-    labels = [step.label for step in sequence.children]
-    for index in sorted({*range(len(labels))} - _reached(sequence)):
+    for index in sorted({*range(len(sequence.children))} - _reached(sequence)):
         text = "is never reached; name it in a transition, or give the step before it an until"
         yield fault_at((*keys, "sequence", index), text)
     for index, step in enumerate(before):

@@ -60,7 +60,8 @@ def answered_status(swarm: str) -> Status:
     found: list[Status] = []
 
     def answers() -> bool:
-        found.extend(one for one in (status(swarm),) if one is not None)
+        if (one := status(swarm)) is not None:
+            found.append(one)
         return bool(found)
 
     wait_until(answers, "the robot answers")

@@ -12,11 +12,10 @@ from typing import Any, Self
 
 import yaml
 
-from swarmd.network.exit_codes import APPLIED
 from tests.support.field import BODIES, ROOT, Field
 from tests.support.keys import SwarmKeys
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
-from tests.support.swarmctl import STALLED, Finished, Running
+from tests.support.swarmctl import Finished, Running, ask_in_time
 
 USERS = ("anna", "bob")
 """The operators of a secured swarm."""
@@ -179,12 +178,7 @@ class FieldSwarm:
 
     def ctl(self, host: str, *words: str, user: str = "anna") -> Finished:
         """Asked again if a stall of the machine refused it."""
-        done = self.begin(host, *words, user=user).finish()
-        for _ in range(3):
-            if done.code == APPLIED or not STALLED.search(done.out):
-                break
-            done = self.begin(host, *words, user=user).finish()
-        return done
+        return ask_in_time(lambda: self.begin(host, *words, user=user).finish())
 
     def members(self, host: str) -> dict[str, dict[str, Any]]:
         """The members that `swarmctl members` lists on a host, by name; {} if there are none."""

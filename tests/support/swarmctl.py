@@ -72,13 +72,17 @@ def swarmctl(*words: str, environ: Mapping[str, str] | None = None) -> Finished:
 
 def swarmctl_in_time(*words: str, environ: Mapping[str, str] | None = None) -> Finished:
     """`swarmctl`, asked again if robots refused or did not answer while the machine stalled."""
-    done = swarmctl(*words, environ=environ)
+    return ask_in_time(lambda: swarmctl(*words, environ=environ), late=(UNREACHABLE,))
+
+
+def ask_in_time(ask: Callable[[], Finished], *, late: tuple[int, ...] = ()) -> Finished:
+    """Ask, and three times again as long as a stall refuses it or the exit code is in `late`."""
     for _ in range(3):
-        is_late = STALLED.search(done.out) or done.code == UNREACHABLE
+        done = ask()
+        is_late = STALLED.search(done.out) or done.code in late
         if done.code == APPLIED or not is_late:
-            break
-        done = swarmctl(*words, environ=environ)
-    return done
+            return done
+    return ask()
 
 
 def await_applied(ask: Callable[[], Outcome], what: str) -> None:
