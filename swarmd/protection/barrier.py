@@ -395,6 +395,7 @@ class Barrier:
     _points: cython.Py_ssize_t
     _contacts: cython.Py_ssize_t
     _is_near: cython.bint
+    _has_contact: cython.bint  # a decision since the last scan found the robot in contact
     _x: cython.double[::1]
     _y: cython.double[::1]
     _gap: cython.double[::1]
@@ -440,6 +441,7 @@ class Barrier:
     _placed_free: cython.double[::1]
     _placed_age: cython.double[::1]
     _placed_contact: cython.double[::1]
+    _scan_gap: cython.double[::1]  # of seen points, when they were measured
     _radius_of: cython.double[::1]
     _first_row: cython.longlong[::1]
     _normal_x: cython.double[::1]
@@ -1019,7 +1021,7 @@ class Barrier:
         if len(self._ray_x) < count + unseen:
             self._ray_x, self._ray_y = _doubles(count + unseen), _doubles(count + unseen)
             self._ray_age = _doubles(count + unseen)
-        self._has_situation = False
+        self._has_situation = self._has_contact = False
         self._points = self._contacts = 0
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
@@ -1160,7 +1162,7 @@ class Barrier:
         self._placed_x, self._placed_y = _doubles(count), _doubles(count)
         self._placed_gap, self._placed_free = _doubles(count), _doubles(count)
         self._placed_age, self._radius_of = _doubles(count), _doubles(count)
-        self._placed_contact = _doubles(count)
+        self._placed_contact, self._scan_gap = _doubles(count), _doubles(count)
         self._normal_x, self._normal_y = _doubles(count), _doubles(count)
         self._near_x, self._near_y = _doubles(count), _doubles(count)
         self._near_gap, self._near_need = _doubles(count), _doubles(count)
@@ -1445,6 +1447,7 @@ class Barrier:
                     self._at_y[i] = frame_y + s * x + c * y
                     self._at_free[i], self._at_age[i] = self._free, age + ages[point]
                     self._at_radius[i] = 0.0
+                    self._scan_gap[first + i] = gaps[point]
                     i += 1
                 point += 1
             n: cython.Py_ssize_t = i
@@ -1776,12 +1779,19 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _is_touching(self) -> cython.int:
-        """1 if an obstacle may touch the robot."""
+        """1 if an obstacle may touch the robot; contact with a seen one lasts until the next scan.
+
+        By odometry a robot that is pushed leaves the obstacle that follows it: at 0.3 m/s by 4.6 cm
+        within 0.15 s.
+        """
         i: cython.Py_ssize_t
-        for i in range(self._count):
-            is_within: cython.bint = self._placed_gap[i] <= self._placed_contact[i]
-            if is_within and self._row_cap[self._first_row[i]] <= 0.0:
-                return 1
+        for i in range(0 if self._has_contact else self._count):
+            gap: cython.double = min(self._placed_gap[i], self._scan_gap[i])
+            if gap <= self._placed_contact[i] and self._row_cap[self._first_row[i]] <= 0.0:
+                self._has_contact = True
+                break
+        if self._has_contact:
+            return 1
         # A told obstacle is somewhere in its disc. Once the disc may have reached the outline, the
         # direction to its middle does not show on which side the obstacle is.
         for i in range(self._count, self._count + self._discs):

@@ -86,6 +86,27 @@ def test_contact_stays_one_after_the_robot_has_moved_away(module: Any) -> None:
 
 
 @paths
+@pytest.mark.parametrize(("distance", "nearer"), [(0.13, 0.0), (0.16, 0.02)])
+def test_contact_with_what_is_seen_lasts_until_the_next_scan(
+    module: Any, distance: float, nearer: float
+) -> None:
+    """By odometry a robot that is pushed leaves the obstacle, which follows it.
+
+    The return lies less than 4 cm beside the robot in the scan, or once the robot is `nearer`.
+    """
+    robot = Robot(module, under_barrier(BURGER, unseen_extent=0.0), math.inf)
+    robot.ranges[55] = distance
+    robot.see(Odometry(NOW, Pose(), ZERO))
+    for after, y in ((0.02, nearer), (0.1, -0.05)):
+        odometry = Odometry(NOW + after, Pose(0.0, y), ZERO)
+        decision = robot.decide(Twist(-0.22), odometry, after)
+        assert -0.015 - 1e-9 <= decision.twist.linear < -0.01
+    robot.ranges[55] = 0.2
+    robot.see(Odometry(NOW + 0.2, Pose(0.0, -0.05), ZERO))
+    assert not robot.decide(Twist(-0.22), Odometry(NOW + 0.21, Pose(0.0, -0.05), ZERO)).is_active
+
+
+@paths
 @pytest.mark.parametrize("x", [0.0, -0.0, 1e-17, -1e-17])
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -3.0])
 def test_an_obstacle_told_at_the_axle_is_reported_ahead(module: Any, x: float, yaw: float) -> None:
