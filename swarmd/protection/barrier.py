@@ -389,6 +389,10 @@ class Barrier:
     _moved_y: cython.double
     _moved_yaw: cython.double
     _seconds: cython.double
+    # The least and greatest commands, 0 included: ahead since the last scan and before it, to the
+    # left since then and before. The base responds late, so both explain motion between two scans.
+    _least_command: cython.double[4]
+    _most_command: cython.double[4]
     # The rays, and the near obstacles of the last scan: contacts first, then by rising gaps.
     _bearings: cython.const[cython.double][::1]
     _directions: cython.double[::1]  # x and y of each ray; x is NaN where they are not known yet
@@ -662,7 +666,7 @@ class Barrier:
         memory = self._memory
         if memory is not None:
             moved = Pose(self._moved_x, self._moved_y, self._moved_yaw)
-            memory.update(scan, geometry, moved, self._seconds)
+            memory.update(scan, geometry, moved, self._driven(), self._seconds)
             if len(memory.bearings):
                 hidden = _view(_rays_and_ranges(memory.bearings, memory.nearest))
         self._take_scan(ranges, scan.range_min, ages, hidden)
@@ -709,6 +713,8 @@ class Barrier:
         if told is not self._told_ones and told != self._told_ones:
             self._set_told(told)
         self._find_discs()
+        self._note_command(0, command.linear)
+        self._note_command(2, command.lateral)
         is_free: cython.bint = not (self._has_touch or self._is_near or self._points or self._discs)
         along_x: cython.double = 1.0
         along_y: cython.double = 0.0
@@ -944,6 +950,39 @@ class Barrier:
         self._taken_x, self._taken_y, self._taken_yaw = self._pose_x, self._pose_y, self._pose_yaw
         self._taken, self._lag, self._scan_resets = taken, age, self._resets
         return True
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _note_command(self, along: cython.Py_ssize_t, speed: cython.double) -> cython.int:
+        """Note the command in force since the last decision: ahead (0) or to the left (2)."""
+        self._least_command[along] = min(self._least_command[along], speed)
+        self._most_command[along] = _maximum(self._most_command[along], speed)
+        return 0
+
+    @cython.cfunc
+    def _driven(self):
+        """The part of the motion between the last two scans that the robot's commands explain."""
+        half: cython.double = 0.5 * self._moved_yaw  # along the chord of its arc
+        c: cython.double = cos(half)
+        s: cython.double = sin(half)
+        ahead: cython.double = self._explained(0, c * self._moved_x + s * self._moved_y)
+        left: cython.double = self._explained(2, c * self._moved_y - s * self._moved_x)
+        return Pose(c * ahead - s * left, s * ahead + c * left, self._moved_yaw)
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def _explained(self, along: cython.Py_ssize_t, moved: cython.double) -> cython.double:
+        """The m of a motion between two scans that commands explain, which then begin anew."""
+        least: cython.double = min(self._least_command[along], self._least_command[along + 1])
+        most: cython.double = _maximum(self._most_command[along], self._most_command[along + 1])
+        self._least_command[along + 1], self._least_command[along] = self._least_command[along], 0.0
+        self._most_command[along + 1], self._most_command[along] = self._most_command[along], 0.0
+        seconds: cython.double = min(self._seconds, self._stale)  # then the robot is held
+        least *= seconds
+        most *= seconds
+        if not moved >= least:  # NaN too
+            return least
+        return moved if moved <= most else most
 
     @cython.cfunc
     def _find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
