@@ -528,7 +528,7 @@ class DriverCheck:
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in self.subscriptions.topics.values():
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
-            if stats.is_needed or stats.count or is_named:
+            if stats.is_needed or stats.count or stats.faults or is_named:
                 yield self._topic(stats)
             for name in stats.further:
                 yield replace(self._topic(stats, is_entry=True), subject=name)
