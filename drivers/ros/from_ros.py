@@ -23,6 +23,7 @@ from swarmd.drivers.ros.absence import why_absent
 _MAX_SPAN = 1.1 * 2.0 * math.pi  # of a scan: some sensors repeat their first rays at the end
 _MAX_FIRST_ANGLE = 4.0 * math.pi
 _MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
+_ANGLE_STEPS = 1.5  # steps by which drivers count the last ray otherwise
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
 _ROUNDING = 1e-9  # of a covariance
@@ -70,6 +71,23 @@ def scan_of(
         # short: the platform knows better, or the core measures the order.
         _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None,
     )
+
+
+def angles_finding(message: ros.LaserScan) -> Finding | None:
+    """What is wrong if the last ray by `angle_increment` is not at `angle_max`; None if it is.
+
+    Some drivers count the rays, others the steps between them; some give no `angle_max`.
+    """
+    count, first, step = len(message.ranges), message.angle_min, message.angle_increment
+    last = first + step * max(count - 1, 0)
+    if message.angle_max == 0.0 or abs(message.angle_max - last) <= _ANGLE_STEPS * abs(step):
+        return None
+    text = (
+        f"angle_max is {message.angle_max:.4g} rad, but {count} rays from angle_min {first:.4g} by"
+        f" angle_increment {step:.4g} end at {last:.4g} rad; a wrong sign mirrors left and right:"
+        " correct the driver of the lidar, and see which side it shows an obstacle on"
+    )
+    return Finding("scan angles", False, text)
 
 
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:

@@ -179,6 +179,10 @@ class Subscriptions:
         """The last scan of the lidar, or of what replaces it; None before the first."""
         return (self.contents.get("scan") or self.contents["ranges"]).last
 
+    def angles_finding(self) -> Finding | None:
+        """The angles in the header of the last scan, if they contradict one another."""
+        return None if self._laser is None else from_ros.angles_finding(self._laser)
+
     def sweep_finding(self) -> Finding | None:
         """How the rays of the last scan follow one another; None without a scan of one message."""
         if self._laser is None:
