@@ -20,7 +20,8 @@ class ScanContent:
     """The last scan of a sensor, and how often its ranges repeated those of the scans before.
 
     A scan repeats if its ranges are those of one of the last COMPARED_SCANS, as in conditioning.
-    `last`: None before the first scan. `count`: of scans.
+    `last`: None before the first scan. `count`: of scans. `has_measured`: False while all ranges of
+    all scans were 0, of a sensor that has returns in an ordinary room: its motor may not turn yet.
     """
 
     def __init__(self, spec: ScanSpec, section: str = "scan") -> None:
@@ -30,10 +31,12 @@ class ScanContent:
         self._repeats = 0
         self.last: Scan | None = None
         self.count = 0
+        self.has_measured = False
 
     def take(self, scan: Scan) -> None:
         """Take in a scan as the driver reads it."""
         self.last, self.count = scan, self.count + 1
+        self.has_measured |= bool(scan.ranges.any()) or not self._sees_much(scan)
         ranges = scan.ranges.tobytes()
         if ranges in self._recent:
             self._repeats += 1
@@ -71,8 +74,7 @@ class ScanContent:
                 " or it is covered"
             )
         returns = self._returns(scan)
-        sees_much = spec.range_max >= _FAR_SENSOR and len(scan.ranges) >= _MANY_RAYS
-        if not returns and sees_much:
+        if not returns and self._sees_much(scan):
             return (
                 f"none of {len(scan.ranges)} rays has a return within {spec.range_max:g} m; hold"
                 " something in front of the sensor and check again: if there is still no return,"
@@ -86,6 +88,9 @@ class ScanContent:
                 " without noise, such as a simulated one"
             )
         return ""
+
+    def _sees_much(self, scan: Scan) -> bool:
+        return self.spec.range_max >= _FAR_SENSOR and len(scan.ranges) >= _MANY_RAYS
 
     def _distances(self, scan: Scan) -> Array:
         """(k,) m of the returns that have a distance."""

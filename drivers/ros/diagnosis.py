@@ -176,7 +176,17 @@ class Graph:
                 f"{topic}: messages come, all with the stamp {stats.stamps[-1]:.12g}; look at the"
                 " sensor, which is frozen, or at its publisher, which fills in none"
             )
-        return self.second_publisher(stats, spec)
+        return self.second_publisher(stats, spec) or self.set_clock(stats)
+
+    def set_clock(self, stats: TopicStats) -> str:
+        """The stamps of a topic go back, and one node alone publishes it; empty otherwise."""
+        publishers = self.publishers(stats.topic)
+        if not (stats.stamps_go_back() and len(publishers) == 1 and publishers[0].node):
+            return ""
+        return (
+            f"the stamps of {stats.topic} go back again and again, and {publishers[0].node} alone"
+            " publishes it: its clock was set; let it set its clock (NTP) before the node starts"
+        )
 
     def conflict(self, topics: Iterable[TopicStats], spec: ScanSpec) -> Conflict | None:
         """Why the robot must not move: a second base, or a second source; None without a sign."""
@@ -206,12 +216,10 @@ class Graph:
                 f"{len(bridges)} bridges hand on what {publishers[0].owner} publishes on {topic}:"
                 " they are in one domain; end all but one, or give each robot a domain"
             )
-        if stats.stamps_go_back():
-            alone = publishers[0].node if len(publishers) == 1 else ""
-            cause = f"only {alone} publishes it: a clock was set" if alone else "two publish it"
+        if stats.stamps_go_back() and not self.set_clock(stats):
             return (
-                f"the stamps of {topic} go back again and again: {cause}"
-                f"{'' if alone else ', or a clock was set'}; look at {self._info(topic)}"
+                f"the stamps of {topic} go back again and again: two publish it, or a clock was"
+                f" set; look at {self._info(topic)}"
             )
         if fast and not (publishers and publishers[0].node):
             return (  # without the rate: a text that varies would be news again and again
@@ -528,7 +536,7 @@ class DriverCheck:
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in self.subscriptions.topics.values():
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
-            if stats.is_needed or stats.count or is_named:
+            if stats.is_needed or stats.count or stats.faults or is_named:
                 yield self._topic(stats)
             for name in stats.further:
                 yield replace(self._topic(stats, is_entry=True), subject=name)
@@ -542,6 +550,8 @@ class DriverCheck:
         if conflict is not None and conflict.reason is Reason.BASE_CONFLICT:
             fault = fault or conflict.text
         yield self._scan_delay()
+        if (angles := self.subscriptions.angles_finding()) is not None:
+            yield angles
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep

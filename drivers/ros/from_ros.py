@@ -18,10 +18,12 @@ from swarmd.core.finding import Finding
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
 from swarmd.driver_api.hw_codec import MAX_RAYS
 from swarmd.drivers.ros import messages as ros
+from swarmd.drivers.ros.absence import why_absent
 
 _MAX_SPAN = 1.1 * 2.0 * math.pi  # of a scan: some sensors repeat their first rays at the end
 _MAX_FIRST_ANGLE = 4.0 * math.pi
 _MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
+_ANGLE_STEPS = 1.5  # steps by which drivers count the last ray otherwise
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
 _ROUNDING = 1e-9  # of a covariance
@@ -71,6 +73,23 @@ def scan_of(
     )
 
 
+def angles_finding(message: ros.LaserScan) -> Finding | None:
+    """What is wrong if the last ray by `angle_increment` is not at `angle_max`; None if it is.
+
+    Some drivers count the rays, others the steps between them; some give no `angle_max`.
+    """
+    count, first, step = len(message.ranges), message.angle_min, message.angle_increment
+    last = first + step * max(count - 1, 0)
+    if message.angle_max == 0.0 or abs(message.angle_max - last) <= _ANGLE_STEPS * abs(step):
+        return None
+    text = (
+        f"angle_max is {message.angle_max:.4g} rad, but {count} rays from angle_min {first:.4g} by"
+        f" angle_increment {step:.4g} end at {last:.4g} rad; a wrong sign mirrors left and right:"
+        " correct the driver of the lidar, and see which side it shows an obstacle on"
+    )
+    return Finding("scan angles", False, text)
+
+
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
     """How the rays of a scan follow one another, by `time_increment` and by the platform."""
     step, count = message.time_increment, len(message.ranges)
@@ -100,7 +119,9 @@ def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: boo
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
-    """Pose and twist; CodecError if they are not finite or the orientation is no rotation."""
+    """Pose and twist; CodecError if they are not finite, or the message lacks one of them."""
+    if lacks := why_absent(message, "pose.pose") or why_absent(message, "twist.twist"):
+        raise CodecError(lacks)
     position, orientation = message.pose.pose.position, message.pose.pose.orientation
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     pose = Pose(position.x, position.y, yaw_of(orientation))
@@ -152,10 +173,14 @@ def yaw_of(q: ros.Quaternion) -> float:
 
 
 def imu_readings(message: ros.Imu) -> dict[str, float]:
-    """`yaw` in rad, as far as the sensor knows it (REP 145: covariance -1 where it does not)."""
-    if message.orientation_covariance[0] == -1.0:
-        return {}
-    return {"yaw": yaw_of(message.orientation)}
+    """`yaw` in rad, unless the sensor has none; CodecError without a unit quaternion."""
+    return {} if no_yaw(message) else {"yaw": yaw_of(message.orientation)}
+
+
+def no_yaw(message: ros.Imu) -> str:
+    """Why a message gives no `yaw`; empty if it does."""
+    lacks = why_absent(message, "orientation.w")
+    return f"no yaw: {lacks}" if lacks else ""
 
 
 def battery_readings(
@@ -170,12 +195,12 @@ def battery_readings(
     `percent`, as some drivers send it. Without either, or if the value contradicts it, there is no
     `battery`.
     """
-    voltage = message.voltage
-    if not 0.0 <= voltage < math.inf:  # false for NaN too
+    voltage, share = message.voltage, math.nan
+    if not 0.0 <= voltage < math.inf or why_absent(message, "voltage", voltage):
         voltage = math.nan
     if volts is not None:
         share = max((voltage - volts[0]) / (volts[1] - volts[0]), 0.0)
-    else:
+    elif not why_absent(message, "percentage", message.percentage):
         share = message.percentage / _FULL.get(percentage or "", math.nan)
         share = share if 0.0 <= share <= _MAX_CHARGE else math.nan
     values = {"battery": min(share, 1.0), "battery_voltage": voltage}
@@ -185,12 +210,16 @@ def battery_readings(
 def no_battery(
     message: ros.BatteryState, volts: tuple[float, float] | None, percentage: str | None
 ) -> str:
-    """Why a message gives no `battery`; empty if nothing is known of it."""
+    """Why a message gives no `battery`."""
+    field, value = "percentage", message.percentage
     if volts is not None:
-        return ""
+        field, value = "voltage", message.voltage
+    if lacks := why_absent(message, field, value):
+        return f"no battery: {lacks}"
+    if volts is not None:
+        return f"no battery: a voltage of {value:.3g} V is not measured"
     if percentage is None:
         return "no battery: set driver_options.battery_volts or .battery_percentage"
-    value = message.percentage
     if math.isnan(value):
         return "no battery: its percentage is not measured; set driver_options.battery_volts"
     return f"no battery: a percentage of {value:.3g} is no {percentage}"

@@ -179,6 +179,10 @@ class Subscriptions:
         """The last scan of the lidar, or of what replaces it; None before the first."""
         return (self.contents.get("scan") or self.contents["ranges"]).last
 
+    def angles_finding(self) -> Finding | None:
+        """The angles in the header of the last scan, if they contradict one another."""
+        return None if self._laser is None else from_ros.angles_finding(self._laser)
+
     def sweep_finding(self) -> Finding | None:
         """How the rays of the last scan follow one another; None without a scan of one message."""
         if self._laser is None:
@@ -193,6 +197,8 @@ class Subscriptions:
                 message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
             )
             self.contents["scan"].take(scan)
+            if not self.contents["scan"].has_measured:
+                return lambda sink: None, ""
             return lambda sink: sink.scan(scan), ""
         if stats.message_type is messages.Range:
             whole = self._ring.take(self._ring_index[stats.name], message)
@@ -207,7 +213,9 @@ class Subscriptions:
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
             return lambda sink: sink.pose(pose), f"frame {pose.frame}"
         if stats.message_type is messages.Imu:
-            names, values, lacks = IMU, from_ros.imu_readings(message), ""
+            names, lacks = IMU, from_ros.no_yaw(message)
+            self._readings.take_own(names, {})  # of a message that cannot be read
+            values = from_ros.imu_readings(message)
         else:
             names = BATTERY
             values = from_ros.battery_readings(message, *self._battery)

@@ -13,6 +13,7 @@ from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, Detection
 from swarmd.driver_api.driver import Sink
+from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.topic_readings import Step, Text, path_of, value_at
 
@@ -99,13 +100,13 @@ class TopicDetections:
         return self.options.stale_after
 
     def read(self, message: Any) -> tuple[Detection, ...]:
-        """The objects in a message, without those whose place is not finite."""
+        """The objects in a message, without those whose place is not finite, or missing."""
         found = (self._detection(item) for item in message.detections[:MAX_DETECTIONS])
         return tuple(one for one in found if one is not None and one.is_valid)
 
     def _detection(self, item: Any) -> Detection | None:
         bearing, distance = self._seen(item)
-        if not math.isfinite(bearing):
+        if why_absent(item, "bbox") or not math.isfinite(bearing):
             return None
         bearing += math.radians(self.options.bearing_deg)
         if distance is not None:
@@ -227,7 +228,9 @@ class Detections:
         """Take in a message; its objects as text."""
         found = self._entries[name].read(message)
         self._values[name], self._is_told = (found, now), False
-        return ", ".join(_texts(found)) or "no object"
+        lacks = min(len(message.detections), MAX_DETECTIONS) - len(found)
+        without = [f"{lacks} without a place"] if lacks else []
+        return ", ".join((*_texts(found), *without)) or "no object"
 
     def at(self, now: float) -> tuple[Detection, ...] | None:
         """All objects; None if a topic is silent for too long, or was never heard."""

@@ -14,6 +14,7 @@ from rosbags.interfaces import Nodetype
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.driver_api.driver import Sink
+from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.topic_readings import (
     StaleAfter,
@@ -70,6 +71,7 @@ class TopicHazard:
     topic: str
     message_type: type
     items: tuple[Step, ...] | None
+    field: str
     number: tuple[Step, ...]
     place: tuple[Step, ...] | None
     means: Mapping[int | None, Hazard]
@@ -81,10 +83,11 @@ class TopicHazard:
         """True if the last message counts until the next one."""
         return self.stale_after == math.inf
 
-    def read(self, message: Any) -> tuple[Hazard, ...] | None:
-        """The hazards in a message; None if it does not tell: a number is not finite.
+    def read(self, message: Any) -> tuple[Hazard, ...] | str:
+        """The hazards in a message; why it does not tell, if a number is not measured.
 
-        An infinite range is compared with the limits: a floor sensor over a cliff sees nothing.
+        A range beyond the limits of the sensor, or an infinite one, is compared with those of the
+        hazard: a floor sensor over a cliff sees nothing.
         """
         items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
         found: dict[Hazard, None] = {}
@@ -92,10 +95,13 @@ class TopicHazard:
             try:
                 number = float(value_at(item, self.number))
             except IndexError:
-                return None
-            is_range = self.limits != _NO_LIMITS and not math.isnan(number)
-            if not (math.isfinite(number) or is_range):
-                return None
+                return f"the message has no item {self.field}"
+            is_limited = self.limits != _NO_LIMITS
+            if math.isnan(number) or not (is_limited or math.isfinite(number)):
+                return "it is not finite"
+            is_beyond = is_limited and number > self.limits[1]
+            if not is_beyond and (lacks := why_absent(item, self.field, number)):
+                return lacks
             hazard = self._hazard(number)
             if hazard is not None:
                 found[self._placed(hazard, item)] = None
@@ -144,7 +150,8 @@ def topic_hazard(name: str, options: HazardOptions, topic: str, types: MessageTy
     is_limited = options.above is not None or options.below is not None
     limits = (low, high) if is_limited else _NO_LIMITS
     stale_after = seconds(options.stale_after)
-    return TopicHazard(name, topic, kind, items, number, place, means, limits, stale_after)
+    rest = options.field, number, place, means, limits, stale_after
+    return TopicHazard(name, topic, kind, items, *rest)
 
 
 def _list_path(
@@ -208,13 +215,12 @@ class Hazards:
 
         `is_kept`: an earlier message that was asked for; it counts if none is known.
         """
-        found = self._values[name][0] if is_kept and name in self._values else None
-        if found is None:
-            found = self._entries[name].read(message)
-        if found is None:
+        is_known = is_kept and name in self._values
+        found = self._values[name][0] if is_known else self._entries[name].read(message)
+        if isinstance(found, str):
             if self._entries[name].is_never_stale:
                 self._values.pop(name, None)
-            return "no finite number"
+            return f"not known: {found}"
         self._values[name] = found, now
         return ", ".join(one.text for one in found) or "no hazard"
 

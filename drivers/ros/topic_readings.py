@@ -14,6 +14,7 @@ from rosbags.typesys.base import normalize_fieldname
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import sensor_names
+from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.topic_stats import READING
@@ -63,7 +64,7 @@ class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 @dataclass(frozen=True, slots=True)
 class TopicReading:
-    """A reading `name` that messages of `message_type` carry; the steps of `path` lead to it.
+    """A reading `name` at `field` of messages of `message_type`; the steps of `path` lead to it.
 
     `stale_after` s: infinite for a reading that holds until the next message. `option` names entry
     and topic. `mean_of`: the entry of which this is one sensor of several; empty for a single one.
@@ -74,6 +75,7 @@ class TopicReading:
     name: str
     topic: str
     message_type: type
+    field: str
     path: tuple[Step, ...]
     unit: str
     stale_after: float
@@ -84,12 +86,17 @@ class TopicReading:
         return self.stale_after == math.inf
 
     def value(self, message: Any) -> float:
-        """The number in a message; NaN if it is not finite, or beyond the end of a list."""
+        """The number in a message; NaN if there is none: see `lacks`."""
+        return math.nan if self.lacks(message) else float(value_at(message, self.path))
+
+    def lacks(self, message: Any) -> str:
+        """Why a message has no number: not measured, not finite, or beyond the end of a list."""
         try:
             number = float(value_at(message, self.path))
         except IndexError:
-            return math.nan
-        return number if math.isfinite(number) else math.nan
+            return f"the message has no item {self.field}"
+        is_finite = math.isfinite(number)
+        return why_absent(message, self.field, number) or ("" if is_finite else "it is not finite")
 
 
 def topic_readings(
@@ -114,20 +121,18 @@ def topic_readings(
             f"{where}.count {text} a field with the index {_ANY}, such as data.{_ANY}"
         )
     try:
-        paths = [
-            number_path(types, kind, options.field.replace(_ANY, str(index)))
-            for index in range(options.count or 1)
-        ]
+        fields = [options.field.replace(_ANY, str(index)) for index in range(options.count or 1)]
+        paths = [(field, number_path(types, kind, field)) for field in fields]
     except ConfigError as error:
         raise ConfigError(f"{where}.field is {options.field!r}: {error}") from None
     topics = options.topics(name)
-    places = [(option, full(topic), path) for option, topic in topics.items() for path in paths]
+    places = [(option, full(topic), *path) for option, topic in topics.items() for path in paths]
     is_one = options.count is None and len(topics) == 1
     names = (name,) if is_one else sensor_names(name, len(places))[1:]
     rest = kind, options.unit, seconds(options.stale_after)
     return tuple(
-        TopicReading(option, "" if is_one else name, own, topic, rest[0], path, *rest[1:])
-        for own, (option, topic, path) in zip(names, places, strict=True)
+        TopicReading(option, "" if is_one else name, own, topic, rest[0], field, path, *rest[1:])
+        for own, (option, topic, field, path) in zip(names, places, strict=True)
     )
 
 
@@ -221,6 +226,7 @@ class Readings:
 
     def take_own(self, names: Collection[str], values: Mapping[str, float]) -> None:
         """Take in what a message of `imu` or `battery` gives of `names`; it is never stale."""
+        self._has_news = True
         self._own = {n: v for n, v in self._own.items() if n not in names} | {**values}
 
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
@@ -236,7 +242,7 @@ class Readings:
         if math.isnan(value):
             if reading.is_never_stale:
                 self._values.pop(name, None)
-            return f"{name} has no finite value"
+            return f"{name} has no value: {reading.lacks(message)}"
         self._values[name] = value, now
         return self._text(reading, value)
 

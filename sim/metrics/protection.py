@@ -23,6 +23,7 @@ HOLDS = (
     Reason.INVALID_SCAN,
     Reason.STALE_SCAN,
     Reason.FROZEN_SCAN,
+    Reason.SAME_STAMPS,
     Reason.STALE_ODOMETRY,
     Reason.COMMAND_EXPIRED,
     Reason.DRIVER_LOST,

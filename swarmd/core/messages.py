@@ -74,6 +74,7 @@ class Reason(StrEnum):
     BASE_CONFLICT = "two_bases"
     HAZARD = "hazard"  # the base reports one, or its hazards are not heard: core/hazard.py
     FROZEN_SCAN = "frozen_scan"
+    SAME_STAMPS = "same_stamps"  # of scans that differ
     LATE_SCAN = "late_scan"
     STALE_ODOMETRY = "stale_odometry"
     COMMAND_EXPIRED = "command_expired"

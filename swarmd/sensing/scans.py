@@ -1450,8 +1450,9 @@ class ScanConditioner:
     `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
     rays, a stamp that is not finite, an impossible age of a ray, fewer than half of the rays known,
     an unknown sector wider than `max_gap`, such a sector without rays (unless the sensor never has
-    rays there), or no return at all after a scan with many far returns. FROZEN_SCAN: stamp or
-    sequence does not rise, or a noisy sensor sends bit-identical scans.
+    rays there), or no return at all after a scan with many far returns. SAME_STAMPS: the
+    stamp stands still while the sequence rises, and the ranges change as far as is known.
+    FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans.
 
     `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
     sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
@@ -1506,8 +1507,10 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         if n != len(self._bearings) or not self._has_ages(scan.ages, n):
             return Reason.INVALID_SCAN
+        is_same_stamp: cython.bint = stamp == self._last_stamp and scan.seq > self._last_seq
         if not self._is_newer(scan.seq, stamp):
-            return Reason.FROZEN_SCAN
+            is_new = is_same_stamp and np.array(given, np.float64).tobytes() not in self._recent
+            return Reason.SAME_STAMPS if is_new else Reason.FROZEN_SCAN
         ranges = np.array(given, np.float64)
         out: cython.double[::1] = _view(ranges)
         if self._is_noisy and self._repeats(ranges, out, odometry):

@@ -33,6 +33,8 @@ SENTENCES = {
     Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",
     Reason.FROZEN_SCAN: "its scans repeat{detail}; check the lidar",
+    Reason.SAME_STAMPS: "the stamps of its scans stand still{detail}; let the lidar's driver stamp"
+    " each scan",
     Reason.SCAN_CONFLICT: "more than one node publishes its scan{detail}{driver}; end all but one",
     Reason.BASE_CONFLICT: "its driver reaches more than one base{detail}{driver}; end all but one",
     Reason.HAZARD: "a hazard of its base{detail}; look at the robot",
@@ -54,6 +56,7 @@ _LASTING_HOLDS = {
     Reason.INVALID_SCAN: "too many rays were missing in its scans",
     Reason.STALE_SCAN: "scans stopped arriving",
     Reason.FROZEN_SCAN: "its scans repeated",
+    Reason.SAME_STAMPS: "the stamps of its scans stood still",
     Reason.SCAN_CONFLICT: "more than one node published its scan",
     Reason.BASE_CONFLICT: "its driver reached more than one base",
     Reason.HAZARD: "its base reported a hazard, or its hazards were not heard",

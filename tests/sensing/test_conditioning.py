@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -273,13 +274,30 @@ def test_any_garbage_gives_a_clean_scan_or_a_reason(ranges: Array, n: int) -> No
         assert got is Reason.INVALID_SCAN
 
 
-@pytest.mark.parametrize("same", ["seq", "stamp"])
-def test_same_sequence_or_stamp_is_frozen(same: str) -> None:
-    conditioner = ScanConditioner(SPEC)
+@pytest.mark.parametrize(
+    ("change", "is_noisy", "reason"),
+    [
+        ({"stamp": 0.4}, False, Reason.FROZEN_SCAN),
+        ({"seq": 2}, True, Reason.FROZEN_SCAN),  # the last message again
+        ({"seq": 2}, False, Reason.SAME_STAMPS),
+        ({"seq": 2, "ranges": raw_scan(1.1, 1).ranges}, True, Reason.SAME_STAMPS),
+        ({"seq": 2, "stamp": 0.0, "ranges": raw_scan(1.1, 1).ranges}, True, Reason.FROZEN_SCAN),
+    ],
+)
+def test_same_sequence_or_stamp_holds(
+    change: dict[str, Any], is_noisy: bool, reason: Reason
+) -> None:
+    conditioner = ScanConditioner(NOISY if is_noisy else SPEC)
     first = raw_scan(1.0, 1)
     conditioner.take(first, None, 0.0)
-    again = structs.replace(first, stamp=0.4) if same == "seq" else structs.replace(first, seq=2)
-    assert conditioner.take(again, None, 0.2) is Reason.FROZEN_SCAN
+    assert conditioner.take(structs.replace(first, **change), None, 0.2) is reason
+
+
+def test_stamps_of_zero_have_a_reason_of_their_own() -> None:
+    conditioner = ScanConditioner(NOISY)
+    scans = [structs.replace(raw_scan(1.0 + 0.1 * n, n), stamp=0.0) for n in range(1, 6)]
+    found = [conditioner.take(scan, None, 0.2 * n) for n, scan in enumerate(scans)]
+    assert found[1:] == [Reason.SAME_STAMPS] * 4
 
 
 def test_repeated_scan_keeps_the_age_of_the_first() -> None:

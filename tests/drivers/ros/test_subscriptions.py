@@ -150,8 +150,15 @@ def test_a_lidar_and_a_ring_are_two_scans_of_a_platform_that_has_both() -> None:
 def test_readings_of_several_sensors_are_delivered_together() -> None:
     subscriptions, sink = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
     subscriptions.read("imu", dds.Imu().serialize(), 0.0)(sink)
-    subscriptions.read("battery", dds.BatteryState(percentage=0.5).serialize(), 0.0)(sink)
-    assert sink.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 0.0}
+    battery = dds.BatteryState(voltage=12.0, percentage=0.5)
+    subscriptions.read("battery", battery.serialize(), 0.0)(sink)
+    assert sink.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 12.0}
+    for orientation in (dds.Quaternion(w=0.0), dds.Quaternion(w=math.nan)):
+        subscriptions.read("imu", dds.Imu().serialize(), 1.0)(sink)
+        with suppress(CodecError):
+            subscriptions.read("imu", dds.Imu(orientation=orientation).serialize(), 2.0)(sink)
+        subscriptions.deliver_changes(sink, 2.1)
+        assert "yaw" not in sink.values[-1], "the one before does not count any more"
 
 
 def test_the_lidars_turn_is_in_degrees_counted_to_the_left() -> None:

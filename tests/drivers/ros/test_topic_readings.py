@@ -279,12 +279,12 @@ def test_a_reading_of_the_odometry_comes_with_it() -> None:
 
 
 def test_a_reading_is_heard_although_the_option_cannot_read_the_message() -> None:
-    """Many sensors without an orientation leave it zero, which is no rotation."""
+    """As of a filter that has diverged."""
     given: dict[str, Value] = {
         "imu": "imu", "readings": {"yaw_rate": {**IMU, "field": "angular_velocity.z"}}
     }  # fmt: skip
     subscriptions = Subscriptions(read_options(RosOptions, given, "ros2dds", "r"), robots.PLATFORM)
-    message = dds.Imu(angular_velocity=dds.Vector3(z=0.5), orientation=dds.Quaternion(w=0.0))
+    message = dds.Imu(angular_velocity=dds.Vector3(z=0.5), orientation=dds.Quaternion(w=math.nan))
     with pytest.raises(CodecError):
         subscriptions.read("imu", message.serialize(), 1.0)
     sink = CollectingSink()

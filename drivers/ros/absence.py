@@ -1,0 +1,110 @@
+"""What messages say that they do not measure: one table for the fields of all types. Pure.
+
+Options `imu` and `battery`, odometry, readings, hazards and detections ask it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rosbags.typesys.base import normalize_fieldname
+
+Rule = Callable[[Any, str, float], str]
+"""Why the value of a message's field is not measured; empty if the message does not say so."""
+
+
+def why_absent(message: Any, field: str, value: float = math.nan) -> str:
+    """Why the `value` at a field is not measured; empty if nothing on the way to it says so.
+
+    `field`: names and indices between dots, as far as the message has them.
+    """
+    node, parts = message, field.split(".")
+    for index, part in enumerate(parts):
+        name = getattr(node, "__msgtype__", "").rpartition("/")[2]
+        for kinds, rule in _RULES:
+            if (not kinds or name in kinds) and (why := rule(node, part, value)):
+                return why
+        if index + 1 < len(parts):
+            is_item = part.isdecimal()
+            node = node[int(part)] if is_item else getattr(node, normalize_fieldname(part))
+    return ""
+
+
+def _covariance(message: Any, field: str, value: float) -> str:
+    """REP 145 and sensor_msgs: -1 first, of a quantity that the sensor does not give."""
+    if field == "covariance":
+        return ""
+    for name in (f"{field}_covariance", "covariance"):
+        given = getattr(message, name, None)
+        if isinstance(given, np.ndarray) and given.size and given[0] == -1.0:
+            return f"its {name} begins with -1: {field} is not measured"
+    return ""
+
+
+def _variance(message: Any, field: str, value: float) -> str:
+    variance = getattr(message, "variance", 0.0)  # 0: not known; a Range of Humble has none
+    is_absent = field != "variance" and isinstance(variance, float) and variance < 0.0
+    return f"its variance is {variance:g}: {field} is not measured" if is_absent else ""
+
+
+def _battery(message: Any, field: str, value: float) -> str:
+    """Many drivers never set `present`: a voltage says more. No pack that is there has 0 V."""
+    if field == "present" or field.startswith("power_supply"):
+        return ""
+    if not (message.present or message.voltage > 0.0):  # true for NaN too
+        return f"no battery is there (present: false, voltage {message.voltage:g} V)"
+    if message.voltage == 0.0 == value:
+        return f"{field} is 0 beside 0 V: nothing is measured yet"
+    return ""
+
+
+def _orientation(message: Any, field: str, value: float) -> str:
+    is_empty = message.x == message.y == message.z == message.w == 0.0
+    return "its orientation is all 0: it is not measured" if is_empty else ""
+
+
+def _fix(message: Any, field: str, value: float) -> str:
+    is_absent = field in ("latitude", "longitude", "altitude") and message.status.status < 0
+    return f"it has no fix (status {message.status.status})" if is_absent else ""
+
+
+def _range(message: Any, field: str, value: float) -> str:
+    """Both types: a value outside their own limits is to be discarded."""
+    if field not in ("range", "ranges") or not math.isfinite(value):
+        return ""
+    is_one = field == "range"
+    low = message.min_range if is_one else message.range_min
+    high = message.max_range if is_one else message.range_max
+    if value == low == high == 0.0:
+        return "0 m, and limits of 0 m: nothing is measured yet"
+    if low < high and not low <= value <= high:
+        return f"{value:.3g} m is outside its own limits of {low:.3g} to {high:.3g} m"
+    return ""
+
+
+def _box(message: Any, field: str, value: float) -> str:
+    """Of a box all is 0, or of the corners of a tag."""
+    if hasattr(message, "corners"):
+        parts = [message.centre, *message.corners]
+        is_empty = not any(part.x or part.y for part in parts)
+    else:
+        box = message.bbox
+        at, size = getattr(box.center, "position", box.center), getattr(box, "size", None)
+        sides = (box.size_x, box.size_y) if size is None else (size.x, size.y, size.z)
+        is_empty = not any((at.x, at.y, getattr(at, "z", 0.0), *sides))
+    return "its box is all 0: it has no place" if is_empty else ""
+
+
+_RULES: tuple[tuple[tuple[str, ...], Rule], ...] = (
+    ((), _covariance),
+    ((), _variance),
+    (("BatteryState",), _battery),
+    (("Quaternion",), _orientation),
+    (("NavSatFix",), _fix),
+    (("Range", "LaserScan"), _range),
+    (("Detection2D", "Detection3D", "AprilTagDetection"), _box),
+)
+"""The short names of the types that each rule is for; none: all."""
