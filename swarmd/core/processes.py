@@ -16,6 +16,8 @@ _PR_SET_DUMPABLE = 4
 
 OUT_OF_MEMORY = 77
 """Exit code of a pattern host that needs more memory than it may have."""
+LOAD_GROWTH, STEP_GROWTH = 1 << 30, 1 << 28
+"""Bytes by which a pattern host may grow while it loads a pattern, and after that."""
 
 
 def die_with_parent(parent: int) -> None:
@@ -54,16 +56,32 @@ def how_it_ended(returncode: int | None) -> str:
     return f"ended with code {returncode}"
 
 
-def limit_growth(growth: int) -> None:
-    """Let this process grow by so many bytes from its present size; beyond it MemoryError."""
+def limit_growth(growth: int, pid: int | None = None) -> None:
+    """Let a process grow by so many bytes from its present size; beyond it MemoryError.
+
+    Without `pid` this process, for good: it cannot raise the limit again. With it the process `pid`
+    of this user, whose limit may be changed again. ProcessLookupError or FileNotFoundError if that
+    has ended.
+    """
     import resource  # not on Windows, where lockstep runs without workers
 
-    with open("/proc/self/statm") as file:
+    with open(f"/proc/{pid or 'self'}/statm") as file:
         limit = growth + int(file.read().split()[0]) * resource.getpagesize()
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    _, hard = resource.prlimit(pid or 0, resource.RLIMIT_AS)
     if hard != resource.RLIM_INFINITY:
         limit = min(limit, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    pair = (limit, limit if pid is None else hard)
+    resource.prlimit(pid or 0, resource.RLIMIT_AS, pair)
+
+
+def keep_limits() -> None:
+    """Let this process raise no limit but that of memory, for which there is `limit_growth`."""
+    import resource
+
+    names = [name for name in dir(resource) if name.startswith("RLIMIT_")]
+    for limit in {getattr(resource, name) for name in names} - {resource.RLIMIT_AS}:
+        soft, _ = resource.getrlimit(limit)
+        resource.setrlimit(limit, (soft, soft))
 
 
 @contextmanager

@@ -25,7 +25,13 @@ import msgspec
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import HostEvent, Loaded, LoadRefused, PatternFailed, TrialDone
 from swarmd.core.messages import Sandbox
-from swarmd.core.processes import OUT_OF_MEMORY, how_it_ended
+from swarmd.core.processes import (
+    LOAD_GROWTH,
+    OUT_OF_MEMORY,
+    STEP_GROWTH,
+    how_it_ended,
+    limit_growth,
+)
 from swarmd.pattern_host.forked import ONE_THREAD, ForkedHost, host_sockets, take_forked_host
 from swarmd.pattern_host.wire import decode_event, decode_sandbox
 from swarmd.robot.timeouts import LOAD_TIMEOUT
@@ -89,6 +95,15 @@ class HostProcess:
         loop.add_reader(self.socket, self._on_readable)
         loop.add_reader(self._pidfd, self._on_end)  # end of file never comes if a pattern forked
 
+    def load(self, frame: bytes) -> None:
+        """Send a Load; the host may grow by LOAD_GROWTH from now on. OSError as of a socket."""
+        self._limit(LOAD_GROWTH)
+        self.socket.send(frame)
+
+    def end_load(self) -> None:
+        """The host has answered a Load; it may grow by STEP_GROWTH from now on."""
+        self._limit(STEP_GROWTH)
+
     def kill(self) -> None:
         """End the process and all that it started; the owner receives no more frames."""
         self._loop.remove_reader(self.socket)
@@ -99,6 +114,12 @@ class HostProcess:
         """Wait for the end of a host that was killed."""
         if self._pidfd >= 0:
             self._on_end()
+
+    def _limit(self, growth: int) -> None:
+        # From here, since a process that could raise its limit for a load could always raise it.
+        if self._pidfd >= 0:
+            with contextlib.suppress(OSError):  # it has just ended
+                limit_growth(growth, self.process.pid)
 
     def _kill_group(self) -> None:
         with contextlib.suppress(ProcessLookupError):
@@ -193,7 +214,7 @@ class TrialProcess:
         self._is_done = False
         self._host: HostProcess | None = HostProcess(loop, self, settings)
         with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
-            self._host.socket.send(frame)
+            self._host.load(frame)
 
     def end(self) -> HostProcess | None:
         """Kill the process; the host, if it has still to be waited for."""
@@ -212,6 +233,7 @@ class TrialProcess:
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
         """The answer to the load."""
+        host.end_load()
         try:
             self._finish(trial_done(self._generation, decode_event(frame)))
         except CodecError as error:

@@ -109,6 +109,7 @@ def main() -> None:
         platform = load_platform(args.platform)
         file = getattr(args, "file", None)
         readable = [] if args.plugin_dir is None else [args.plugin_dir]
+        limit_growth(MAX_GROWTH)
         confine(
             [*readable, *([] if file is None else [readable_beside(file.resolve())])], args.secret
         )
@@ -221,7 +222,6 @@ def _kind(kind: type[Pattern[Any]]) -> str:
 
 def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) -> None:
     """Send the points of the pattern contract without those in `done`."""
-    limit_growth(MAX_GROWTH)
     _report_side_effects(path, answer)
     loaded: list[type[Pattern[Any]]] = []
 

@@ -159,7 +159,10 @@ class ProcessRunner:
             return
         host = self._host or self._start()
         try:
-            host.socket.send(frame)
+            if isinstance(command, host_messages.Load):
+                host.load(frame)
+            else:
+                host.socket.send(frame)
         except OSError:  # full, or just ended: silence and the pidfd are watched
             self.dropped += 1
 
@@ -193,6 +196,9 @@ class ProcessRunner:
             event = decode_event(frame)
         except CodecError as error:
             event = host_messages.PatternFailed(self._generation, str(error))
+        is_answer = isinstance(event, host_messages.Loaded | host_messages.LoadRefused)
+        if is_answer and event.generation == self._generation:  # not of an earlier load
+            host.end_load()
         self._events.append(event)
         self._wake()
 

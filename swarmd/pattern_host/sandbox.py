@@ -2,9 +2,9 @@
 
 Landlock (kernel documentation, userspace-api/landlock) permits to read the Python installation, the
 import path and the folders that the daemon names, and to write nothing. A seccomp filter
-(seccomp(2)) denies sockets, signals to other processes, tracing, and changes of owners, modes and
-limits, which Landlock leaves open. What is denied raises PermissionError. Both hold for all later
-threads and child processes, and cannot be taken back.
+(seccomp(2)) denies sockets, signals to other processes, tracing, namespaces, and changes of owners,
+modes and limits, which Landlock leaves open. What is denied raises PermissionError. Both hold for
+all later threads and child processes, and cannot be taken back.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ import errno
 import os
 import struct
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 
 import swarmd
 from swarmd.core.messages import Sandbox
+from swarmd.core.processes import keep_limits
 
 FILES, NETWORK, PROCESSES = "files", "network", "processes"
 
@@ -62,10 +64,21 @@ _DENIED = {
     "sched_setaffinity": (203, 122),
     "migrate_pages": (256, 238),
     "move_pages": (279, 239),
+    # Shared with other processes of this user; of some the number alone is enough.
     "shmget": (29, 194),
+    "shmat": (30, 196),
+    "shmctl": (31, 195),
     "msgget": (68, 186),
+    "msgsnd": (69, 189),
+    "msgrcv": (70, 188),
+    "msgctl": (71, 187),
     "semget": (64, 190),
+    "semop": (65, 193),
+    "semctl": (66, 191),
+    "semtimedop": (220, 192),
     "mq_open": (240, 180),
+    "mq_unlink": (241, 181),
+    "setrlimit": (160, 164),  # the daemon sets limits
     "setsid": (112, 157),  # the daemon ends the host's process group
     "setpgid": (109, 154),
     # Metadata of files
@@ -99,23 +112,44 @@ _DENIED = {
     "perf_event_open": (298, 241),
     "bpf": (321, 280),
     "userfaultfd": (323, 282),
+    "inotify_init": (253, None),
+    "inotify_init1": (294, 26),
+    "fanotify_init": (300, 262),
+    "syslog": (103, 116),
+    "personality": (135, 92),
     "keyctl": (250, 219),
     "add_key": (248, 217),
     "request_key": (249, 218),
     "unshare": (272, 97),
     "setns": (308, 268),
+    "open_tree_attr": (467, 467),
 }
-_KILL, _TGKILL, _PRLIMIT, _PRCTL = (62, 129), (234, 131), (302, 261), (157, 167)
-_FCNTL, _IOCTL = (72, 25), (16, 29)
-# The owner of a file gets the signals of its events: F_SETOWN, F_SETOWN_EX, FIOSETOWN, SIOCSPGRP.
-_SET_OWNER = ((_FCNTL, (8, 15)), (_IOCTL, (0x8901, 0x8902)))
+# Their flags lie in memory, which a filter cannot read; without them libc takes clone and openat.
+_ABSENT = {"clone3": (435, 435), "openat2": (437, 437)}
+_NEWEST = 469
+"""Number of the newest system call that the tables consider; x32 has greater ones, too."""
+_KILL, _TGKILL, _PRLIMIT = (62, 129), (234, 131), (302, 261)
+_CLONE, _OPEN, _OPENAT = (56, 220), (2, None), (257, 56)
+# CLONE_NEWNS and the like; CLONE_PARENT, which makes a child of the daemon that nothing reaps
+_NAMESPACES, _OF_PARENT = 0x7E020000, 0x8000
+_TRUNCATE, _NEITHER = os.O_TRUNC, os.O_ACCMODE  # of open: bits, and an access mode of 3
+_REFUSED_COMMANDS: tuple[tuple[tuple[int, int], int, tuple[int, ...]], ...] = (
+    # prctl: PR_SET_PDEATHSIG, PR_SET_DUMPABLE (the daemon reads the size), PR_SCHED_CORE
+    ((157, 167), 0, (1, 4, 62)),
+    # fcntl: F_SETOWN and F_SETOWN_EX (the owner of a file gets the signals of its events),
+    # F_SETLEASE (others wait when they open the file), F_NOTIFY
+    ((72, 25), 1, (8, 15, 1024, 1026)),
+    # ioctl: FIOSETOWN and SIOCSPGRP; TIOCSTI and TIOCLINUX (input of a terminal);
+    # FS_IOC_SETFLAGS, FS_IOC_FSSETXATTR and FS_IOC_ENABLE_VERITY (of files that it only reads)
+    ((16, 29), 1, (0x8901, 0x8902, 0x5412, 0x541C, 0x40086602, 0x401C5820, 0x40806685)),
+)
+"""Calls, the place of the command among their arguments, and the commands that are refused."""
 _SOCKETPAIR = (53, 199)
 _AF_UNIX, _SOCK_STREAM, _SOCK_SEQPACKET, _SOCK_TYPE_MASK = 1, 1, 5, 0xF
-_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
-_LOAD, _EQUAL, _AT_LEAST, _AND, _RETURN = 0x20, 0x15, 0x35, 0x54, 0x06
+_PR_SET_NO_NEW_PRIVS = 38
+_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _AND, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x54, 0x06
 _NUMBER, _ARCHITECTURE, _ARGUMENTS = 0, 4, 16  # of struct seccomp_data
-_X32 = 0x40000000
-_ALLOW, _REFUSE = 0x7FFF0000, 0x00050000 | errno.EPERM
+_ALLOW, _REFUSE, _UNKNOWN = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
 _SET_MODE_FILTER, _ALL_THREADS, _SPEC_ALLOW = 1, 1, 4
 _CAPABILITY_VERSION = 0x20080522
 
@@ -131,6 +165,7 @@ def confine(readable: Iterable[Path] = (), secret: Iterable[Path] = ()) -> Sandb
     libc = ctypes.CDLL(None, use_errno=True)
     denied: list[str] = []
     missing: list[str] = []
+    keep_limits()
     _drop_capabilities(libc)
     if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return Sandbox(missing=f"no_new_privs: {_error()}")
@@ -260,25 +295,42 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     yield _EQUAL, 1, 0, architecture
     yield _RETURN, 0, 0, _REFUSE
     yield _LOAD, 0, 0, _NUMBER
-    yield _AT_LEAST, 0, 1, _X32
-    yield _RETURN, 0, 0, _REFUSE
-    for numbers in _DENIED.values():
-        if (number := numbers[column]) is not None:
-            yield _EQUAL, 0, 1, number
-            yield _RETURN, 0, 0, _REFUSE
-    own = os.getpid()
-    for numbers, allowed in ((_KILL, own), (_TGKILL, own), (_PRLIMIT, 0)):
-        yield from _if_called(numbers[column], [*_argument(0), *_allowed(allowed)], _REFUSE)
-    keeps_parent = [*_argument(0), *_refused(_PR_SET_PDEATHSIG)]
-    yield from _if_called(_PRCTL[column], keeps_parent, _ALLOW)
-    for numbers, commands in _SET_OWNER:
-        refused = [part for one in commands for part in _refused(one)]
-        yield from _if_called(numbers[column], [*_argument(1), *refused], _ALLOW)
+    yield _AT_LEAST, 0, 1, _NEWEST + 1
+    yield _RETURN, 0, 0, _UNKNOWN
+    for table, result in ((_DENIED, _REFUSE), (_ABSENT, _UNKNOWN)):
+        for numbers in table.values():
+            yield from _if_called(numbers[column], [], result)
+    for numbers in (_KILL, _TGKILL):
+        own = [*_argument(0), *_allowed(os.getpid())]
+        yield from _if_called(numbers[column], own, _REFUSE)
+    for numbers, place, commands in _REFUSED_COMMANDS:
+        refused = chain.from_iterable(map(_refused, commands))
+        yield from _if_called(numbers[column], [*_argument(place), *refused], _ALLOW)
+    limits = [  # its own, to read: the new ones, a pointer, are NULL
+        *_argument(0),
+        *_required(0),
+        *_argument(2),
+        *_required(0),
+        *_upper_half(2),
+        *_allowed(0),
+    ]
+    yield from _if_called(_PRLIMIT[column], limits, _REFUSE)
+    yield from _if_called(
+        _CLONE[column],
+        [*_argument(0), (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT), (_RETURN, 0, 0, _REFUSE)],
+        _ALLOW,
+    )
+    # An open that neither reads nor writes passes Landlock, and permits ioctl; before Linux 6.2
+    # so does one that reads and cuts.
+    for numbers, place in ((_OPEN, 1), (_OPENAT, 2)):
+        flags = [*_argument(place), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
+        modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)
+        refused = chain.from_iterable(map(_refused, modes))
+        yield from _if_called(numbers[column], [*flags, *refused], _ALLOW)
     # A pair of SOCK_DGRAM could be connected to other sockets.
     pair = [
         *_argument(0),
-        (_EQUAL, 1, 0, _AF_UNIX),
-        (_RETURN, 0, 0, _REFUSE),
+        *_required(_AF_UNIX),
         *_argument(1),
         (_AND, 0, 0, _SOCK_TYPE_MASK),
         *_allowed(_SOCK_STREAM),
@@ -288,15 +340,27 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     yield _RETURN, 0, 0, _ALLOW
 
 
-def _if_called(number: int, block: list[_Instruction], end: int) -> Iterator[_Instruction]:
-    yield _EQUAL, 0, len(block) + 1, number
-    yield from block
-    yield _RETURN, 0, 0, end
+def _if_called(
+    number: int | None, block: Sequence[_Instruction], end: int
+) -> Iterator[_Instruction]:
+    """The result of a call, which an architecture may lack: as the block says, else `end`."""
+    if number is not None:
+        yield _EQUAL, 0, len(block) + 1, number
+        yield from block
+        yield _RETURN, 0, 0, end
 
 
 def _argument(index: int) -> list[_Instruction]:
-    """Load an argument of type int."""
+    """Load an argument of type int, or the lower half of a longer one."""
     return [(_LOAD, 0, 0, _ARGUMENTS + 8 * index)]
+
+
+def _upper_half(index: int) -> list[_Instruction]:
+    return [(_LOAD, 0, 0, _ARGUMENTS + 8 * index + 4)]
+
+
+def _required(value: int) -> list[_Instruction]:
+    return [(_EQUAL, 1, 0, value), (_RETURN, 0, 0, _REFUSE)]
 
 
 def _allowed(value: int) -> list[_Instruction]:

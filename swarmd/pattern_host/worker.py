@@ -1,9 +1,9 @@
 """The pattern host: the child process that loads plugin code and steps it.
 
-The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the daemon, yields to it
-(nice 10, first for the out-of-memory killer) and may grow by 1 GB while it loads a pattern, by
-256 MB after that. Before it loads plugin code it confines itself (`swarmd.pattern_host.sandbox`)
-and reports what the kernel denies. It imports neither Zenoh nor asyncio.
+The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the daemon and yields to it
+(nice 10, first for the out-of-memory killer). Before it loads plugin code it confines itself
+(`swarmd.pattern_host.sandbox`) and reports what the kernel denies. From then on only the daemon can
+change its limit of memory (`host_process`). It imports neither Zenoh nor asyncio.
 """
 
 from __future__ import annotations
@@ -23,14 +23,18 @@ from msgspec.structs import replace
 import swarmd.api  # noqa: F401  # all patterns import it: a first run need not wait for that
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Load, Loaded, PatternFailed
-from swarmd.core.processes import OUT_OF_MEMORY, ask_for_slices, die_with_parent, limit_growth
+from swarmd.core.processes import (
+    LOAD_GROWTH,
+    OUT_OF_MEMORY,
+    ask_for_slices,
+    die_with_parent,
+    limit_growth,
+)
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
 from swarmd.pattern_host.wire import decode_command, encode_event, encode_sandbox
 
-MAX_GROWTH = 256 * 1024 * 1024
-MAX_LOAD_GROWTH = 1024 * 1024 * 1024
 NICE = 10
 
 
@@ -50,6 +54,7 @@ def run(fd: int, parent: int, folders: bytes) -> None:
     os.set_inheritable(fd, False)
     os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log, line by line
     cast("io.TextIOWrapper", sys.stdout).reconfigure(line_buffering=True)
+    limit_growth(LOAD_GROWTH, os.getpid())  # until the daemon sets it, at the first load
     sandbox = confine(map(Path, readable), map(Path, secret))
     with socket.socket(fileno=fd) as daemon:
         try:
@@ -67,14 +72,11 @@ def _serve(daemon: socket.socket) -> None:
     while frame := daemon.recv(1 << 18):
         command = decode_command(frame)
         if isinstance(command, Load):
-            limit_growth(MAX_LOAD_GROWTH)
             loader.begin(command.origins, command.digests)
         began = time.monotonic()
         event = executor.handle(command)
         if isinstance(event, Loaded):
             event = replace(event, took=time.monotonic() - began)
-        if isinstance(command, Load):
-            limit_growth(MAX_GROWTH)
         if event is None:
             continue
         try:

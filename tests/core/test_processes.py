@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -12,7 +14,13 @@ from collections.abc import Callable
 
 import pytest
 
-from swarmd.core.processes import SHORT_SLICE, ask_for_slices, keep_from_tracing
+from swarmd.core.processes import (
+    SHORT_SLICE,
+    ask_for_slices,
+    keep_from_tracing,
+    keep_limits,
+    limit_growth,
+)
 
 NOBODY = 65534
 PR_SET_DUMPABLE = 4
@@ -64,6 +72,21 @@ def test_another_process_of_the_user_reads_its_memory_unless_that_is_denied(is_k
         os.waitpid(target, 0)
         os.close(ready)
         os.close(told)
+
+
+def test_a_process_cannot_raise_the_limit_that_it_has_set_for_good() -> None:
+    def grow() -> None:
+        limit_growth(1 << 20)
+        keep_limits()
+        with pytest.raises(OSError, match="memory"):
+            mmap.mmap(-1, 1 << 24)
+        for limit in (resource.RLIMIT_AS, resource.RLIMIT_NOFILE):
+            soft, _ = resource.getrlimit(limit)
+            with pytest.raises(ValueError, match="limit"):
+                resource.setrlimit(limit, (soft + 1, soft + 1))
+
+    _, status = os.waitpid(as_nobody(grow), 0)
+    assert os.waitstatus_to_exitcode(status) == 0
 
 
 def test_short_slices_change_neither_priority_nor_policy() -> None:

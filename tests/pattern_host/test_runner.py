@@ -124,6 +124,31 @@ def test_code_that_loads_too_slowly_fails_its_trial(tmp_path: Path) -> None:
     assert "loading took 3." in result.text
 
 
+def test_a_host_may_take_a_gigabyte_at_each_load_and_less_in_a_step(tmp_path: Path) -> None:
+    body = """
+        try:
+            mmap.mmap(-1, 300 << 20)
+        except OSError:
+            return Twist(0.1)
+        return Twist()
+
+    def __init__(self, params, context):
+        super().__init__(params, context)
+        mmap.mmap(-1, 900 << 20).close()
+        try:
+            mmap.mmap(-1, 1100 << 20)
+        except OSError:
+            return
+        raise AssertionError
+
+import mmap
+"""
+    answers = play(tmp_path, body, load("plugin"), step(), load("plugin", 2), step(2))
+    assert [type(one) for one in answers] == [Loaded, Stepped] * 2
+    twists = [one.outputs.twist for one in answers if isinstance(one, Stepped)]
+    assert twists == [Twist(0.1), Twist(0.1)]
+
+
 @pytest.mark.parametrize(
     ("body", "words"),
     [

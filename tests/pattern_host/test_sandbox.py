@@ -10,7 +10,7 @@ import subprocess
 import sys
 import textwrap
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import pytest
@@ -32,126 +32,46 @@ from swarmd.core.values import Inputs
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.pattern_host.sandbox import FILES, NETWORK, PROCESSES
 from swarmd.settings.settings import load_platform
+from tests.pattern_host import sandbox_probes
 from tests.support.processes import has_landlock
 
 pytestmark = pytest.mark.integration
 
-TRIES = """
-import contextlib, ctypes, fcntl, json, os, resource, signal, socket, struct, sys
-
-def reached(name, attempt):
-    try:
-        attempt()
-        return name
-    except OSError as error:
-        assert isinstance(error, PermissionError), (name, error)
-        return ""
-
-def system_call(name, number, *arguments):
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.syscall(number, *arguments) < 0:
-        raise OSError(ctypes.get_errno(), name)
-
-def tries(place, parent):
-    state, key, port, serial = place["state"], place["key"], place["port"], place["serial"]
-    pid, own = ctypes.c_long(parent), os.getpid()
-    is_pc = os.uname().machine == "x86_64"
-    return {
-        "read the key": lambda: open(key).read(),
-        "write a latch": lambda: open(f"{state}/latches", "a").close(),
-        "make a file in the state folder": lambda: open(f"{state}/new", "w").close(),
-        "cut a latch": lambda: os.truncate(f"{state}/latches", 3),
-        "remove a latch": lambda: os.rename(f"{state}/latches", f"{state}/gone"),
-        "open the key to others": lambda: os.chmod(key, 0o644),
-        "give the key away": lambda: os.chown(key, os.getuid(), os.getgid()),
-        "make the key look older": lambda: os.utime(key, (1, 1)),
-        "open a serial port": lambda: os.close(os.open(serial, os.O_RDWR | os.O_NOCTTY)),
-        "connect": lambda: socket.create_connection(("127.0.0.1", port), 5).close(),
-        "listen": lambda: socket.create_server(("127.0.0.1", 0)).close(),
-        "send a datagram": lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close(),
-        "reach a local service": lambda: socket.socket(socket.AF_UNIX).close(),
-        "signal the daemon": lambda: os.kill(parent, 0),
-        "signal the group of the daemon": lambda: os.killpg(os.getpgid(parent), 0),
-        "let a pipe signal the daemon": lambda: own_by(parent, 8, parent),
-        "let a pipe signal a thread of the daemon": lambda: own_by(
-            parent, 15, struct.pack("ii", 0, parent)
-        ),
-        "let a socket signal the daemon": lambda: own_socket_by(parent),
-        "trace the daemon": lambda: trace(parent, is_pc),
-        "read the daemon's memory": lambda: open(f"/proc/{parent}/mem", "rb").close(),
-        "read the daemon's environment": lambda: open(f"/proc/{parent}/environ", "rb").close(),
-        "take a file of the daemon": lambda: open_of(parent),
-        "limit the daemon": lambda: resource.prlimit(parent, resource.RLIMIT_CPU),
-        "slow the daemon": lambda: os.setpriority(os.PRIO_PROCESS, parent, 19),
-        "leave the process group": lambda: os.setpgid(0, 0),
-    }
-
-def own_by(pid, command, owner):
-    for end in os.pipe():
-        fcntl.fcntl(end, command, owner)
-        os.close(end)
-
-def own_socket_by(pid):
-    for end in socket.socketpair():
-        with end:
-            fcntl.ioctl(end, 0x8901, struct.pack("i", pid))
-
-def trace(pid, is_pc):
-    seize, detach = 0x4206, 17
-    number = 101 if is_pc else 117
-    system_call("ptrace", number, seize, ctypes.c_long(pid), None, None)
-    interrupt = 0x4207
-    system_call("ptrace", number, interrupt, ctypes.c_long(pid), None, None)
-    os.waitpid(pid, 0x40000000)
-    system_call("ptrace", number, detach, ctypes.c_long(pid), None, None)
-
-def open_of(pid):
-    file = os.pidfd_open(pid)
-    try:
-        system_call("pidfd_getfd", 438, file, 0, 0)
-    finally:
-        os.close(file)
-
-def all_reached(place, parent):
-    return ",".join(filter(None, (reached(*one) for one in tries(place, parent).items())))
-"""
 PLUGIN = """
+from swarmd.api import Outputs, Params, Pattern
+
 class Hostile(Pattern[Params]):
     needs = frozenset()
     def step(self, inputs):
-        return Outputs(report={"reached": all_reached(PLACE, os.getppid())})
+        return Outputs(report=results(PLACE, os.getppid(), ["may", "reach", "break_out"]))
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A robot's key, state folder and device, a port that listens, and the pattern's folder."""
+    """A robot's key, state folder and device, a port that listens, a home, and its plugins."""
 
     plugins: Path
     state: Path
     key: Path
     port: int
     serial: str
+    home: Path
 
-    @property
-    def told(self) -> dict[str, object]:
-        """The fields of it that the hostile code gets."""
-        return {
-            "state": str(self.state),
-            "key": str(self.key),
-            "port": self.port,
-            "serial": self.serial,
-        }
+    def __str__(self) -> str:
+        return json.dumps(asdict(self), default=str)
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Iterator[Place]:
-    for folder in ("plugins", "state", "plugins/keys"):
+    for folder in ("plugins", "state", "plugins/keys", "home"):
         (tmp_path / folder).mkdir()
     key = tmp_path / "plugins/keys/key.pem"  # below a folder that the pattern may read
     key.write_text("secret")
     key.chmod(0o600)
     (tmp_path / "state/latches").write_text("latched")
+    (tmp_path / "plugins/other").write_text("other")
+    (tmp_path / "home/diary").write_text("private")
     ends = os.openpty()
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield Place(
@@ -160,6 +80,7 @@ def place(tmp_path: Path) -> Iterator[Place]:
             key,
             server.getsockname()[1],
             os.ttyname(ends[1]),
+            tmp_path / "home/diary",
         )
     for end in ends:
         os.close(end)
@@ -198,31 +119,32 @@ def in_host(place: Place, code: str, *, is_trial: bool = False) -> tuple[HostEve
     return asyncio.run(run())
 
 
-def code_of(place: Place) -> str:
-    head = "from swarmd.api import Outputs, Params, Pattern\n"
-    return f"{head}{TRIES}\nPLACE = {json.dumps(place.told)}\n{PLUGIN}"
-
-
 def test_a_free_process_of_this_user_reaches_all_that_the_host_is_denied(place: Place) -> None:
-    code = f"{TRIES}\nprint(all_reached(json.loads(sys.argv[1]), os.getppid()))"
-    command = [sys.executable, "-c", code, json.dumps(place.told)]
+    (place.plugins / "hostile.py").touch()
+    command = [sys.executable, sandbox_probes.__file__, str(place)]
     # As the child of a process that may be traced, which this one need not be.
     launcher = "import subprocess, sys; subprocess.run(sys.argv[1:], check=True)"
     done = subprocess.run(
         [sys.executable, "-c", launcher, *command], capture_output=True, text=True, check=True
     )
-    names = done.stdout.strip().split(",")
-    assert {"read the key", "write a latch", "connect", "signal the daemon"} <= set(names)
-    assert {"trace the daemon", "read the daemon's memory", "open a serial port"} <= set(names)
-    assert len(names) == TRIES.count('": lambda')
+    found = json.loads(done.stdout)
+    assert {name: result for name, result in found.items() if result} == {}
+    assert len(found) > 60
 
 
 @pytest.mark.skipif(not has_landlock(), reason="this kernel has no Landlock")
 def test_a_pattern_reaches_nothing_of_its_robot(place: Place) -> None:
-    stepped, sandbox = in_host(place, code_of(place))
+    probes = Path(sandbox_probes.__file__).read_text()
+    stepped, sandbox = in_host(place, f"{probes}\nPLACE = {place}\n{PLUGIN}")
     assert sandbox == Sandbox(denied=(FILES, NETWORK, PROCESSES))
     assert isinstance(stepped, Stepped)
-    assert stepped.outputs.report == {"reached": ""}
+    found, parts = dict(stepped.outputs.report), (json.loads(str(place)), 0)
+    allowed = dict.fromkeys(sandbox_probes.may(*parts), "")
+    refused = {*sandbox_probes.reach(*parts), *sandbox_probes.break_out(*parts)}
+    wanted = allowed | dict.fromkeys(refused, "denied") | sandbox_probes.OTHERWISE
+    assert found.keys() == wanted.keys()
+    wrong = [name for name, result in found.items() if result != wanted[name]]
+    assert not wrong, "\n".join(f"{name}: {found[name] or 'succeeds'}" for name in wrong)
     assert place.key.read_text() == "secret"
     assert [path.name for path in place.state.iterdir()] == ["latches"]
 
