@@ -94,7 +94,7 @@ class Robot(Ticker):
         self._lifecycle = Lifecycle(identity, latches, goals, now)
         self._lifecycle.revision = revision
         self._lifecycle.pattern_run.generation = generation
-        self._events = EventLimit(self._lifecycle.log)
+        self._events = EventLimit(self._lifecycle)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
         self._requests = RequestHandler(
