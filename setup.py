@@ -52,6 +52,8 @@ DIRECTIVES = {
     "boundscheck": True,  # costs 4 to 9 % and stays: one of them decides what the base may do
     "wraparound": False,
     "initializedcheck": False,
+    # An attribute of None is an error: a robot is also made of the memory in a recording of others.
+    "nonecheck": True,
     "cdivision": True,
     # Calls of methods are a third faster so.
     "binding": False,

@@ -266,7 +266,7 @@ def _inputs(
         if topic not in (*_READERS, "/scan", "/ranges"):
             continue
         try:
-            message = messages.deserialize(one.kind, one.payload)
+            message = messages.message_on(one.topic, one.kind, one.payload)
             read = _READERS[one.topic](message) if one.topic in _READERS else None
         except CodecError as error:
             raise ConfigError(f"{path}: {one.topic}: {error}; record it again") from error

@@ -185,6 +185,11 @@ class _Brake:
         self._variance, self._freedom = _SLIP**2, _SLIP_FREEDOM  # of a reading, as a share of it
         self.forget()
 
+    def check_indices(self) -> None:
+        """ValueError unless its counts are of its arrays; see `recall`."""
+        if not (0 <= self._given < 1 << 60 and 0 <= self._cruised < 1 << 60):
+            raise ValueError(f"{self._given} commands and {self._cruised} steps of a brake")
+
     def forget(self) -> None:
         """Measure anew: the braking counts as declared."""
         self.braking, self.evidence = self.declared, ""
@@ -464,6 +469,11 @@ class AssumptionMonitor:
         self._command, self._stamp = ZERO, -math.inf
         self._scans, self._approaches = deque(maxlen=64), deque()
         self._others, self._others_share, self.speed_share = "", 1.0, 1.0
+
+    def check_indices(self) -> None:
+        """ValueError unless its counts are of its arrays; see `recall`."""
+        if not (0 <= self._way_first < 1 << 60 and 0 <= self._way_end < 1 << 60):
+            raise ValueError(f"ways from {self._way_first} to {self._way_end}")
 
     @property
     def findings(self) -> tuple[str, ...]:

@@ -700,6 +700,18 @@ class Barrier:
         """The m from the outline to the nearest return of the last scan; None without a return."""
         return self._min_gap
 
+    def check_indices(self) -> None:
+        """ValueError unless each count is within its array; see `recall`."""
+        points, rows = len(self._x), len(self._row_x)
+        if not (0 <= self._contacts <= points and 0 <= self._points <= points):
+            raise ValueError(f"{self._contacts} contacts of {self._points} points in {points}")
+        if not (0 <= self._rows <= rows and 0 <= self._all <= rows):
+            raise ValueError(f"{self._rows} rows of {self._all} in {rows}")
+        if not (0 <= self._count <= len(self._placed_x) and 0 <= self._discs <= len(self._disc)):
+            raise ValueError(f"{self._count} points and {self._discs} discs are placed")
+        if not (0 <= self._beside <= len(self._near_x) and 0 <= self._edges < 1 << 16):
+            raise ValueError(f"{self._beside} points beside {self._edges} edges")
+
     def decide(
         self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:

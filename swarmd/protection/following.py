@@ -86,6 +86,12 @@ class _Axis:
         self._stamps, self._speeds = _doubles(_COMMANDS), _doubles(_COMMANDS)
         self.reset(0.0, -math.inf)
 
+    def check_indices(self) -> None:
+        """ValueError unless its commands are in its buffers; see `recall`."""
+        if not 0 <= self._first <= self._held <= self._end <= len(self._stamps):
+            places = self._first, self._held, self._end
+            raise ValueError(f"commands at {places} in {len(self._stamps)} stamps")
+
     @cython.ccall
     def reset(self, command: cython.double, stamp: cython.double):
         """Begin again; for WINDOW, the base may be at any speed."""

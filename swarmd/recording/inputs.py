@@ -25,11 +25,11 @@ class InputReader:
     def read(self, one: RecordedMessage) -> Input | None:
         """The input of a message; None for another message. CodecError if it is malformed."""
         if one.topic.endswith(GEOMETRY):
-            geometry = messages.deserialize(one.kind, one.payload)
+            geometry = messages.message_on(one.topic, one.kind, one.payload)
             self._scans[one.topic.removesuffix(GEOMETRY)] = messages.geometry_of(geometry)
         if one.topic != INPUT:
             return None
-        input = decode_input(bytes(messages.deserialize(one.kind, one.payload).data))
+        input = decode_input(bytes(messages.message_on(one.topic, one.kind, one.payload).data))
         if not isinstance(input, ScanInput | RangesInput):
             return input
         scan = frames.with_geometry(input.scan, self._scans.get(f"/{tag_of(input)}"))

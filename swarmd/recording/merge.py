@@ -17,12 +17,13 @@ from swarmd.core.files import whole_file
 from swarmd.recording.clock_offset import Alignment, Exchange, align
 from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
 from swarmd.recording.inputs import INPUT, MEMORY
-from swarmd.recording.messages import deserialize
+from swarmd.recording.messages import is_known, message_on
 from swarmd.recording.reader import RecordedFile, clock_of, read_file
 from swarmd.recording.writer import METADATA, PROFILE, Channels
 from swarmd.texts.values import NOTHING
 
 CLOCK_TOPIC = "/clock/pair"
+MAX_TIME = 2**64 - 1  # ns in a file
 
 
 @dataclass(slots=True)
@@ -78,11 +79,17 @@ def survey(paths: Sequence[Path]) -> Recordings:
         found = read_file(path)
         if found.fault:
             faults.append(f"{path}: {found.fault}; what is whole is merged")
-        if not found.messages:
+        foreign = {one.topic: one.kind for one in found.messages if not is_known(one.kind)}
+        faults += [
+            f"{path}: {topic!r} has messages of type {kind!r}, which are left out"
+            for topic, kind in foreign.items()
+        ]
+        known = [one for one in found.messages if is_known(one.kind)]
+        if not known:
             continue
         source = _source(found, sources)
         try:
-            times = [clock_of(found.about, one.at) for one in found.messages]
+            times = [clock_of(found.about, one.at) for one in known]
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         source.files.append((min(times), path))
@@ -158,13 +165,20 @@ def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]
     alignment, robot = placed.alignment, placed.source.robot
     for _, path in placed.source.files:
         found = read_file(path)
-        shown = (one for one in found.messages if one.topic not in (INPUT, MEMORY))
+        known = (one for one in found.messages if is_known(one.kind))
+        shown = (one for one in known if one.topic not in (INPUT, MEMORY))
         for one in sorted(shown, key=lambda one: one.at):
             at = one.at
             if alignment is not None:
                 time = alignment.to_reference(clock_of(found.about, at))
                 at = wall + round((time - 1e-9 * boot) * 1e9)
-            yield max(at, 0), f"/{robot}{one.topic}", one.kind, one.sequence, one.payload
+            yield (
+                min(max(at, 0), MAX_TIME),
+                f"/{robot}{one.topic}",
+                one.kind,
+                one.sequence,
+                one.payload,
+            )
 
 
 def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:
@@ -212,5 +226,5 @@ def _exchanges(found: RecordedFile, clock: str) -> Iterator[Exchange]:
     for one in found.messages:
         if one.topic == CLOCK_TOPIC:
             with suppress(CodecError):
-                pair = deserialize(one.kind, one.payload)
+                pair = message_on(one.topic, one.kind, one.payload)
                 yield Exchange(clock, pair.peer_clock, pair.sent, pair.answered, pair.returned)

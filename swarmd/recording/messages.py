@@ -63,6 +63,23 @@ OWN = {
 `Bytes`: MessagePack that only a replay reads."""
 
 
+_TYPES: Mapping[str, str] = {
+    **dict.fromkeys(("input", "memory"), "swarmd_msgs/msg/Bytes"),
+    **dict.fromkeys(("scan", "ranges"), LASER_SCAN),
+    **dict.fromkeys(("scan/geometry", "ranges/geometry"), "swarmd_msgs/msg/ScanGeometry"),
+    **dict.fromkeys(("status", "hazards", "detections"), "swarmd_msgs/msg/Text"),
+    "odometry": ODOMETRY,
+    "neighbors": "swarmd_msgs/msg/Neighbors",
+    "pose": "swarmd_msgs/msg/SharedPose",
+    "readings": "swarmd_msgs/msg/Readings",
+    "driver": "swarmd_msgs/msg/DriverState",
+    "decision": "swarmd_msgs/msg/Decision",
+    "event": "rcl_interfaces/msg/Log",
+    "clock/pair": CLOCK_PAIR,
+}
+"""The types of the messages that are read again, by topic."""
+
+
 @lru_cache(maxsize=1)
 def store() -> Typestore:
     """The definitions of ROS 2 Jazzy and of `swarmd_msgs`."""
@@ -72,9 +89,22 @@ def store() -> Typestore:
     return types
 
 
+def is_known(kind: str) -> bool:
+    """True for a message type with a definition here."""
+    return kind in store().fielddefs
+
+
 def definition(kind: str) -> bytes:
     """The definition of a message type, with those that it contains."""
     return store().generate_msgdef(kind, ros_version=2)[0].encode()
+
+
+def message_on(topic: str, kind: str, payload: bytes) -> Any:
+    """The message on a topic of a recording; CodecError if it is malformed or of another type."""
+    wanted = _TYPES.get(topic.removeprefix("/"), "no such topic")
+    if kind != wanted:
+        raise CodecError(f"{topic} has messages of type {kind!r}; expected {wanted}")
+    return deserialize(kind, payload)
 
 
 def deserialize(kind: str, payload: bytes) -> Any:
@@ -118,7 +148,8 @@ def geometry_message(scan: Scan) -> Message:
 
 def scan_of(message: Any, seq: int, geometry: Any | None) -> Scan:
     """The scan of a LaserScan with its geometry; None: by the message's own rounded angles."""
-    ranges, stamp = message.ranges.astype(np.float64), stamp_of(message)
+    with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
+        ranges, stamp = message.ranges.astype(np.float64), stamp_of(message)
     if geometry is not None:
         ages = np.array(geometry.ages) if len(geometry.ages) else None
         limits = geometry.range_min, geometry.range_max

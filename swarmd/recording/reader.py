@@ -1,15 +1,16 @@
-"""Reads a recording, also if it was cut off or damaged.
+"""Reads a recording, also if it was cut off or damaged, and whatever the MCAP format permits.
 
 The MCAP library gives up at the first bad record, or reads on in a damaged one. This reader takes
-each chunk whose checksum is right, and leaves out the others. It never needs the index or the
-summary at the end of a file.
+each chunk whose checksum is right or that has none, and leaves out the others. It never needs the
+index or the summary at the end of a file. A recording may come from a stolen robot: its chunks are
+unpacked one by one, within a ratio to the size of the file.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +18,27 @@ from pathlib import Path
 from swarmd.core.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
-_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _METADATA, _DATA_END = 2, 3, 4, 5, 6, 12, 15
-_CODES = range(1, 16)
-_MAX_CHUNK = 64 * 2**20  # bytes; a chunk of ours has some 32 KiB
+MAX_RATIO = 50
+"""Bytes of a file's records, and of the objects made of them, to those of the file. A recording has
+a ratio of 9 to 20, the highest at rest."""
+MAX_SPARE = 2**20
+"""Bytes beyond this ratio, for a file of a few bytes."""
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _METADATA, _DATA_END = (
+    *(2, 3, 4, 5, 6, 11, 12, 15),
+)
+_ABOUT = struct.Struct("<HIQQ")  # channel, sequence and times of a message
+_HEAD = struct.Struct("<BQ")  # the code of a record and the size of its content
+_KNOWN = range(1, 16)  # the format permits others but 0, which are passed over
+_COMPRESSIONS = ("", "lz4", "zstd")
+_OBJECT = 200  # bytes of the objects that are made of a record
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
-    """One message: its topic, type, time in ns since 1970, sequence and bytes."""
+    """One message: its topic, type, time in ns since 1970, sequence and bytes.
+
+    `kind`: empty without a schema; with an encoding other than CDR, its name follows.
+    """
 
     topic: str
     kind: str
@@ -48,7 +62,10 @@ class RecordedFile:
 
 
 def read_file(path: Path) -> RecordedFile:
-    """All that can be read of a file; ConfigError if it is no recording."""
+    """All that can be read of a file.
+
+    ConfigError if it is no recording, or unpacks to more than MAX_RATIO times its size.
+    """
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -58,16 +75,30 @@ def read_file(path: Path) -> RecordedFile:
     if data[: len(MAGIC)] != MAGIC[: len(data)]:
         raise ConfigError(f"{path}: not a recording; expected an MCAP file")
     reader = _Reader(data)
-    reader.read()
+    try:
+        reader.read()
+    except _BeyondRatioError as error:
+        raise ConfigError(
+            f"{path}: {error}; expected a recording, of which {len(data)} bytes unpack to"
+            f" {MAX_RATIO * len(data) + MAX_SPARE} or less"
+        ) from error
     return RecordedFile(path, reader.about, reader.robots, reader.messages(), reader.fault)
+
+
+class _BeyondRatioError(Exception):
+    """A file unpacks to more than it may."""
 
 
 class _Reader:
     def __init__(self, data: bytes) -> None:
-        self._data = data
-        self._schemas: dict[int, str] = {}
-        self._channels: dict[int, tuple[str, int]] = {}
+        self._data = memoryview(data)
+        self._whole = data
+        self._left = MAX_RATIO * len(data) + MAX_SPARE
+        self._work = 4 * self._left  # bytes to look at, also in what only seems to be a chunk
+        self._schemas: dict[int, str] = {0: ""}
+        self._channels: dict[int, tuple[str, int, str]] = {}
         self._found: list[tuple[int, int, int, bytes]] = []
+        self._count: int | None = None  # of messages, by the summary
         self.about: dict[str, str] = {}
         self.robots: dict[str, dict[str, str]] = {}
         self.fault = ""
@@ -76,15 +107,16 @@ class _Reader:
         """Take each record; after a damaged one go on with the next chunk that is whole."""
         data, at, is_over = self._data, len(MAGIC), False
         while at + 9 <= len(data):
-            code, size = data[at], int.from_bytes(data[at + 1 : at + 9], "little")
-            end = at + 9 + size
-            if code not in _CODES or end > len(data) or not self._take(code, data[at + 9 : end]):
+            code, end = self._record_at(at)
+            if not code or not self._take(code, data[at + 9 : end]):
                 self._note(f"damaged or cut off at byte {at} of {len(data)}")
                 at = self._next_chunk(at + 1)
                 continue
             is_over = is_over or code == _DATA_END
             at = end
             if code == _FOOTER and data[at:] == MAGIC:
+                if self._count not in (None, len(self._found)):
+                    self._note(f"it states {self._count} messages and has {len(self._found)}")
                 return
         self._note(f"cut off at byte {len(data)}, {'with' if is_over else 'before'} its summary")
 
@@ -92,47 +124,67 @@ class _Reader:
         """The messages whose topic is known."""
         found = []
         for channel, sequence, at, payload in self._found:
-            topic, schema = self._channels.get(channel, ("", 0))
+            topic, schema, encoding = self._channels.get(channel, ("", -1, ""))
             kind = self._schemas.get(schema)
             if kind is None:
                 self._note(f"messages of channel {channel} without its description")
             else:
+                kind += "" if encoding in ("cdr", "") else f" in {encoding}"
                 found.append(RecordedMessage(topic, kind, at, sequence, payload))
         return found
 
-    def _take(self, code: int, body: bytes) -> bool:
+    def _record_at(self, at: int) -> tuple[int, int]:
+        """The code of the record at a byte, and where it ends; the code is 0 if none is there."""
+        data = self._data
+        code, _, end = next(_records(data, at), (0, 0, 0))
+        # In a damaged file any bytes may seem to be a record of another kind.
+        is_known = code in _KNOWN or data[end:] == MAGIC or any(_records(data, end))
+        return (code, end) if is_known else (0, 0)
+
+    def _keep(self, size: int) -> None:
+        """Count bytes that are kept in memory."""
+        self._left -= size
+        if self._left < 0:
+            raise _BeyondRatioError("it unpacks to more bytes than a file of its size may")
+
+    def _take(self, code: int, body: memoryview) -> bool:
         """One record; False if it is damaged."""
         try:
             if code == _CHUNK:
                 return self._take_chunk(body)
+            self._keep(_OBJECT)
             self._record(code, body)
         except (struct.error, IndexError, UnicodeDecodeError):
             return False
         return True
 
-    def _take_chunk(self, body: bytes) -> bool:
-        data = _chunk_data(body)
-        if data is None:
+    def _take_chunk(self, body: memoryview) -> bool:
+        compression = _string(body, 28)[0]
+        if compression not in _COMPRESSIONS:
+            self._note(f"chunks are compressed by {compression!r}; expected none, lz4 or zstd")
+            return True
+        records = self._chunk_data(body)
+        if records is None:
             return False
-        place = 0
-        while place + 9 <= len(data):
-            size = int.from_bytes(data[place + 1 : place + 9], "little")
-            self._record(data[place], data[place + 9 : place + 9 + size])
-            place += 9 + size
+        self._keep(len(records) + _OBJECT * sum(1 for _ in _records(records)))
+        for code, begin, end in _records(records):
+            self._record(code, records[begin:end])
         return True
 
-    def _record(self, code: int, body: bytes) -> None:
+    def _record(self, code: int, body: memoryview) -> None:
         if code == _MESSAGE:
-            channel, sequence, at, _ = struct.unpack_from("<HIQQ", body)
-            self._found.append((channel, sequence, at, body[22:]))
+            channel, sequence, at, _ = _ABOUT.unpack_from(body)
+            self._found.append((channel, sequence, at, bytes(body[22:])))
         elif code == _SCHEMA:
             (number,) = struct.unpack_from("<H", body)
             # The first one wins: those of chunks have a checksum, those of the summary have none.
             self._schemas.setdefault(number, _string(body, 2)[0])
         elif code == _CHANNEL:
             number, schema = struct.unpack_from("<HH", body)
-            topic, _ = _string(body, 4)
-            self._channels.setdefault(number, (topic, schema))
+            topic, place = _string(body, 4)
+            self._channels.setdefault(number, (topic, schema, _string(body, place)[0]))
+        elif code == _STATISTICS:
+            (self._count,) = struct.unpack_from("<Q", body)
         elif code == _METADATA:
             name, place = _string(body, 0)
             if name == "swarmd":
@@ -143,57 +195,98 @@ class _Reader:
     def _next_chunk(self, at: int) -> int:
         """The first byte from `at` on where a whole chunk begins; the end if there is none."""
         data = self._data
-        while (at := data.find(_CHUNK, at)) >= 0:
+        while (at := self._whole.find(_CHUNK, at)) >= 0:
             size = int.from_bytes(data[at + 1 : at + 9], "little")
-            if 40 <= size <= _MAX_CHUNK and at + 9 + size <= len(data):
-                with suppress(struct.error, UnicodeDecodeError):
-                    if _chunk_data(data[at + 9 : at + 9 + size]):
+            if size >= 40 and at + 9 + size <= len(data):
+                with suppress(struct.error, IndexError, UnicodeDecodeError):
+                    records = self._chunk_data(data[at + 9 : at + 9 + size])
+                    if records and all(code in _KNOWN for code, *_ in _records(records)):
                         return at
             at += 1
         return len(data)
+
+    def _chunk_data(self, body: memoryview) -> memoryview | None:
+        """The records of a chunk; None if it is damaged. Its checksum is that of the records."""
+        size, crc = struct.unpack_from("<QI", body, 16)
+        compression, place = _string(body, 28)
+        (length,) = struct.unpack_from("<Q", body, place)
+        packed = body[place + 8 :]
+        if len(packed) != length or compression not in _COMPRESSIONS:
+            return None
+        if _stated_size(packed, compression) not in (size, None):
+            return None
+        self._work -= size
+        if size > self._left or self._work < 0:
+            raise _BeyondRatioError("it unpacks to more bytes than a file of its size may")
+        data = _unpacked(packed, compression, size)
+        if data is None or len(data) != size or (crc and zlib.crc32(data) != crc):
+            return None
+        records = memoryview(data)
+        whole = max((end for *_, end in _records(records)), default=0)
+        return records if whole == size else None
 
     def _note(self, fault: str) -> None:
         self.fault = self.fault or fault
 
 
-def _chunk_data(body: bytes) -> bytes | None:
-    """The records of a chunk; None if it is damaged. Its checksum is that of the records."""
-    size, crc, length = struct.unpack_from("<QII", body, 16)
-    compression = body[32 : 32 + length].decode()
-    packed = body[40 + length :]
-    if size > _MAX_CHUNK or compression not in ("", "zstd"):
-        return None
-    data = _decompressed(packed, size) if compression else packed
-    if data is None or len(data) != size or zlib.crc32(data) != crc:
-        return None
-    return data
+def _records(data: memoryview, at: int = 0) -> Iterator[tuple[int, int, int]]:
+    """The code of each record, and where its content begins and ends, until one is cut off."""
+    size = len(data)
+    while at + 9 <= size:
+        code, length = _HEAD.unpack_from(data, at)
+        begin, at = at + 9, at + 9 + length
+        if at > size or not code:
+            return
+        yield code, begin, at
 
 
-def _decompressed(packed: bytes, size: int) -> bytes | None:
-    """The bytes; None if they are damaged, or not `size` by their own head.
+def _stated_size(packed: memoryview, compression: str) -> int | None:
+    """How many bytes a chunk unpacks to by its own head; None: unknown, -1: damaged.
 
-    The library would take memory for whatever size the head states.
+    The libraries would take memory for whatever size is stated.
     """
-    import zstandard  # of the extra `record`, which a daemon may lack
+    if compression == "zstd":
+        import zstandard  # of the extra `record`, which a daemon may lack
 
-    try:
-        stated = zstandard.get_frame_parameters(packed).content_size
-        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
-            return None
-        return zstandard.decompress(packed, size)
-    except zstandard.ZstdError:
+        with suppress(zstandard.ZstdError):
+            size = int(zstandard.get_frame_parameters(packed).content_size)
+            return None if size == zstandard.CONTENTSIZE_UNKNOWN else size
+        return -1
+    if compression == "lz4":
+        from lz4.frame import get_frame_info
+
+        with suppress(RuntimeError):
+            return int(get_frame_info(packed)["content_size"]) or None
+        return -1
+    return len(packed)
+
+
+def _unpacked(packed: memoryview, compression: str, size: int) -> bytes | memoryview | None:
+    """At most so many bytes of a chunk; None if they are damaged."""
+    if compression == "zstd":
+        import zstandard
+
+        with suppress(zstandard.ZstdError):
+            return zstandard.decompress(packed, size)
         return None
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        with suppress(RuntimeError):
+            return bytes(LZ4FrameDecompressor().decompress(packed, size))
+        return None
+    return packed
 
 
-def _string(body: bytes, place: int) -> tuple[str, int]:
+def _string(body: memoryview, place: int) -> tuple[str, int]:
     (size,) = struct.unpack_from("<I", body, place)
     end = place + 4 + size
     if end > len(body):
         raise IndexError("a text beyond its record")
-    return body[place + 4 : end].decode(), end
+    return str(body[place + 4 : end], "utf-8"), end
 
 
-def _map(body: bytes, place: int) -> Mapping[str, str]:
+def _map(body: memoryview, place: int) -> Mapping[str, str]:
     (size,) = struct.unpack_from("<I", body, place)
     place, end, found = place + 4, place + 4 + size, {}
     while place < end:

@@ -16,8 +16,9 @@ from platform import machine
 from typing import Any
 
 import msgspec
+import numpy as np
 
-from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.errors import CodecError, ConfigError, SwarmError
 from swarmd.core.events import HostInput, Input, RequestInput
 from swarmd.core.host_messages import KillHost, Load, Loaded, SentEvent, StartTrial, Stepped
 from swarmd.core.kernels import describe_kernels
@@ -157,6 +158,13 @@ class Replay:
                 self._take(one, now)
             except (CodecError, msgspec.MsgspecError) as error:
                 self._note(f"{one.topic} could not be read: {error}")
+            except Exception as error:  # fields of a memory may hold any values
+                if not self._recalls or isinstance(error, SwarmError):
+                    raise
+                raise ConfigError(
+                    f"the robot of the recorded memory fails at {now - self._begin:.3f} s"
+                    f" ({error!r:.200}); expected the recording of a robot, whole and unchanged"
+                ) from error
         return Parity(self.safe, self.requested, last, tuple(self._notes))
 
     def _take(self, one: RecordedMessage, now: float) -> None:
@@ -172,7 +180,7 @@ class Replay:
         elif self._waits:
             pass
         elif one.topic == "/decision":
-            self._compare(messages.deserialize(one.kind, one.payload), now)
+            self._compare(messages.message_on(one.topic, one.kind, one.payload), now)
         elif input is not None:
             self._step(input, now)
 
@@ -183,7 +191,8 @@ class Replay:
                 return  # a late copy: the robot had carried it out before the recording began
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
-        actions = self._robot.step(input, now)
+        with np.errstate(all="ignore"):  # the numbers of a memory may be any
+            actions = self._robot.step(input, now)
         if actions is not None:
             self._carry_out(actions)
 
@@ -235,7 +244,7 @@ class Replay:
 
     def _note(self, text: str) -> None:
         if len(self._notes) < 20:
-            self._notes.setdefault(text)
+            self._notes.setdefault(" ".join(text.split())[:500])
 
 
 def recordings_of(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
@@ -284,7 +293,7 @@ def settings_of(head: RecordingHead) -> RobotSettings:
 
 def memory_in(one: RecordedMessage) -> bytes:
     """The bytes of a message on the topic MEMORY; CodecError if it is malformed."""
-    return bytes(messages.deserialize(one.kind, one.payload).data)
+    return bytes(messages.message_on(one.topic, one.kind, one.payload).data)
 
 
 def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -> str:
@@ -319,12 +328,19 @@ def total(parities: Iterable[Parity]) -> Parity:
     return Parity(safe, requested, seconds, tuple(notes))
 
 
+def _state_in(decision: RecordedMessage, where: str) -> str:
+    try:
+        return str(messages.message_on(decision.topic, decision.kind, decision.payload).state)
+    except CodecError as error:
+        raise ConfigError(f"{where}: its first decision cannot be read: {error}") from error
+
+
 def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> None:
     """ConfigError without a decision, or with a `fault` if the first one is of a running robot."""
     first = next((one for one in recorded if one.topic == "/decision"), None)
     if first is None:
         raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
-    if fault and messages.deserialize(first.kind, first.payload).state == State.RUNNING:
+    if fault and _state_in(first, where) == State.RUNNING:
         raise ConfigError(
             f"{where}: the recording begins in a run, and {fault}; expected a recording that was"
             " started before `run`"

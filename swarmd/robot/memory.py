@@ -1,28 +1,53 @@
 """All that a robot knows as bytes, so that a replay goes on from any instant of a run.
 
-The bytes are a pickle that only `recall` reads. `recall` makes values, arrays and the classes of a
-robot and nothing else: a recording comes from another machine and must not run code here. The
-layout is that of one version of swarmd, with kernels compiled or interpreted as they were.
+The bytes are MessagePack: a table of kinds, and nodes of these kinds with their parts. A part is an
+atom or the place of a node, so that what objects share is shared again. A recording comes from
+another machine: `recall` makes values, and objects of the classes of a robot with these fields. No
+class, function or module is within reach of the bytes, and each node is read once.
+
+The layout is that of one version of swarmd, with kernels compiled or interpreted as they were.
 """
 
 from __future__ import annotations
 
-import io
-import pickle
+import sys
 import zlib
-from types import MappingProxyType, MethodType
-from typing import Any
+from array import array
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from functools import partial
+from importlib import import_module
+from itertools import chain
+from math import prod
+from pickle import PickleError
+from random import Random
+from types import MappingProxyType
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
-from msgspec import MsgspecError
+from msgspec import Meta, MsgspecError, Struct
 
 from swarmd.core.errors import CodecError
+from swarmd.core.kernels import KERNELS, load_kernel
 from swarmd.core.values import Array
 from swarmd.robot.robot import HANDLERS, Robot
 from swarmd.robot.settings import RobotSettings
 
-MAX_BYTES = 1 << 24
+FORMAT = 2
+MAX_BYTES = 1 << 22
 """Of a memory before it is packed."""
+MAX_RATIO = 100
+"""Of bytes before they are packed to those after it; a robot has 8 at most."""
+MAX_OBJECTS = 1000
+"""Objects in a memory, each with up to 40 kB of buffers; a robot has some 60."""
+MAX_DEPTH = 32
+"""Of values within values; a robot has 6."""
+MAX_SIZE = 1 << 22
+"""Parts of all values, with those of the values in them: comparing them takes so long."""
+_MAX_KEY = 64  # parts of a key or a member of a set: its hash takes so long
 
 _PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.")
 _VALUES = frozenset(
@@ -33,100 +58,414 @@ _VALUES = frozenset(
     )
 )
 """Modules of the core with values and pure classes alone."""
-_OTHERS = frozenset(
-    {("array", "_array_reconstructor"), ("array", "array"), ("collections", "deque")}
-    | {("collections", "Counter"), ("msgspec._utils", "rebuild")}
-    | {("random", "Random"), (__name__, "_array"), (__name__, "_method"), (__name__, "_proxy")}
-    | {(__name__, "_scalar"), (__name__, "_view")}
-)
+_ATOMS = frozenset({bool, float, int, str, type(None)})
+_NUMBERS = frozenset({"<f8", "<f4", "<i8", "<i4", "<i2", "|i1", "<u8", "<u4", "<u2", "|u1", "|b1"})
 _FAULTS = (
-    *(pickle.UnpicklingError, pickle.PickleError, zlib.error, ArithmeticError, AssertionError),
-    *(AttributeError, BufferError, EOFError, ImportError, LookupError, MemoryError, MsgspecError),
-    *(RuntimeError, TypeError, ValueError),
+    *(ArithmeticError, AssertionError, AttributeError, BufferError, ImportError, LookupError),
+    *(MemoryError, MsgspecError, RuntimeError, TypeError, ValueError, zlib.error),
+    PickleError,  # of Cython, for a checksum of other fields
 )
 """Raised for damaged bytes, and for those of another version."""
+
+_Index = Annotated[int, Meta(ge=0)]
+_Place = tuple[_Index]
+_Part = bool | float | int | str | _Place | None
+
+
+class _Kind(Struct, frozen=True, array_like=True):
+    """What a node is: a type of Python, or a class with its fields or Cython's checksum of them."""
+
+    name: str
+    fields: tuple[str, ...] = ()
+    checksum: int = 0
+
+
+class _Node(Struct, array_like=True):
+    """An object or a value: the place of its kind, and its parts."""
+
+    kind: _Index
+    parts: list[_Part]
+
+
+class _Memory(Struct, array_like=True):
+    """Node 0 is the robot. `numbers`: what arrays and bytes hold, in the order of the nodes."""
+
+    format: int
+    kinds: list[_Kind]
+    nodes: list[_Node]
+    numbers: bytes
 
 
 def remember(robot: Robot, limit: int = MAX_BYTES) -> bytes:
     """All that `robot` knows now, but for its settings; CodecError beyond `limit` bytes."""
-    file = io.BytesIO()
     try:
-        _Pickler(file, pickle.HIGHEST_PROTOCOL).dump(robot)
+        content = msgspec.msgpack.encode(_Writer(robot).memory())
     except _FAULTS as error:  # such as a value of another library
-        raise CodecError(f"the memory of the robot cannot be written: {error!r}") from error
-    data = zlib.compress(file.getvalue(), 1)
-    if len(data) > limit:
-        raise CodecError(f"the memory of the robot has {len(data)} bytes; at most {limit} fit")
+        raise CodecError(f"the memory of the robot cannot be written: {error!r:.300}") from error
+    data = zlib.compress(content, 1)
+    if len(data) > limit or len(content) > MAX_BYTES:
+        raise CodecError(
+            f"the memory of the robot has {len(content)} bytes, packed {len(data)}; at most"
+            f" {MAX_BYTES}, packed {limit}, fit"
+        )
     return data
 
 
 def recall(data: bytes, settings: RobotSettings) -> Robot:
     """The robot of `remember`, with these settings; CodecError if the bytes are none for it."""
+    most = min(MAX_BYTES, MAX_RATIO * len(data))
     try:
         packed = zlib.decompressobj()
-        found = _Unpickler(packed.decompress(data, MAX_BYTES), settings).load()
+        content = packed.decompress(data, most)
         if not packed.eof:
-            raise EOFError(f"it is cut off, or has more than {MAX_BYTES} bytes")
+            raise ValueError(f"it is cut off, or has more than {most} bytes")
+        memory = msgspec.msgpack.decode(content, type=_Memory)
+        if memory.format != FORMAT:
+            raise ValueError(f"it has format {memory.format}; expected {FORMAT}")
+        robot = _Reader(memory, settings).robot()
     except _FAULTS as error:
-        raise CodecError(f"no memory of a robot of this version: {error!r}") from error
-    if not isinstance(found, Robot):
-        raise CodecError(f"no memory of a robot: {type(found).__name__}")
-    return found
+        raise CodecError(f"no memory of a robot of this version: {error!r:.300}") from error
+    return robot
 
 
-class _Pickler(pickle.Pickler):
-    def persistent_id(self, obj: Any) -> str | None:
-        if obj is HANDLERS:
-            return "handlers"
-        return "settings" if isinstance(obj, RobotSettings) else None
+class _Writer:
+    """Writes one memory. Objects wait for their turn, since they may hold each other."""
 
-    def reducer_override(self, obj: Any) -> Any:
-        if isinstance(obj, MethodType):
-            return _method, (obj.__self__, obj.__name__)
-        if isinstance(obj, MappingProxyType):
-            return _proxy, (dict(obj),)
-        if isinstance(obj, np.generic):
-            return _scalar, (obj.tobytes(), obj.dtype.str)
-        is_view = _is_view(obj)
-        if not is_view and not isinstance(obj, np.ndarray):
-            return NotImplemented
-        array = np.asarray(obj)
-        place = array.shape, array.strides, array.dtype.str
-        base = _base_of(obj)
-        if base is obj:
-            data = bytearray(array.tobytes("A"))
-            return _array, (data if array.flags.writeable else bytes(data), *place)
-        # The views of one base share its numbers again.
-        start = _address(array) - _address(np.asarray(memoryview(base)))
-        return _view, (base, start, *place, is_view)
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._kinds: dict[tuple[str, tuple[str, ...], int], int] = {}
+        self._nodes: list[_Node] = []
+        self._numbers: list[bytes] = []
+        self._places: dict[int, tuple[int]] = {}
+        self._buffers: dict[int, tuple[int]] = {}  # of bases that are no arrays
+        self._kept: list[object] = []  # no other object may get the id of one of them
+        self._objects: list[tuple[_Node, Any]] = []
+        self._classes: dict[type, tuple[str, tuple[str, ...] | None]] = {}
+
+    def memory(self) -> _Memory:
+        """The memory of the robot."""
+        self._place(self._robot)
+        for node, one in self._objects:  # their number rises meanwhile
+            name, _ = self._class_of(type(one))
+            if _unpickler_of(type(one)) is not None:
+                _, (_, checksum, state), *more = one.__reduce__()
+                node.kind = self._kind(name, (), checksum)
+                node.parts = self._parts(more[0] if more else state)
+            else:
+                names = (*_slots_of(type(one)), *getattr(one, "__dict__", ()))
+                node.kind = self._kind(name, names)
+                node.parts = self._parts([getattr(one, name) for name in names])
+        kinds = [_Kind(*kind) for kind in self._kinds]
+        return _Memory(FORMAT, kinds, self._nodes, b"".join(self._numbers))
+
+    def _kind(self, name: str, names: tuple[str, ...] = (), checksum: int = 0) -> int:
+        return self._kinds.setdefault((name, names, checksum), len(self._kinds))
+
+    def _class_of(self, kind: type) -> tuple[str, tuple[str, ...] | None]:
+        """The name of a class, and the fields if it is one of values."""
+        if kind not in self._classes:
+            module = _source_of(kind)
+            if not _is_ours(module):
+                raise ValueError(f"{module}.{kind.__name__} is no part of a robot's memory")
+            self._classes[kind] = f"{module}.{kind.__name__}", _fields_of(kind)
+        return self._classes[kind]
+
+    def _parts(self, values: Iterable[Any]) -> list[Any]:
+        parts = list(values)
+        if not _ATOMS.issuperset(map(type, parts)):
+            parts = [one if type(one) in _ATOMS else self._place(one) for one in parts]
+        return parts
+
+    def _place(self, value: Any) -> tuple[int]:
+        """The place of the node of an object, or of a value that is no atom."""
+        place = self._places.get(id(value))
+        if place is not None:
+            return place
+        kind = type(value)
+        if value is HANDLERS or kind is RobotSettings:
+            return self._add(value, self._kind("handlers" if value is HANDLERS else "settings"), [])
+        if kind in _TYPES:
+            parts_of, _ = _TYPES[kind]
+            return self._add(value, self._kind(kind.__name__), self._parts(parts_of(value)))
+        if isinstance(value, np.ndarray) or _is_view(value):
+            return self._array(value)
+        if kind is bytes:
+            self._numbers.append(value)
+            return self._add(value, self._kind("bytes"), [len(value)])
+        if isinstance(value, np.generic):
+            parts = self._parts((value.dtype.str, value.tobytes()))
+            return self._add(value, self._kind("scalar"), parts)
+        name, names = self._class_of(kind)
+        if names is not None:
+            parts = self._parts([getattr(value, field) for field in names])
+            return self._add(value, self._kind(name, names), parts)
+        place = self._add(value, 0, [])
+        self._objects.append((self._nodes[-1], value))
+        return place
+
+    def _add(self, value: object, kind: int, parts: list[Any]) -> tuple[int]:
+        place = self._places[id(value)] = (len(self._nodes),)
+        self._nodes.append(_Node(kind, parts))
+        self._kept.append(value)
+        return place
+
+    def _array(self, value: Any) -> tuple[int]:
+        """The place of an array, or of a view with that of its base, whose numbers it shares."""
+        base, given = _base_of(value), np.asarray(value)
+        is_fixed = not given.flags.writeable
+        if base is value:
+            if not given.flags.forc:
+                raise ValueError(f"an array with the strides {given.strides}")
+            order = "C" if given.flags.c_contiguous else "F"
+            self._numbers.append(given.tobytes("A"))
+            parts = [given.dtype.str, is_fixed, order, *given.shape]
+            return self._add(value, self._kind("ndarray"), parts)
+        has_node = isinstance(base, np.ndarray | array)
+        place = self._place(base) if has_node else self._buffer(base)
+        start = _address(given) - _address(np.asarray(memoryview(base)))
+        parts = [place, start, given.dtype.str, is_fixed, _is_view(value)]
+        parts += [*given.shape, *given.strides]
+        return self._add(value, self._kind("view"), parts)
+
+    def _buffer(self, base: Any) -> tuple[int]:
+        """The place of the numbers of a base that is no array of numpy."""
+        if id(base) not in self._buffers:
+            self._buffers[id(base)] = self._place(np.array(memoryview(base).cast("B")))
+            self._kept.append(base)
+        return self._buffers[id(base)]
 
 
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, data: bytes, settings: RobotSettings) -> None:
-        super().__init__(io.BytesIO(data))
-        self._outer = {"handlers": HANDLERS, "settings": settings}
+class _Reader:
+    """Makes the robot of one memory; one of `_FAULTS` if it is none."""
 
-    def persistent_load(self, pid: Any) -> Any:
-        return self._outer[pid]
+    def __init__(self, memory: _Memory, settings: RobotSettings) -> None:
+        self._memory = memory
+        self._makers = {
+            **{kind.__name__: make for kind, (_, make) in _TYPES.items()},
+            "ndarray": self._ndarray,
+            "bytes": self._bytes,
+            "scalar": lambda parts: np.frombuffer(parts[1], _numbers(parts[0]))[0],
+            "view": self._view,
+            "settings": lambda parts: settings,
+            "handlers": lambda parts: HANDLERS,
+        }
+        self._at = 0  # in the numbers
+        self._fixed: list[Array] = []
+        self._made: list[Any] = [None] * len(memory.nodes)
+        self._extents: list[tuple[int, int] | None] = [None] * len(memory.nodes)
+        self._size = 0
 
-    def find_class(self, module: str, name: str) -> Any:
-        found = None
-        if (module, name) in _OTHERS:
-            found = super().find_class(module, name)
-        elif _is_ours(module) and "." not in name:
-            found = super().find_class(module, name)
-            # A module holds classes of others, too, such as Path, which writes files.
-            is_class = isinstance(found, type) and _is_ours(found.__module__)
-            if not is_class and not name.startswith("__pyx_unpickle_"):
-                found = None
-        if found is None:
-            raise pickle.UnpicklingError(f"{module}.{name} is no part of a robot's memory")
-        return found
+    def robot(self) -> Robot:
+        """The robot: empty objects first, then values in their order, then the objects' fields."""
+        nodes, kinds = self._memory.nodes, [self._maker(kind) for kind in self._memory.kinds]
+        objects: list[tuple[Any, Callable[[Any, list[Any]], None], list[Any]]] = []
+        for place, node in enumerate(nodes):
+            is_object, make = kinds[node.kind]
+            if is_object:
+                if len(objects) == MAX_OBJECTS:
+                    raise ValueError(f"it has more than {MAX_OBJECTS} objects")
+                self._made[place], fill = make(node.parts)
+                self._extents[place] = 0, 0
+                objects.append((self._made[place], fill, node.parts))
+        for place, node in enumerate(nodes):
+            if self._extents[place] is None:
+                extent = self._extent(node.parts, self._memory.kinds[node.kind].name)
+                self._made[place] = kinds[node.kind][1](self._resolved(node.parts))
+                self._extents[place] = extent
+        for one, fill, parts in objects:
+            fill(one, self._resolved(parts))
+        for fixed in self._fixed:
+            fixed.flags.writeable = False
+        for one, *_ in objects:
+            if hasattr(one, "check_indices"):
+                one.check_indices()
+        robot = self._made[0]
+        if not isinstance(robot, Robot):
+            raise TypeError(f"it is a {type(robot).__name__}; expected a Robot")
+        return robot
+
+    def _resolved(self, parts: list[Any]) -> list[Any]:
+        return [self._made[part[0]] if type(part) is tuple else part for part in parts]
+
+    def _extent(self, parts: list[Any], name: str) -> tuple[int, int]:
+        """The number of a value's parts, with those of the values in it, and how deep it is."""
+        size, depth = 1 + len(parts), 0
+        for number, part in enumerate(parts):
+            if type(part) is not tuple:
+                continue
+            extent = self._extents[part[0]]
+            if extent is None:
+                raise ValueError("a value is part of itself, or of one before it")
+            size, depth = size + extent[0], max(depth, extent[1])
+            if name in _KEYED and number % _KEYED[name] == 0 and extent[0] > _MAX_KEY:
+                raise ValueError(f"a key of {extent[0]} parts; at most {_MAX_KEY} are taken")
+        self._size += size
+        if depth >= MAX_DEPTH or self._size > MAX_SIZE:
+            raise ValueError(f"values within values: {depth} deep, of {self._size} parts")
+        return size, depth + 1
+
+    def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
+        """True for a class of objects; and what makes a value, or an object and what fills it."""
+        if kind.name in self._makers:
+            return False, self._makers[kind.name]
+        found = _class_named(kind.name)
+        names = _fields_of(found)
+        if names is None:
+            return True, _object_maker(found, kind)
+        if names != kind.fields:
+            raise ValueError(f"{kind.name} has the fields {kind.fields}; expected {names}")
+        return False, partial(_value, found, names)
+
+    def _bytes(self, parts: list[Any]) -> bytes:
+        """The next bytes of all numbers."""
+        (size,) = parts
+        at, numbers = self._at, self._memory.numbers
+        if not 0 <= size <= len(numbers) - at:
+            raise ValueError(f"{size} bytes of numbers; {len(numbers) - at} are left")
+        self._at += size
+        return numbers[at : at + size]
+
+    def _ndarray(self, parts: list[Any]) -> Array:
+        kind, is_fixed, order, *shape = parts
+        numbers = _numbers(kind)
+        content = self._bytes([numbers.itemsize * prod(shape)])
+        made = np.frombuffer(content, numbers).reshape(shape, order=order).copy(order)
+        if is_fixed:
+            self._fixed.append(made)
+        return made
+
+    def _view(self, parts: list[Any]) -> Any:
+        base, start, kind, is_fixed, is_view, *spans = parts
+        half = len(spans) // 2
+        if isinstance(base, np.ndarray) and not base.flags.c_contiguous:
+            base = base.T
+        made: Any = np.ndarray(spans[:half], _numbers(kind), base, start, spans[half:])
+        if made.nbytes > memoryview(base).nbytes:  # strides of 0 make a large one of a few bytes
+            raise ValueError(f"a view of {made.nbytes} bytes beyond its array")
+        if is_view:
+            return memoryview(made).toreadonly() if is_fixed else memoryview(made)
+        if is_fixed:
+            self._fixed.append(made)
+        return made
+
+
+def _source_of(kind: type) -> str:
+    """The module of a class, as it is named where it is interpreted."""
+    return kind.__module__.replace("._", ".")
 
 
 def _is_ours(module: str) -> bool:
     """True for the modules whose classes are in a memory."""
     return module in _VALUES or (module.startswith(_PACKAGES) and module != __name__)
+
+
+def _class_named(name: str) -> type:
+    module, _, title = name.rpartition(".")
+    found = None
+    if _is_ours(module):
+        found = vars(load_kernel(module) if module in KERNELS else import_module(module)).get(title)
+    # A module holds the classes of others, too, such as Path, which writes files.
+    if not isinstance(found, type) or _source_of(found) != module:
+        raise ValueError(f"{name} is no part of a robot's memory")
+    return found
+
+
+def _fields_of(kind: Any) -> tuple[str, ...] | None:
+    """The fields of a class of values; None for a class of objects."""
+    if issubclass(kind, Struct):
+        return tuple(kind.__struct_fields__)
+    if issubclass(kind, Enum):
+        return ("value",)
+    if issubclass(kind, tuple):
+        return tuple(kind._fields)  # of a NamedTuple
+    if not kind.__dictoffset__ and is_dataclass(kind):
+        return tuple(field.name for field in fields(kind))
+    return None
+
+
+def _value(kind: Any, names: tuple[str, ...], parts: list[Any]) -> Any:
+    """A value of a class, from its fields."""
+    if len(parts) != len(names):
+        raise ValueError(f"{len(parts)} fields of {kind.__name__}; expected {len(names)}")
+    if issubclass(kind, Enum):
+        return kind(parts[0])
+    if issubclass(kind, Struct | tuple):
+        return kind(**dict(zip(names, parts, strict=True)))
+    value = object.__new__(kind)
+    for name, part in zip(names, parts, strict=True):
+        object.__setattr__(value, name, part)
+    return value
+
+
+def _object_maker(kind: type, row: _Kind) -> Callable[[list[Any]], Any]:
+    """What makes an empty object of a class, and tells what sets its fields."""
+    make = _unpickler_of(kind)
+    if make is not None:
+        return lambda parts: (make(kind, row.checksum, None), _set_state)
+    if row.checksum:
+        raise ValueError(f"{row.name} was compiled there, and is interpreted here")
+    slots = _slots_of(kind)
+    if row.fields[: len(slots)] != slots:
+        raise ValueError(f"{row.name} has the fields {row.fields}; expected {slots}")
+    return lambda parts: (object.__new__(kind), partial(_set_fields, slots, row.fields))
+
+
+def _unpickler_of(kind: type) -> Callable[[type, int, None], Any] | None:
+    """What makes an object of a compiled class without its fields; None if none is compiled."""
+    bases = (
+        (sys.modules[one.__module__], f"__pyx_unpickle_{one.__name__}") for one in kind.__mro__
+    )
+    return next((getattr(module, name) for module, name in bases if hasattr(module, name)), None)
+
+
+def _slots_of(kind: type) -> tuple[str, ...]:
+    return tuple(name for one in kind.__mro__ for name in vars(one).get("__slots__", ()))
+
+
+def _set_fields(slots: tuple[str, ...], names: tuple[str, ...], one: Any, parts: list[Any]) -> None:
+    values = dict(zip(names, parts, strict=True))
+    for name in slots:
+        object.__setattr__(one, name, values.pop(name))
+    if values:
+        vars(one).update(values)
+
+
+def _set_state(one: Any, parts: list[Any]) -> None:
+    one.__setstate__(tuple(parts))
+
+
+def _items_of(mapping: Mapping[Any, Any]) -> Iterable[Any]:
+    return chain.from_iterable(mapping.items())
+
+
+def _mapping(parts: list[Any]) -> dict[Any, Any]:
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def _state_of(random: Random) -> tuple[Any, ...]:
+    version, words, last = random.getstate()
+    return version, np.array(words, "<u4").tobytes(), last
+
+
+def _random(parts: list[Any]) -> Random:
+    version, words, last = parts
+    random = Random()
+    random.setstate((version, tuple(np.frombuffer(words, "<u4").tolist()), last))
+    return random
+
+
+def _array(parts: list[Any]) -> array[Any]:
+    code, content = parts
+    if code not in tuple("bBhHiIlLqQfd"):
+        raise ValueError(f"an array of {code!r}; expected numbers")
+    return array(code, content)
+
+
+def _numbers(kind: str) -> np.dtype[Any]:
+    """A type of numbers; not that of objects, whose bytes are addresses in memory."""
+    if kind not in _NUMBERS:
+        raise ValueError(f"an array of {kind!r}; expected numbers")
+    return np.dtype(kind)
 
 
 def _is_view(obj: Any) -> bool:
@@ -145,51 +484,22 @@ def _base_of(obj: Any) -> Any:
             return obj
 
 
-def _address(array: Array) -> int:
-    return int(array.__array_interface__["data"][0])
+def _address(given: Array) -> int:
+    return int(given.__array_interface__["data"][0])
 
 
-def _kind(kind: str) -> np.dtype[Any]:
-    """The type of numbers; not that of objects, whose bytes are addresses in memory."""
-    found = np.dtype(kind)
-    if found.kind not in "biufc":
-        raise pickle.UnpicklingError(f"an array of {kind!r}; expected numbers")
-    return found
-
-
-def _array(
-    data: bytes | bytearray, shape: tuple[int, ...], strides: tuple[int, ...], kind: str
-) -> Array:
-    array: Array = np.ndarray(shape, _kind(kind), data, 0, strides)
-    if array.nbytes != len(data):  # else a few bytes make an endless array
-        raise ValueError(f"an array of {array.nbytes} bytes is made of {len(data)}")
-    return array
-
-
-def _proxy(values: dict[str, Any]) -> MappingProxyType[str, Any]:
-    return MappingProxyType(values)
-
-
-def _scalar(data: bytes, kind: str) -> Any:
-    return np.frombuffer(data, _kind(kind))[0]
-
-
-def _view(
-    base: Any,
-    start: int,
-    shape: tuple[int, ...],
-    strides: tuple[int, ...],
-    kind: str,
-    is_view: bool,
-) -> Any:
-    array: Any = np.ndarray(shape, _kind(kind), base, start, strides)
-    if array.nbytes > MAX_BYTES:
-        raise ValueError(f"a view of {array.nbytes} bytes; at most {MAX_BYTES} fit")
-    return memoryview(array) if is_view else array
-
-
-def _method(one: Any, name: str) -> MethodType:
-    found = getattr(one, name) if _is_ours(type(one).__module__) else None
-    if not isinstance(found, MethodType) or name.startswith("__"):
-        raise pickle.UnpicklingError(f"{name} is no method")
-    return found
+_TYPES: Mapping[type, tuple[Callable[[Any], Iterable[Any]], Callable[[list[Any]], Any]]] = {
+    list: (iter, list),
+    tuple: (iter, tuple),
+    set: (iter, set),
+    frozenset: (iter, frozenset),
+    dict: (_items_of, _mapping),
+    Counter: (_items_of, lambda parts: Counter(_mapping(parts))),
+    MappingProxyType: (_items_of, lambda parts: MappingProxyType(_mapping(parts))),
+    deque: (lambda value: (value.maxlen, *value), lambda parts: deque(parts[1:], parts[0])),
+    Random: (_state_of, _random),
+    array: (lambda value: (value.typecode, value.tobytes()), _array),
+}
+"""The types of Python in a memory: the parts of a value, and what makes a value of them again."""
+_KEYED = {"dict": 2, "Counter": 2, "mappingproxy": 2, "set": 1, "frozenset": 1}
+"""By type, of how many parts the first is hashed."""

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from swarmd.core.codec import encode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import Value
+
+if TYPE_CHECKING:
+    from swarmd.robot.state import Lifecycle
 
 CHANNEL_RATE, CHANNEL_BURST = 20.0, 5.0
 """Messages per second on one channel, and at once."""
@@ -57,20 +61,20 @@ class Outbox:
 
 
 class EventLimit:
-    """Hands events to `log(text, now)`; of those beyond the limit of their kind, their number.
+    """Hands events to the robot's log; of those beyond the limit of their kind, their number.
 
     So `describe` keeps room for other events.
     """
 
-    def __init__(self, log: Callable[[str, float], None]) -> None:
-        self._log = log
+    def __init__(self, lifecycle: Lifecycle) -> None:
+        self._lifecycle = lifecycle
         self._budgets: dict[str, TokenBucket] = {}
         self._left_out: Counter[str] = Counter()
 
     def log(self, kind: str, text: str, now: float) -> None:
         """Log an event, or count it."""
         if self._passes(kind, now):
-            self._log(text, now)
+            self._lifecycle.log(text, now)
         else:
             self._left_out[kind] += 1
 
@@ -79,7 +83,7 @@ class EventLimit:
         for kind, count in list(self._left_out.items()):
             if self._passes(kind, now):
                 del self._left_out[kind]
-                self._log(f"{kind}: {count} more events", now)
+                self._lifecycle.log(f"{kind}: {count} more events", now)
 
     def _passes(self, kind: str, now: float) -> bool:
         budget = self._budgets.get(kind)

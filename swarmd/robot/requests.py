@@ -21,8 +21,7 @@ trial that fails, leaves everything as it is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from swarmd.core import verbs
 from swarmd.core.goal import GoalState
@@ -32,6 +31,7 @@ from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.pattern_run import Trial, Wish
+from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
@@ -39,10 +39,11 @@ if TYPE_CHECKING:
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
+MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
 class RequestHandler:
-    """Carries out the requests of operators. `stop_text`: the text of a stop's ack at a time."""
+    """Carries out the requests of operators."""
 
     def __init__(
         self,
@@ -50,24 +51,19 @@ class RequestHandler:
         lifecycle: Lifecycle,
         goals: GoalHandler,
         protection: Protection,
-        stop_text: Callable[[float], str],
+        sensors: Sensors,
     ) -> None:
         self._robot = robot
         self._goals = goals
         self._protection = protection
         self._lifecycle = lifecycle
-        self._stop_text = stop_text
+        self._sensors = sensors
         self._trials = 0
         self._executed: dict[str, float] = {}  # ids of stops, and when each was carried out first
         # A robot that stands has stood since stops that were issued before this time.
         self._stood = -math.inf
         self._stopped = -math.inf  # when a stop, an emergency stop or a reset raised the epoch last
         self.reset_at = -math.inf  # when the robot was reset last
-        self._handlers: dict[str, Callable[[Any, Effects], None]] = {
-            row.name: getattr(self, f"on_{row.name}")
-            for row in verbs.VERBS.values()
-            if row.handler is verbs.Handler.ROBOT
-        }
 
     def answer(self, request: verbs.Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
@@ -76,7 +72,7 @@ class RequestHandler:
         if verbs.VERBS[request.verb].needs_epoch and (refusal := self._refusal_of(request)):
             self._lifecycle.refuse(effects, request, *refusal)
         else:
-            self._handlers[request.verb](request, effects)
+            getattr(self, f"on_{request.verb}")(request, effects)
 
     def _refusal_of(self, request: verbs.Request) -> tuple[Refusal, str] | None:
         """Why a request of another epoch, or to a revoked robot, is refused."""
@@ -172,6 +168,25 @@ class RequestHandler:
     def on_label(self, request: verbs.LabelRequest, effects: Effects) -> None:
         """Replace the labels."""
         self._goals.set_labels(request, effects)
+
+    def _stop_text(self, now: float) -> str:
+        """The text that acknowledges a stop: what was sent, and the measured speed with its age."""
+        sensors = self._sensors
+        why = sensors.driver_text[:MAX_WHY]
+        if sensors.is_driver_up:
+            sent = "commanded zero"
+        elif sensors.gets_zero:
+            sent = f"commanded zero; {why}"
+        else:
+            sent = f"nothing was sent: driver lost: {why}"
+        odometry, age = sensors.odometry, sensors.odometry_age(now)
+        if odometry is None or age is None:
+            return f"{sent}; no odometry"
+        twist = odometry.twist
+        moves = f"{twist.linear:z.2f} m/s, {twist.angular:z.2f} rad/s"
+        if self._lifecycle.identity.platform.limits.lateral > 0.0:
+            moves += f", {twist.lateral:z.2f} m/s to the left"
+        return f"{sent}; measured {moves}, {age:.1f} s ago"
 
     def _refusal_to_start(self) -> tuple[Refusal, str] | None:
         """Why no run can start in the present state."""

@@ -51,8 +51,6 @@ else:
     _kernel = load_kernel("swarmd.robot.tick")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
 
-MAX_WHY = 200  # characters of the driver's text in the answer to a stop
-
 
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
@@ -96,11 +94,11 @@ class Robot(Ticker):
         self._lifecycle = Lifecycle(identity, latches, goals, now)
         self._lifecycle.revision = revision
         self._lifecycle.pattern_run.generation = generation
-        self._events = EventLimit(self._lifecycle.log)
+        self._events = EventLimit(self._lifecycle)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
         self._requests = RequestHandler(
-            id, self._lifecycle, self._goals, self._protection, self._stop_text
+            id, self._lifecycle, self._goals, self._protection, self._sensors
         )
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()
@@ -440,25 +438,6 @@ class Robot(Ticker):
             return False
         self._published, self._published_at = current, now
         return True
-
-    def _stop_text(self, now: float) -> str:
-        """The text that acknowledges a stop: what was sent, and the measured speed with its age."""
-        sensors = self._sensors
-        why = sensors.driver_text[:MAX_WHY]
-        if sensors.is_driver_up:
-            sent = "commanded zero"
-        elif sensors.gets_zero:
-            sent = f"commanded zero; {why}"
-        else:
-            sent = f"nothing was sent: driver lost: {why}"
-        odometry, age = sensors.odometry, sensors.odometry_age(now)
-        if odometry is None or age is None:
-            return f"{sent}; no odometry"
-        twist = odometry.twist
-        moves = f"{twist.linear:z.2f} m/s, {twist.angular:z.2f} rad/s"
-        if self.platform.limits.lateral > 0.0:
-            moves += f", {twist.lateral:z.2f} m/s to the left"
-        return f"{sent}; measured {moves}, {age:.1f} s ago"
 
 
 HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {

@@ -1305,6 +1305,13 @@ class BlindSectors:
             self._seen_at[k] = -INFINITY
         self._bearings = self._sector = self._direction = self._is_return = None
 
+    def check_indices(self) -> None:
+        """ValueError unless each ray is in one of the sectors; see `recall`."""
+        i: cython.Py_ssize_t
+        for i in range(0 if self._sector is None else len(self._sector)):
+            if not 0 <= self._sector[i] < _SECTORS:
+                raise ValueError(f"ray {i} is in sector {self._sector[i]} of {_SECTORS}")
+
     def take(
         self, ranges: Array, bearings: Array, odometry: Odometry | None, now: cython.double
     ) -> Array:
@@ -1653,6 +1660,14 @@ class _Turns:
         self._stamp = self._changed_at = -INFINITY
         self._relief = self._old_relief = _doubles(0)
 
+    def check_indices(self) -> None:
+        """ValueError unless its ranges are those of its rays, as `_likeness` reads them."""
+        ray: cython.double = fabs(self._ray)
+        lengths = len(self._relief), len(self._old_relief), 2 * self._n
+        is_even: cython.bint = ray == 0.0 or fabs(ray * self._n - _TURN) < 1.5 * ray
+        if self._n < 0 or min(lengths) != max(lengths) or not is_even:
+            raise ValueError(f"{self._n} rays at steps of {ray} rad, {lengths} ranges")
+
     @cython.cfunc
     def figure(self, now: cython.double):
         """The delay, or why it is not known."""
@@ -1928,6 +1943,12 @@ class _Stamps:
         self.offset = self._lowest = self._before = INFINITY
         self._restart_ends = self._stamp = self._scan_stamp = self._until = -INFINITY
         self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
+
+    def check_indices(self) -> None:
+        """ValueError unless its counts are of its arrays; see `recall`."""
+        is_of_ages: cython.bint = 0 <= self._count <= _STAMPS and 0 <= self._oldest < _STAMPS
+        if not (is_of_ages and 0 <= self._periods <= 4):
+            raise ValueError(f"{self._count} ages from {self._oldest}, {self._periods} periods")
 
     @cython.cfunc
     def read(self, stamp: cython.double, now: cython.double) -> cython.bint:

@@ -40,7 +40,8 @@ _TOPICS = frozenset(
 class Topic:
     """The messages of one topic by time in s; each is decoded when it is asked for."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self._name = name
         self.times: list[float] = []
         self._payloads: list[tuple[str, bytes]] = []
         self._decoded: dict[int, Any] = {}
@@ -63,7 +64,7 @@ class Topic:
                 del self._decoded[next(iter(self._decoded))]
             message = None
             with suppress(CodecError):
-                message = messages.deserialize(*self._payloads[index])
+                message = messages.message_on(self._name, *self._payloads[index])
             self._decoded[index] = message
         return self._decoded[index]
 
@@ -77,7 +78,7 @@ class Track:
 
     def __init__(self, about: Mapping[str, str], platform: Platform) -> None:
         self.about, self.platform = about, platform
-        self.topics = {topic: Topic() for topic in _TOPICS}
+        self.topics = {topic: Topic(topic) for topic in _TOPICS}
         self.dropped = 0
         self.end = 0.0
         self._heard: list[float] = []

@@ -1,0 +1,200 @@
+"""Stories of a robot in simulated time, recorded in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from platform import machine
+from typing import IO, Any, cast
+
+import numpy as np
+from mcap.writer import Writer
+from msgspec import structs
+
+from swarmd.core.events import RangesInput
+from swarmd.core.kernels import describe_kernels
+from swarmd.core.messages import Latch, State
+from swarmd.core.values import Platform, Scan, Twist
+from swarmd.daemon.recorder import Recorder
+from swarmd.kit.behavior import Pattern
+from swarmd.patterns.drive import Drive
+from swarmd.patterns.random_walk import RandomWalk
+from swarmd.plugins import pattern_names
+from swarmd.protection.compatibility import ACCEPTS_NONE
+from swarmd.recording import frames
+from swarmd.recording.head import RecordingHead
+from swarmd.recording.limits import FileLimits
+from swarmd.recording.process import Converter
+from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.recording.writer import Channels
+from swarmd.replay.replay import Parity, repeat
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import Robot
+from swarmd.testing.scans import empty_scan
+from tests.support.range_ring import ring_scan, with_ring
+from tests.support.robot_harness import RobotHarness
+
+PATTERNS: Mapping[str, type[Pattern[Any]]] = {"drive": Drive, "random_walk": RandomWalk}
+Extra = Callable[[Writer, IO[bytes]], None]
+"""Writes something more to a file."""
+ORIGINS = {name: (one.value, one.is_file) for name, one in pattern_names(None).items()}
+
+
+class FileRecorder(Recorder):
+    """A recorder that writes in this process, at the times that the robot is given."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(cast("object", None), lambda text: None)  # type: ignore[arg-type]
+        self._folder = folder
+        self._converter: Converter | None = None
+
+    @property
+    def is_on(self) -> bool:
+        return self._converter is not None
+
+    def add(self, entry: frames.Entry) -> None:
+        if self._converter is not None:
+            (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
+            self._converter.add(copy)
+
+    def begin(self, robot: RobotHarness) -> None:
+        head = head_at(robot)
+        self.began = robot.now
+        begin = frames.Begin(
+            robot.now, str(self._folder), robot.robot.id, head.texts(), 1.7e9, FileLimits()
+        )
+        self._converter = Converter(begin)
+        for input in list(self._lasting.values()):
+            self.input(input, robot.now)
+        self._is_memory_due = True
+
+    def finish(self) -> RecordedFile:
+        assert self._converter is not None
+        self._converter.writer.close()
+        assert self._converter.writer.path is not None
+        return read_file(self._converter.writer.path)
+
+
+def head_at(robot: RobotHarness) -> RecordingHead:
+    return RecordingHead(
+        robot=robot.robot.id,
+        swarm="s",
+        driver="story",
+        clock="c",
+        instance="boot1",
+        seed=1,
+        version=version("swarmd"),
+        kernels=describe_kernels(),
+        machine=machine(),
+        platform=robot.robot.platform,
+        labels=(),
+        layers={},
+        touch={},
+        accepts=ACCEPTS_NONE,
+        revision=robot.epoch.revision,
+        generation=robot.robot.generation,
+        latches=robot.robot.latches,
+        cleared=tuple(robot.robot.cleared),
+    )
+
+
+class Story:
+    """A robot between obstacles that come nearer, and its recorder."""
+
+    def __init__(
+        self,
+        folder: Path,
+        latches: Mapping[str, Latch] | None = None,
+        *,
+        has_ring: bool = False,
+        patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
+    ) -> None:
+        self.recorder = FileRecorder(folder)
+        record = LatchRecord(held=dict(latches or {}))
+        make = partial(_made, has_ring=has_ring)
+        self.provisional: set[int] = set()
+        self.robot = RobotHarness(
+            patterns=patterns,
+            make=make,
+            take=self.recorder.step,
+            latches=record,
+            is_provisional=lambda generation: generation in self.provisional,
+        )
+        self.robot.scans = self._scan
+
+    def _scan(self, seq: int, now: float) -> Scan:
+        scan = empty_scan(self.robot.platform, seq, now)
+        ahead = np.abs(np.angle(np.exp(1j * scan.bearings))) < 0.4
+        distance = 0.4 + 0.3 * np.cos(now)
+        robot = self.robot.robot
+        if robot.platform.ranges is not None:
+            near = float(np.float32(0.3 + 0.2 * np.cos(3.0 * now)))
+            ring = ring_scan(seq, now, {0.0: near, 60.0: 0.125})
+            self.robot.step(RangesInput(ring))
+        return structs.replace(scan, ranges=np.where(ahead, np.float32(distance), scan.ranges))
+
+    def run(self, pattern: str, seconds: float = 3.0, **params: float) -> None:
+        self.robot.ask("run", pattern=pattern, params=params)
+        self.robot.advance(seconds)
+        assert self.robot.robot.state is State.RUNNING
+
+    def replayed(self, origins: Mapping[str, tuple[str, bool]] = ORIGINS) -> Parity:
+        return repeat([self.recorder.finish()], origins)[1]
+
+
+def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
+    return Robot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
+
+
+class Busy:
+    """A story of a robot that learns: it turns, its scans come late, and things hide behind others.
+
+    Its sensors and its pauses follow from `seed`.
+    """
+
+    def __init__(self, folder: Path, seed: int, *, has_ring: bool = False) -> None:
+        self.story = Story(folder, has_ring=has_ring)
+        self.random = np.random.default_rng(seed)
+        self.robot = self.story.robot
+        self.robot.scans = self._scan
+        self._late = float(self.random.uniform(0.0, 0.25))
+
+    def _scan(self, seq: int, now: float) -> Scan:
+        turn = float(0.4 * np.sin(0.7 * now))
+        self.robot.odometry = Twist(float(0.05 * (1.0 + np.cos(now))), turn)
+        scan = self.story._scan(seq, now)
+        noisy = scan.ranges + self.random.normal(0.0, 0.01, scan.ranges.shape)
+        near = np.abs(np.angle(np.exp(1j * (scan.bearings - now)))) < 0.2
+        gap = near & (self.random.random() < 0.5)
+        ranges = np.where(near, 0.13 + 0.1 * np.cos(3.0 * now) ** 2, noisy)
+        ranges = np.where(gap, np.inf, ranges)
+        return structs.replace(scan, ranges=ranges, stamp=scan.stamp - self._late)
+
+    def wander(self, seconds: float) -> None:
+        """Runs, stops and rests at random times for so long."""
+        end = self.robot.now + seconds
+        while self.robot.now < end:
+            self.robot.ask("run", pattern="random_walk")
+            self.robot.advance(float(self.random.uniform(0.1, 4.0)))
+            self.robot.ask("stop")
+            self.robot.advance(float(self.random.choice([0.1, 1.0])))
+
+
+def rewritten(
+    recorded: RecordedFile, path: Path, extra: Extra | None = None, **options: Any
+) -> Path:
+    """The messages in a file of the library, with something more in the middle."""
+    with path.open("wb") as file:
+        writer = Writer(file, **{"chunk_size": 20_000, **options})
+        writer.start("", "another writer")
+        writer.add_metadata("swarmd", dict(recorded.about))
+        channels = Channels(writer)
+        for number, one in enumerate(recorded.messages):
+            if extra is not None and number == 100:
+                extra(writer, file)
+            channel = channels.id_of(one.topic, one.kind)
+            writer.add_message(channel, one.at, one.payload, one.at, one.sequence)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
