@@ -52,9 +52,10 @@ _ONE_THREAD = {
 class Job:
     """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
 
-    `metrics`: the origins of those measured besides the catalog's. `cores` processes share its
-    robots. A process without progress for `timeout` s ends the run. `guest`: a folder with patterns
-    of others; the run may read nothing else of the user, write nothing, and grow by 1 GB.
+    `metrics`: those measured besides the catalog's, by origin, each with the digest of its code.
+    `cores` processes share its robots. A process without progress for `timeout` s ends the run.
+    `guest`: a folder with patterns of others; the run may read nothing else of the user, write
+    nothing, and grow by 1 GB.
     """
 
     run: str
@@ -63,7 +64,7 @@ class Job:
     trace: Path | None
     cores: int = 1
     timeout: float = STEP_TIMEOUT
-    metrics: tuple[str, ...] = ()
+    metrics: Mapping[str, str] = field(default_factory=dict)
     guest: Path | None = None
 
 
@@ -101,7 +102,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         metrics, errors = measure(trace), dict[str, str]()
         if job.metrics and on_progress is not None:
             on_progress(OWN_METRICS)
-        for metric in map(metric_of, job.metrics):
+        for metric in (metric_of(*one) for one in job.metrics.items()):
             try:
                 metrics |= measure(trace, [metric])
             except MetricError as error:

@@ -79,11 +79,11 @@ def digests_of_plugins(folder: Path) -> dict[str, str]:
 
 
 def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
-    """The digests of the plugins in all folders, by path."""
+    """The digests of the plugins in all folders, by path; `~` is as in a scenario."""
     return {
         f"{folder}/{name}": digest
         for folder in folders
-        for name, digest in digests_of_plugins(Path(folder)).items()
+        for name, digest in digests_of_plugins(Path(folder).expanduser()).items()
     }
 
 
