@@ -7,14 +7,18 @@ file can run; `test_the_hostile_files_are_armed` shows that the canary appears w
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from swarmd.core.errors import ConfigError
+from swarmd.kit.policy_network import network_from_bytes
 from swarmd.sim.experiments.simulate import simulate
 from tests.sim.conftest import MOODY, write_duo
 from tests.support.swarmctl import Finished, swarmctl
@@ -120,3 +124,53 @@ def test_the_hostile_files_are_armed(scene: Scene, which: str) -> None:
     assert "--trust" in refused.err
     scene.run("exp", "rerun", "x", "-j", 1, "--trust")
     assert scene.canary.exists()
+
+
+YAML_FILES = {
+    "scenario": ("exp", "run", "x.yaml", "--seeds", 1),
+    "demo": ("demo", "x.yaml", "--headless"),
+    "mission": ("mission", "check", "x.yaml"),
+    "run-mission": ("run", "mission", "--all", "-p", "file=@x.yaml"),
+    "swarm": ("members", "--config", "x.yaml"),
+    "platform": ("platform", "check", "x.yaml"),
+    "tuning": ("exp", "tune", "x.yaml", "--param", "a=0..1", "--goal", "min mdc"),
+}
+
+
+@pytest.mark.parametrize("words", YAML_FILES.values(), ids=YAML_FILES)
+@pytest.mark.parametrize(
+    "tag", ["!!python/object/apply:os.system", "!!python/name:os.system", "!x"]
+)
+def test_a_yaml_file_makes_no_objects(scene: Scene, tag: str, words: tuple[str, ...]) -> None:
+    (scene.folder / "x.yaml").write_text(f"name: {tag} ['touch {scene.canary}']\n")
+    assert scene.run(*words).code != 0
+    assert not scene.canary.exists()
+
+
+def test_a_policy_file_makes_no_objects(scene: Scene) -> None:
+    class Hostile:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return Path.touch, (scene.canary,)
+
+    for arrays in (
+        {"spec": np.array([Hostile()], dtype=object)},
+        {"weight_0": np.array(Hostile())},
+    ):
+        file = io.BytesIO()
+        np.savez(file, allow_pickle=True, **arrays)
+        with pytest.raises(ConfigError):
+            network_from_bytes(file.getvalue())
+    assert not scene.canary.exists()
+
+
+def test_a_trace_makes_no_objects(scene: Scene) -> None:
+    class Hostile:
+        def __reduce__(self) -> tuple[Any, ...]:
+            return Path.touch, (scene.canary,)
+
+    shutil.copytree(scene.results, scene.folder / "x")
+    for trace in (scene.folder / "x").rglob("*.npz"):
+        np.savez(trace, head=np.array([Hostile()], dtype=object))
+    for name in ("rerun", "plot", "report"):
+        scene.run(*RESULTS[name])
+    assert not scene.canary.exists()
