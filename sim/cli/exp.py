@@ -32,6 +32,7 @@ from swarmd.sim.cli.options import (
     output_option,
     scenarios,
     set_option,
+    trust_option,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 
@@ -204,6 +205,7 @@ def run(
 @out_option("Folder of the new results; without it they are compared and discarded.")
 @_processes
 @_timeout
+@trust_option
 @output_option
 @click.pass_context
 def rerun(
@@ -212,9 +214,13 @@ def rerun(
     out: Path | None,
     jobs: int | None,
     timeout: float | None,
+    is_trusted: bool,
     is_json: bool,
 ) -> None:
     """Repeat the experiment in DIR from its manifest, and list which runs are identical.
+
+    Patterns and metrics in Python files run if you have run the same code before. Others, and files
+    that have changed since the runs, are refused without --trust: the results may be somebody's.
 
     Exit code 0 if all are identical to the last bit, 3 if some are, 1 if none is.
     """
@@ -223,11 +229,16 @@ def rerun(
     from swarmd.sim.experiments import rerun as again
     from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
-    for line in again.warnings(folder):
+    for line in again.warnings(folder, is_trusted=is_trusted):
         warn(f"warning: {line}; results may differ")
     with signals_end(SIGTERM), progress() as on_progress:
         found = again.rerun(
-            folder, out, jobs or usable_cores(), on_progress, timeout or STEP_TIMEOUT
+            folder,
+            out,
+            jobs or usable_cores(),
+            on_progress,
+            timeout or STEP_TIMEOUT,
+            is_trusted=is_trusted,
         )
     if is_json:
         listed = [{"run": run, "identical": not why, "why": why} for run, why in found.items()]
@@ -246,10 +257,16 @@ def rerun(
 )
 @out_option("Folder of all runs; it may hold parts that were merged before.", required=True)
 @_metrics
+@trust_option
 @output_option
 @click.pass_context
 def merge(
-    ctx: click.Context, folders: tuple[Path, ...], out: Path, metrics: str | None, is_json: bool
+    ctx: click.Context,
+    folders: tuple[Path, ...],
+    out: Path,
+    metrics: str | None,
+    is_trusted: bool,
+    is_json: bool,
 ) -> None:
     """Join the folders of `exp run --shard` into one, as a single machine makes it.
 
@@ -258,7 +275,7 @@ def merge(
     need("mujoco")
     from swarmd.sim.experiments import merge as merging
 
-    results, lacking = merging.merge(folders, out)
+    results, lacking = merging.merge(folders, out, is_trusted=is_trusted)
     _print_results(results, chosen_metrics(metrics, results.asked), is_json)
     for line in lacking:
         warn(f"missing: {line}")
@@ -270,8 +287,9 @@ def merge(
 @click.argument("a")
 @click.argument("b", required=False)
 @_metrics
+@trust_option
 @output_option
-def compare(a: str, b: str | None, metrics: str | None, is_json: bool) -> None:
+def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_json: bool) -> None:
     """Show which metrics differ between experiments A and B: DIR, or DIR:VARIANT of a sweep.
 
     A metric differs if the 95 % interval of the difference of means excludes 0. P is corrected for
@@ -284,9 +302,9 @@ def compare(a: str, b: str | None, metrics: str | None, is_json: bool) -> None:
     from swarmd.sim.experiments import compare as comparing
 
     if b is None:
-        _compare_variants(a, metrics, is_json)
+        _compare_variants(a, metrics, is_trusted=is_trusted, is_json=is_json)
         return
-    pairs = comparing.sides(a, b)
+    pairs = comparing.sides(a, b, is_trusted=is_trusted)
     names = chosen_metrics(metrics, pairs[0][0].results.asked)
     found = [(*pair, comparing.compare(*pair, names)) for pair in pairs]
     if is_json:
@@ -300,12 +318,13 @@ def compare(a: str, b: str | None, metrics: str | None, is_json: bool) -> None:
 @exp.command()
 @folder_argument
 @_metrics
+@trust_option
 @output_option
-def show(folder: Path, metrics: str | None, is_json: bool) -> None:
+def show(folder: Path, metrics: str | None, is_trusted: bool, is_json: bool) -> None:
     """Show the statistics of the experiment in DIR, also if it is not finished."""
     from swarmd.sim.experiments.results import load_results
 
-    results = load_results(folder)
+    results = load_results(folder, is_trusted=is_trusted)
     _print_results(results, chosen_metrics(metrics, results.asked), is_json)
 
 
@@ -454,13 +473,13 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
     _warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
 
 
-def _compare_variants(folder: str, metrics: str | None, is_json: bool) -> None:
+def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_json: bool) -> None:
     """The variants of one sweep in one table, and what two swept keys do."""
     from swarmd.sim.experiments import sweep
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.report.tables import shown_metrics
 
-    results = load_results(folder)
+    results = load_results(folder, is_trusted=is_trusted)
     if len(results.variants) < 2:
         raise ConfigError(
             f"{folder}: nothing was swept; name a second experiment, or run a --sweep"

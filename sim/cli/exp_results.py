@@ -12,7 +12,14 @@ import click
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError, unknown
-from swarmd.sim.cli.options import chosen_metrics, folder_argument, need, out_option, output_option
+from swarmd.sim.cli.options import (
+    chosen_metrics,
+    folder_argument,
+    need,
+    out_option,
+    output_option,
+    trust_option,
+)
 from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
@@ -109,8 +116,14 @@ def check(
 @click.option("--metrics", metavar="A,B,..", help="Show these metrics first, and draw them.")
 @click.option("--seed", type=click.IntRange(min=0), help="The run to play [a typical one].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant of the run to play.")
+@trust_option
 def report(
-    place: Path, out: Path | None, metrics: str | None, seed: int | None, variant: str | None
+    place: Path,
+    out: Path | None,
+    metrics: str | None,
+    seed: int | None,
+    variant: str | None,
+    is_trusted: bool,
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
@@ -140,7 +153,8 @@ def report(
         from swarmd.sim.experiments.results import load_results
         from swarmd.sim.report.html import report_of
 
-        text = report_of(place, chosen_metrics(metrics, load_results(place).asked), seed, variant)
+        about = load_results(place, is_trusted=is_trusted).asked
+        text = report_of(place, chosen_metrics(metrics, about), seed, variant)
     try:
         write_whole(path, text)
     except OSError as error:
@@ -216,6 +230,7 @@ _NARROWEST, _WIDEST = 2.0, 20.0
     help="For a paper: pictures of this width, such as 3.5in, 89mm or 252pt, with texts of 6 to 8"
     " points and without titles; panels have letters.",
 )
+@trust_option
 def plot(
     folder: Path,
     out: Path | None,
@@ -227,6 +242,7 @@ def plot(
     labels: tuple[str, ...],
     form: str,
     width: str | None,
+    is_trusted: bool,
 ) -> None:
     """Draw the experiment in DIR: metrics by run and over time, differences; also trajectories."""
     need("matplotlib")
@@ -239,7 +255,7 @@ def plot(
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     chosen = None if one_or_more is None else parse_seeds(one_or_more)
     inches = None if width is None else parse_width(width)
-    about = load_results(folder).asked
+    about = load_results(folder, is_trusted=is_trusted).asked
     names = chosen_metrics(metrics, about)
     bounds = {about(name).name: value for name, value in parse_targets(targets).items()}
     look = Look(

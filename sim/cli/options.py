@@ -90,6 +90,13 @@ _OPTIONS = (
 
 
 folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+trust_option = click.option(
+    "--trust",
+    "is_trusted",
+    is_flag=True,
+    help="Run the Python files that the results name, with your rights, although they are new, have"
+    " changed or were never run by you.",
+)
 set_option = click.option(
     "--set",
     "sets",

@@ -28,7 +28,7 @@ from swarmd.settings.platforms import PlatformFile
 from swarmd.settings.yamlfile import read, shown
 from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.plan import MAX_SEED
-from swarmd.sim.metrics.catalog import beyond_catalog, metric_of
+from swarmd.sim.metrics.catalog import beyond_catalog, metric_of, names_file
 from swarmd.sim.metrics.metric import Better
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
@@ -176,6 +176,10 @@ def load_task(name: str) -> Task:
             )
             raise layers.error(("scenario", "platforms", platform, "extends"), text)
     try:
+        if names_file(
+            file.metric.name
+        ):  # whoever runs a task of others would run its author's code
+            raise ConfigError(f"{file.metric.name}: a task names no file; see `exp metrics`")
         metric = metric_of(file.metric.name)
     except ConfigError as error:
         raise layers.error(("metric", "name"), f"metric.name: {error}") from error

@@ -95,13 +95,13 @@ class Difference:
         return self.differs and self.p_holm is not None and self.p_holm <= 1.0 - LEVEL
 
 
-def sides(a: str, b: str) -> list[tuple[Side, Side]]:
+def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]]:
     """The pairs of variants that `A` and `B` name: FOLDER, or FOLDER:VARIANT of a sweep.
 
     Two folders with the same variants are compared variant by variant. ConfigError if the names
-    are ambiguous.
+    are ambiguous. `is_trusted`: as of `load_results`.
     """
-    left, right = sides_of(a), sides_of(b)
+    left, right = (sides_of(one, is_trusted=is_trusted) for one in (a, b))
     if len(left) == 1 or len(right) == 1:
         if len(left) == len(right):
             return [(left[0], right[0])]
@@ -116,12 +116,12 @@ def sides(a: str, b: str) -> list[tuple[Side, Side]]:
     return list(zip(left, right, strict=True))
 
 
-def sides_of(text: str) -> list[Side]:
+def sides_of(text: str, *, is_trusted: bool = False) -> list[Side]:
     """The variants that `FOLDER` or `FOLDER:VARIANT` names; ConfigError for an unknown variant."""
     folder, variant = text, None
     if not Path(text).is_dir() and ":" in text:
         folder, _, variant = text.partition(":")
-    results = load_results(folder)
+    results = load_results(folder, is_trusted=is_trusted)
     if not results.rows:
         raise ConfigError(f"{folder}: no run of it has finished; run it first")
     if variant is not None and variant not in results.variants:

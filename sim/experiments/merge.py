@@ -27,13 +27,15 @@ from swarmd.sim.experiments.store import (
 _NAMED = 10  # runs that a message lists
 
 
-def merge(folders: Sequence[Path], out: Path) -> tuple[Results, list[str]]:
+def merge(
+    folders: Sequence[Path], out: Path, *, is_trusted: bool = False
+) -> tuple[Results, list[str]]:
     """Join parts in the folder `out`: its results, and a line for each part that lacks runs.
 
     The folder equals that of a single machine, except for the durations of runs. Parts may
     overlap, and `out` may hold parts already. ConfigError, with nothing changed, if they are not of
     one experiment and software, if they have different results of a run, or lack a trace.
-    Processors may differ: the manifest then names them all.
+    Processors may differ: the manifest then names them all. `is_trusted`: as of `load_results`.
     """
     if out.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigError(f"--out {out} is one of the parts; name another folder")
@@ -63,7 +65,7 @@ def merge(folders: Sequence[Path], out: Path) -> tuple[Results, list[str]]:
                 store.add(run, row.metrics, row.wall, errors.get(run.id))
             elif run.id in failures:
                 store.fail(run, failures[run.id])
-        results = load_results(out)
+        results = load_results(out, is_trusted=is_trusted)
         store.close(results.document())
         return results, _lacking(parts, store.missing)
 

@@ -21,6 +21,8 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import msgspec
+
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import partial_path
 from swarmd.core.processes import die_with_parent, how_it_ended, limit_growth
@@ -41,6 +43,7 @@ OWN_METRICS = 0.999
 """The share of a run before custom metrics: they are under the time-out, as patterns are."""
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
 _MAX_REASON = 300  # characters
+_MAX_REPORT = 1 << 24  # bytes of one report of a worker; the metrics of a run take some kB
 _MODULE = "swarmd.sim.experiments.pool"
 _GUEST_GROWTH = 1 << 30  # bytes; a run of twelve robots takes less than a tenth
 _ONE_THREAD = {
@@ -52,9 +55,10 @@ _ONE_THREAD = {
 class Job:
     """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
 
-    `metrics`: the origins of those measured besides the catalog's. `cores` processes share its
-    robots. A process without progress for `timeout` s ends the run. `guest`: a folder with patterns
-    of others; the run may read nothing else of the user, write nothing, and grow by 1 GB.
+    `metrics`: those measured besides the catalog's, by origin, each with the digest of its code.
+    `cores` processes share its robots. A process without progress for `timeout` s ends the run.
+    `guest`: a folder with patterns of others; the run may read nothing else of the user, write
+    nothing, and grow by 1 GB.
     """
 
     run: str
@@ -63,7 +67,7 @@ class Job:
     trace: Path | None
     cores: int = 1
     timeout: float = STEP_TIMEOUT
-    metrics: tuple[str, ...] = ()
+    metrics: Mapping[str, str] = field(default_factory=dict)
     guest: Path | None = None
 
 
@@ -87,6 +91,9 @@ class JobResult:
     errors: Mapping[str, str] = field(default_factory=dict)
 
 
+_report = msgspec.msgpack.Decoder(JobResult | float)
+
+
 def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
     """Simulate, measure and write the trace, in this process.
 
@@ -101,7 +108,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         metrics, errors = measure(trace), dict[str, str]()
         if job.metrics and on_progress is not None:
             on_progress(OWN_METRICS)
-        for metric in map(metric_of, job.metrics):
+        for metric in (metric_of(*one) for one in job.metrics.items()):
             try:
                 metrics |= measure(trace, [metric])
             except MetricError as error:
@@ -221,7 +228,10 @@ class _Worker:
         If the worker has ended instead, the result is a failure.
         """
         try:
-            received: JobResult | float = self.pipe.recv()
+            # Values alone: a guest's pattern could write a pickle, which would run in this process.
+            received = _report.decode(self.pipe.recv_bytes(_MAX_REPORT))
+            if isinstance(received, JobResult) and received.run != self.run:
+                raise ValueError(received.run)
         except Exception:  # the worker's end, or bytes that a pattern wrote into the pipe
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_EXIT_TIMEOUT)
@@ -290,13 +300,18 @@ def main(descriptor: int, parent: int) -> None:
     import swarmd.sim.experiments.pool  # noqa: F401
 
     with Connection(descriptor) as connection:
-        connection.send(0.0)  # started
+        _send(connection, 0.0)  # started
         while True:
             try:
                 job = connection.recv()
             except EOFError:
                 return
             _run_in_fork(job, connection)
+
+
+def _send(connection: Connection, report: JobResult | float) -> None:
+    """Report a result, or the share of the job that is done."""
+    connection.send_bytes(msgspec.msgpack.encode(report))
 
 
 def _run_in_fork(job: Job, connection: Connection) -> None:
@@ -336,12 +351,12 @@ def _do(job: Job, connection: Connection) -> None:
         now = time.monotonic()
         if now >= next_report or share in (OWN_METRICS, 1.0):
             next_report = now + _PROGRESS_PERIOD
-            connection.send(share)
+            _send(connection, share)
 
     if job.guest is not None:
         limit_growth(_GUEST_GROWTH)
         confine([job.guest])
-    connection.send(run_job(job, report))
+    _send(connection, run_job(job, report))
 
 
 if __name__ == "__main__":

@@ -79,11 +79,11 @@ def digests_of_plugins(folder: Path) -> dict[str, str]:
 
 
 def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
-    """The digests of the plugins in all folders, by path."""
+    """The digests of the plugins in all folders, by path; `~` is as in a scenario."""
     return {
         f"{folder}/{name}": digest
         for folder in folders
-        for name, digest in digests_of_plugins(Path(folder)).items()
+        for name, digest in digests_of_plugins(Path(folder).expanduser()).items()
     }
 
 
@@ -93,25 +93,50 @@ def git_state(folder: Path) -> GitState | None:
     commit = _git(folder, "rev-parse", "HEAD") if tracked else None
     if not commit:
         return None
-    changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    listed = _git(folder, *_LIST_FILTERS, no_match="")
+    if listed is None or "=" in listed:  # such a filter could not be switched off
+        return None
+    filters = [line.partition("\t")[2] for line in listed.splitlines() if line[:1] in "lw"]
+    changed = _git(folder, *_STATUS, no_filters=filters)
     return GitState(commit=commit, is_dirty=bool(changed))
 
 
-def _git(folder: Path, *words: str) -> str | None:
-    """The output of a git command; None without git, or if the command fails."""
+_NO_PROGRAMS = ("core.fsmonitor=false", f"core.hooksPath={os.devnull}")
+_LIST_FILTERS = ("config", "--show-scope", "--name-only", "--get-regexp", r"^filter\.")
+"""Lines `SCOPE<TAB>KEY`; `local` and `worktree` are the configuration of the checkout."""
+_STATUS = ("status", "--porcelain", "--untracked-files=no", "--ignore-submodules=dirty")
+
+
+def _git(
+    folder: Path, *words: str, no_match: str | None = None, no_filters: Iterable[str] = ()
+) -> str | None:
+    """The output of a git command, `no_match` for exit code 1; None if it fails or without git.
+
+    The folder may be somebody's: its configuration may name programs, which git would run. Hooks,
+    the file system monitor, submodules, downloads and `no_filters` are switched off.
+    """
+    switched_off = (*_NO_PROGRAMS, *(f"{key}=" for key in no_filters))
+    options = [word for value in switched_off for word in ("-c", value)]
     try:
         done = subprocess.run(
-            ["git", "-C", str(folder), *words],
+            ["git", "-C", str(folder), *options, *words],
             capture_output=True,
             text=True,
             timeout=_GIT_SECONDS,
             check=False,
             stdin=subprocess.DEVNULL,
-            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},  # read only
+            env={
+                **os.environ,
+                "GIT_OPTIONAL_LOCKS": "0",  # read only
+                "GIT_NO_LAZY_FETCH": "1",
+                "GIT_ALLOW_PROTOCOL": "none",
+            },
         )
     except (OSError, subprocess.TimeoutExpired, UnicodeDecodeError):
         return None
-    return done.stdout.strip() if done.returncode == 0 else None
+    if done.returncode:
+        return no_match if done.returncode == 1 else None
+    return done.stdout.strip()
 
 
 def _python_files(folder: Path) -> Iterator[Path]:

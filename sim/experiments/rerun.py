@@ -15,20 +15,28 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import (
     Manifest,
     manifest_of,
+    plugin_folders,
     read_manifest,
     software_differences,
 )
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
+from swarmd.sim.experiments.provenance import digests_of_folders
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import OnProgress, run_experiment
-from swarmd.sim.metrics.catalog import metric_of
+from swarmd.sim.experiments.trust import check_code
+from swarmd.sim.metrics.catalog import metric_of, names_file
+from swarmd.sim.metrics.own import digest_of_file
 from swarmd.sim.trace import Trace
 
 
-def warnings(folder: Path) -> list[str]:
-    """A text for each difference of the software since; ConfigError if it is no experiment."""
+def warnings(folder: Path, *, is_trusted: bool = False) -> list[str]:
+    """A text for each difference of the software since; ConfigError if it is no experiment.
+
+    ConfigError also for a Python file that the manifest names and that is new, has changed or has
+    not been run by this user, unless `is_trusted`.
+    """
     old = read_manifest(folder)
-    return list(software_differences(old, _again(old)))
+    return list(software_differences(old, _again(folder, old, is_trusted=is_trusted)))
 
 
 def rerun(
@@ -37,6 +45,8 @@ def rerun(
     processes: int,
     on_progress: OnProgress | None = None,
     timeout: float = STEP_TIMEOUT,
+    *,
+    is_trusted: bool = False,
 ) -> dict[str, str]:
     """Repeat the experiment of `folder` in `out`: what differs by finished run, "" if nothing.
 
@@ -44,7 +54,7 @@ def rerun(
 
     Without `out` only finished runs are repeated, in a temporary folder. They are made from the
     manifest alone, and nothing in `folder` changes. ConfigError if `folder` is no experiment, has
-    no finished run, or is `out` itself.
+    no finished run, or is `out` itself, and as of `warnings`.
     """
     before = load_results(folder)
     if not before.runs:
@@ -52,7 +62,7 @@ def rerun(
     if out is not None and out.resolve() == folder.resolve():
         raise ConfigError(f"--out {out} is the experiment itself; name another folder")
     old = read_manifest(folder)
-    manifest = _again(old)
+    manifest = _again(folder, old, is_trusted=is_trusted)
     runner = partial(run_jobs, processes=processes, timeout=timeout)
     again = partial(run_experiment, manifest, runner=runner, on_progress=on_progress)
     if out is not None:
@@ -68,9 +78,14 @@ def trace_differences(a: Trace, b: Trace) -> list[str]:
     return [name for name in names if _bits(getattr(a, name)) != _bits(getattr(b, name))]
 
 
-def _again(old: Manifest) -> Manifest:
-    """The manifest of the same runs, with the present software."""
-    metrics = [metric_of(one.origin) for one in old.metrics]
+def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
+    """The manifest of the same runs, with the present software; ConfigError as of `warnings`."""
+    patterns = digests_of_folders(plugin_folders(old.plan)).items()
+    code = {name: digest for name, digest in patterns if name.endswith(".py")}
+    files = [one.origin for one in old.metrics if names_file(one.origin)]
+    code |= {origin: digest_of_file(origin) for origin in files}
+    check_code(folder, old.plugins, code, is_trusted=is_trusted)
+    metrics = [metric_of(one.origin, code.get(one.origin, "")) for one in old.metrics]
     return manifest_of(old.plan, traces=old.traces, command=old.command, metrics=metrics)
 
 

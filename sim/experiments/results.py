@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,16 @@ from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
 from swarmd.sim.experiments.store import Row, read_errors, read_failures, read_table, trace_path
-from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
-from swarmd.sim.metrics.own import MetricError
+from swarmd.sim.experiments.trust import check_code
+from swarmd.sim.metrics.catalog import (
+    METRICS,
+    Metric,
+    check_has_value,
+    measure,
+    metric_of,
+    names_file,
+)
+from swarmd.sim.metrics.own import MetricError, digest_of_file
 from swarmd.sim.trace import Trace, load_trace, pandas
 
 YES_OR_NO = "0 or 1"
@@ -71,8 +79,12 @@ class Results:
         *,
         own: Mapping[str, Metric] | None = None,
         errors: Mapping[str, Mapping[str, str]] | None = None,
+        is_trusted: bool = False,
     ) -> None:
-        """`own`: the metrics by name that were measured besides those of the catalog."""
+        """`own`: the metrics by name that were measured besides those of the catalog.
+
+        `is_trusted`: their files may be run, whatever is in them now.
+        """
         self.folder = folder
         self.plan = plan
         self.failures = dict(failures)
@@ -80,6 +92,7 @@ class Results:
         self.kernels = kernels
         self.errors = {run: dict(why) for run, why in (errors or {}).items()}
         self._own = dict(own or {})
+        self._is_trusted = is_trusted
         self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
@@ -117,11 +130,15 @@ class Results:
         return metric_of(which)
 
     def asked(self, name: str | Metric) -> Metric:
-        """As `about`; a metric of a file is that of its present code, if the file is there."""
+        """As `about`; a metric of a file is that of its present code, if the file is there.
+
+        ConfigError if the file is new, has changed or has not been run by this user, unless these
+        results are trusted.
+        """
         known = self._own.get(name) if isinstance(name, str) else None
         file = known.origin.rpartition(":")[0] if known is not None else ""
         if known is not None and file and Path(file).is_file():
-            return metric_of(known.origin)
+            return _Code(self.folder, known.origin, known.digest, self._is_trusted).metric
         return self.about(name)
 
     def metric(self, which: str | Metric, variant: str | None = None) -> Array:
@@ -281,10 +298,11 @@ class Results:
         return self._rows_of[variant]
 
 
-def load_results(folder: str | Path) -> Results:
+def load_results(folder: str | Path, *, is_trusted: bool = False) -> Results:
     """The results in an experiment's folder, also of an interrupted one.
 
-    ConfigError in one line if it is no such folder, or damaged.
+    ConfigError in one line if it is no such folder, or damaged. `is_trusted`: Python files that
+    the results name may be run although they are new or have changed.
     """
     place = Path(folder)
     manifest = read_manifest(place)
@@ -292,33 +310,59 @@ def load_results(folder: str | Path) -> Results:
     metrics, rows = read_table(place, plan)
     failures = {run: why for run, why in read_failures(place).items() if run not in rows}
     kernels = manifest.made_with.get("kernels", "")
-    own = known_metrics(manifest)
+    own = known_metrics(manifest, place, is_trusted=is_trusted)
     errors = {run: why for run, why in read_errors(place).items() if run in rows}
-    return Results(place, plan, rows.values(), failures, metrics, kernels, own=own, errors=errors)
+    return Results(
+        place, plan, rows.values(), failures, metrics, kernels, own=own, errors=errors,
+        is_trusted=is_trusted,
+    )  # fmt: skip
 
 
-def known_metrics(manifest: Manifest) -> dict[str, Metric]:
+def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict[str, Metric]:
     """The metrics beyond the catalog that an experiment measured, by name.
 
     Their code is read when a value is asked of them, and need not be there any more.
     """
-    return {
-        one.name: Metric(
+    found = {}
+    for one in manifest.metrics:
+        code = _Code(folder, one.origin, manifest.plugins.get(one.origin, ""), is_trusted)
+        found[one.name] = Metric(
             **msgspec.structs.asdict(one),
             meaning="",
             source=one.origin,
-            value=partial(_value_of, one.origin),
-            series=partial(_series_of, one.origin),
-            digest=manifest.plugins.get(one.origin, ""),
+            value=code.value,
+            series=code.series,
+            digest=code.digest,
         )
-        for one in manifest.metrics
-    }
+    return found
 
 
-def _value_of(origin: str, trace: Trace) -> float | None:
-    return metric_of(origin).value(trace)
+@dataclass(frozen=True)
+class _Code:
+    """The code of a metric that the results in `folder` name; `digest` is that of the runs.
 
+    The file is imported when a value is asked for. ConfigError as of `check_code`.
+    """
 
-def _series_of(origin: str, trace: Trace) -> Array | None:
-    series = metric_of(origin).series
-    return None if series is None else series(trace)
+    folder: Path
+    origin: str
+    digest: str
+    is_trusted: bool
+
+    @cached_property
+    def metric(self) -> Metric:
+        """The metric with its present code."""
+        if not names_file(self.origin):
+            return metric_of(self.origin)
+        present = digest_of_file(self.origin)
+        names = {self.origin: self.digest}, {self.origin: present}
+        check_code(self.folder, *names, is_trusted=self.is_trusted)
+        return metric_of(self.origin, present)
+
+    def value(self, trace: Trace) -> float | None:
+        """The number of a run."""
+        return self.metric.value(trace)
+
+    def series(self, trace: Trace) -> Array | None:
+        """The values over time, None where the metric has none."""
+        return None if self.metric.series is None else self.metric.series(trace)

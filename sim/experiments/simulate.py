@@ -25,11 +25,13 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.plugins import MISSION
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, run_job, run_jobs
 from swarmd.sim.experiments.results import Results, known_metrics
 from swarmd.sim.experiments.store import Store, open_store
+from swarmd.sim.experiments.trust import remember_code
 from swarmd.sim.metrics.catalog import METRICS, Metric, beyond_catalog, metric_of
 from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE
 from swarmd.sim.scenarios.scenario import Scenario
@@ -162,7 +164,9 @@ def run_experiment(
     `only` limits the runs, `summarized` the metrics of the summary. If it ends early, the finished
     runs stay in the folder. SwarmError if the folder cannot be used or the disk is full.
     """
-    origins = tuple(one.origin for one in manifest.metrics)
+    code = manifest.plugins.items()
+    remember_code(digest for name, digest in code if not name.endswith(MISSION))
+    origins = {one.origin: manifest.plugins.get(one.origin, "") for one in manifest.metrics}
     columns = (*METRICS, *(one.name for one in manifest.metrics))
     with open_store(folder, manifest, columns) as store:
         try:
@@ -237,8 +241,9 @@ def _results(store: Store) -> Results:
         store.failures,
         (*METRICS, *(one.name for one in store.manifest.metrics)),
         store.manifest.made_with["kernels"],
-        own=known_metrics(store.manifest),
+        own=known_metrics(store.manifest, store.folder, is_trusted=True),
         errors=store.errors,
+        is_trusted=True,
     )
 
 

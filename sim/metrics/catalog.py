@@ -78,11 +78,12 @@ def series(trace: Trace, name: str | Metric) -> Array | None:
     return metric.series(trace)
 
 
-def metric_of(name: str | Metric) -> Metric:
+def metric_of(name: str | Metric, digest: str = "") -> Metric:
     """The metric of that name; ConfigError with the nearest name if it is unknown.
 
     A name is one of METRICS, `report:KEY...`, `reading:KEY...`, one of `placed.KINDS` with its
-    places, `FILE.py:FUNCTION` or that of an installed metric.
+    places, `FILE.py:FUNCTION` or that of an installed metric. `digest`: the SHA-256 that the file
+    must have, or empty.
     """
     if isinstance(name, Metric):
         return name
@@ -92,12 +93,18 @@ def metric_of(name: str | Metric) -> Metric:
         return reported_metric(name)
     if is_placed(name):
         return placed_metric(name)
-    if ".py:" in name:
-        return metric_of_file(name)
+    if names_file(name):
+        return metric_of_file(name, digest)
     installed = installed_metrics()
     if name not in installed:
         raise ConfigError(unknown("metric", name, (*METRICS, *KINDS, *installed)))
     return installed[name]
+
+
+def names_file(name: str) -> bool:
+    """Whether `metric_of` imports a file for this name."""
+    is_other = name in METRICS or name.startswith(PREFIXES) or is_placed(name)
+    return ".py:" in name and not is_other
 
 
 def check_has_value(metric: Metric, trace: Trace) -> None:

@@ -55,19 +55,29 @@ def metric(
     return decorated
 
 
-def metric_of_file(text: str) -> Metric:
+def digest_of_file(text: str) -> str:
+    """The SHA-256 of the file of `FILE.py:FUNCTION`; ConfigError if it cannot be read."""
+    file = text.rpartition(":")[0]
+    try:
+        return hashlib.sha256(Path(file).resolve().read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(f"metric {text!r}: {file} cannot be read: {error.strerror}") from error
+
+
+def metric_of_file(text: str, digest: str = "") -> Metric:
     """The metric `FILE.py:FUNCTION`; ConfigError if file or function are missing or faulty.
 
-    Its name is that of the file and the function, without folders.
+    Its name is that of the file and the function, without folders. `digest`: the SHA-256 that the
+    file must have, or empty.
     """
     file, _, name = text.rpartition(":")
     path = Path(file).resolve()
+    present = digest_of_file(text)
+    if digest not in ("", present):
+        raise ConfigError(f"metric {text!r}: {file} was changed meanwhile; run it again")
+    digest = present
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    except OSError as error:
-        raise ConfigError(f"metric {text!r}: {file} cannot be read: {error.strerror}") from error
-    try:
-        module = import_file(path)
+        module = import_file(path, bytes.fromhex(digest))
     except Exception as error:
         raise ConfigError(f"metric {text!r}: {type(error).__name__}: {error}") from error
     known = [

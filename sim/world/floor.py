@@ -170,6 +170,10 @@ def drawn_tiles(count: int, share: float, seed: int) -> NDArray[np.bool_]:
     return drawn
 
 
+FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
+"""Of pictures, whatever their names: for PostScript Pillow would start Ghostscript."""
+
+
 @lru_cache(maxsize=16)
 def picture(path: str) -> Array:
     """The pixels (rows, columns, 3) of a picture, 0 to 1, the top row first; ConfigError."""
@@ -178,7 +182,7 @@ def picture(path: str) -> Array:
     except ImportError as error:
         raise PluginError("a floor with a picture needs pillow; install swarmd[film]") from error
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=FORMATS) as image:
             width, height = image.size
             if width * height > MAX_PIXELS:
                 text = f"has {width} x {height} pixels; expected {MAX_PIXELS} at most"

@@ -107,16 +107,14 @@ def _serve_foxglove(options: CommonOptions, port: int) -> None:
     """Serve the swarm to Foxglove until Ctrl-C or SIGTERM."""
     from swarmd.view.foxglove import PERIOD, FoxgloveServer
 
-    host = "127.0.0.1"  # the protocol has no token
     with (
-        _live(options, "", with_patterns=False) as (source, _, identity),
-        FoxgloveServer(source, host, port) as server,
+        _live(options, "", with_patterns=False) as (source, _, _),
+        FoxgloveServer(source, "127.0.0.1", port) as server,
         signals_end(),
         suppress(KeyboardInterrupt),
     ):
-        click.echo(f"foxglove: ws://{host}:{server.port}")
-        if identity is not None:
-            warn("every user of this computer can read what Foxglove shows: it has no token")
+        click.echo(f"foxglove: {server.address}")
+        warn("whoever has this address can read the swarm: the words after the port are a secret")
         warn("Ctrl-C ends it")
         while True:
             server.publish()

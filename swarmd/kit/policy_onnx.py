@@ -36,9 +36,14 @@ def network_from_onnx(data: bytes) -> PolicyNetwork:
         raise ConfigError(f"policy: {len(data)} bytes; expected {8 * MAX_BYTES} or less")
     try:
         model = onnx.load_model_from_string(data)
-        values = {one.name: numpy_helper.to_array(one) for one in model.graph.initializer}
+        weights = model.graph.initializer
+        # onnx would read any file of the working folder, and the policy is then sent to robots.
+        is_whole = all(one.data_location != onnx.TensorProto.EXTERNAL for one in weights)
+        values = {one.name: _floats(numpy_helper.to_array(one)) for one in weights if is_whole}
     except Exception as error:  # protobuf and onnx have errors of their own for damaged files
-        raise ConfigError("policy: not an ONNX file, damaged, or its weights are apart") from error
+        raise ConfigError("policy: not an ONNX file, or damaged") from error
+    if not is_whole:
+        raise ConfigError("policy: weights are in another file; export the model as one file")
     told = {one.key: one.value for one in model.metadata_props}
     if SPEC_PROPERTY not in told:
         raise ConfigError(
@@ -49,18 +54,18 @@ def network_from_onnx(data: bytes) -> PolicyNetwork:
     outputs = [one.name for one in model.graph.output]
     if len(inputs) != 1 or len(outputs) != 1:
         raise ConfigError(f"policy: inputs {inputs}, outputs {outputs}; expected one of each")
-    weights, biases, functions, end = _layers_of(model.graph.node, values, inputs[0])
+    matrices, biases, functions, end = _layers_of(model.graph.node, values, inputs[0])
     if end != outputs[0] or not functions or functions[-1] != "Tanh":
         raise ConfigError("policy: the graph does not end in Tanh, which bounds the actions")
     inner = {one.lower() for one in functions[:-1]} or {"tanh"}
-    if len(inner) > 1 or len(functions) != len(weights):
+    if len(inner) > 1 or len(functions) != len(matrices):
         raise ConfigError(f"policy: layers end in {functions}; expected one of Tanh or Relu each")
     activation: Activation = "relu" if inner == {"relu"} else "tanh"
-    return PolicyNetwork(spec, tuple(weights), tuple(biases), activation)
+    return PolicyNetwork(spec, tuple(matrices), tuple(biases), activation)
 
 
 def _layers_of(
-    nodes: Any, values: dict[str, Any], name: str
+    nodes: Any, values: dict[str, Array], name: str
 ) -> tuple[list[Array], list[Array], list[str], str]:
     """Weights (outputs, inputs), biases and functions along the chain from `name`, and its end."""
     weights: list[Array] = []
@@ -74,13 +79,13 @@ def _layers_of(
         match node.op_type, [one.ndim for one in constants]:
             case "Gemm", [2, 1] if node.input[0] == name and _is_plain(given):
                 is_transposed = "transB" in given and given["transB"].i == 1
-                weights.append(_floats(constants[0] if is_transposed else constants[0].T))
-                biases.append(_floats(constants[1]))
+                weights.append(constants[0] if is_transposed else constants[0].T)
+                biases.append(constants[1])
             case "MatMul", [2] if node.input[0] == name:
-                weights.append(_floats(constants[0].T))
+                weights.append(constants[0].T)
                 biases.append(np.zeros(len(weights[-1])))
             case "Add", [1] if len(weights) == len(functions) + 1:
-                biases[-1] = biases[-1] + _floats(constants[0])
+                biases[-1] = biases[-1] + constants[0]
             case ("Tanh" | "Relu") as kind, [] if len(weights) == len(functions) + 1:
                 functions.append(kind)
             case "Identity", []:

@@ -107,7 +107,7 @@ def load_daemon_settings(
     identity = swarmfile.identity_of(layers, file, config, environ)
     robot = file.id or (_host_id() if identity is None else identity.name)
     _check_identity(robot, identity, file)
-    state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config) or _state_dir(
+    state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config) or state_folder(
         environ
     )
     recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config) or (
@@ -196,7 +196,8 @@ def _read(options: Mapping[str, Value]) -> set[str]:
     return found
 
 
-def _state_dir(environ: Mapping[str, str]) -> Path:
+def state_folder(environ: Mapping[str, str]) -> Path:
+    """The folder of what a daemon or a user keeps; ConfigError without a home."""
     service = environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if os.path.isabs(service):  # of systemd
         return Path(service)

@@ -18,6 +18,7 @@ from foxglove import channels, messages
 from swarmd.core.errors import NetworkError
 from swarmd.core.values import Array
 from swarmd.texts.state_colours import colour_of
+from swarmd.view.foxglove_gate import FoxgloveGate, hidden_host
 from swarmd.view.source import ShownRobot, Source, json_of
 
 PERIOD = 0.1
@@ -46,7 +47,7 @@ _STATUS_SCHEMA: dict[str, Any] = {
 
 
 class FoxgloveServer:
-    """Serves a source until `close`; a context manager. `port` is the one that it got.
+    """Serves a source until `close`; a context manager. `address`: with the secret in its path.
 
     Channels: `/tf`, `/robots` (outlines, headings and names in the colours of states), `/events`,
     and for each robot `/NAME/status` and `/NAME/scan`.
@@ -63,15 +64,19 @@ class FoxgloveServer:
         self._scans: dict[str, channels.PointCloudChannel] = {}
         self._count = 0
         self._shown: set[tuple[float, str]] = set()
+        name, hidden = f"swarm {source.swarm}", hidden_host()
         try:
             self._server = foxglove.start_server(
-                name=f"swarm {source.swarm}", host=host, port=port, context=self._context
+                name=name, host=hidden, port=0, context=self._context
             )
         except (OSError, RuntimeError) as error:
-            raise NetworkError(
-                f"{host}:{port} cannot be listened at: {error}; choose another port"
-            ) from error
-        self.port = self._server.port
+            raise NetworkError(f"{hidden} cannot be listened at: {error}") from error
+        try:
+            self._gate = FoxgloveGate(host, port, (hidden, self._server.port))
+        except NetworkError:
+            self._server.stop()
+            raise
+        self.address = f"ws://{host}:{self._gate.port}/{self._gate.secret}"
 
     def __enter__(self) -> Self:
         return self
@@ -81,6 +86,7 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """End the server and its connections."""
+        self._gate.close()
         self._server.stop()
 
     def publish(self) -> None:

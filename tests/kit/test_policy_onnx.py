@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from onnx import ModelProto, helper, numpy_helper
+from onnx import ModelProto, TensorProto, helper, numpy_helper
 from onnx.reference import ReferenceEvaluator
 
 from swarmd.cli.plugin import write_plugin
@@ -91,6 +91,14 @@ def changed(kind: str) -> bytes:
             made.graph.initializer[0].CopyFrom(
                 numpy_helper.from_array(np.zeros((4, 5), dtype=np.float32), "w0")
             )
+        case "file":
+            weights = made.graph.initializer[0]
+            weights.ClearField("raw_data")
+            weights.data_location = TensorProto.EXTERNAL
+            weights.external_data.add(key="location", value="secret")
+        case "text":
+            words = np.full((4, 3), "x", dtype=object)
+            made.graph.initializer[0].CopyFrom(numpy_helper.from_array(words, "w0"))
         case "function":
             del nodes[1]
             nodes[1].input[0] = "h"
@@ -110,9 +118,15 @@ def changed(kind: str) -> bytes:
         ("shape", "5"),
         ("function", "layers"),
         ("damaged", "ONNX"),
+        ("file", "another file"),
+        ("text", "ONNX"),
     ],
 )
-def test_another_graph_is_one_line(kind: str, named: str) -> None:
+def test_another_graph_is_one_line(
+    kind: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("secret").write_bytes(FIRST.astype(np.float32).tobytes())
     with pytest.raises(ConfigError, match=named) as error:
         network_from_onnx(changed(kind))
     assert "\n" not in str(error.value)

@@ -6,7 +6,7 @@ import io
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -115,6 +115,14 @@ def swarmctl_in(folder: Path) -> Swarmctl:
         )
 
     return run
+
+
+@pytest.fixture(autouse=True, scope="package")
+def state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """A folder in which experiments keep the digests of code that has been run."""
+    with pytest.MonkeyPatch.context() as here:
+        here.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        yield
 
 
 @pytest.fixture

@@ -6,14 +6,17 @@ import contextlib
 import json
 import math
 import signal
+import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
+from urllib.parse import urlsplit
 
 import pytest
+from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 from swarmd.core.errors import NetworkError
 from swarmd.core.messages import LoggedEvent, State
@@ -78,8 +81,8 @@ class Client:
 
 
 @contextlib.contextmanager
-def client(port: int) -> Iterator[Client]:
-    with connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL], open_timeout=CAP) as socket:
+def client(address: str) -> Iterator[Client]:
+    with connect(address, subprotocols=[PROTOCOL], open_timeout=CAP) as socket:
         yield Client(socket)
 
 
@@ -91,7 +94,7 @@ def test_a_client_reads_places_states_scans_and_events() -> None:
         with (
             contextlib.closing(source),
             FoxgloveServer(source, "127.0.0.1", 0) as server,
-            client(server.port) as reader,
+            client(server.address) as reader,
         ):
             topics = ("/tf", "/robots", "/events", f"/{one}/status", f"/{one}/scan")
             reader.await_topics(*topics, f"/{other}/status", step=server.publish)
@@ -134,7 +137,7 @@ def test_a_robot_that_does_not_answer_has_no_state_and_the_stamp_of_its_last_wor
         with (
             contextlib.closing(source),
             FoxgloveServer(source, "127.0.0.1", 0) as server,
-            client(server.port) as reader,
+            client(server.address) as reader,
         ):
             reader.await_topics("/robots", step=server.publish)
             reader.subscribe("/robots")
@@ -171,9 +174,51 @@ def test_a_port_in_use_is_an_error_in_one_line() -> None:
     with FedSwarm(1) as swarm:
         source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
         with FoxgloveServer(source, "127.0.0.1", 0) as server:
-            with pytest.raises(NetworkError, match=f"127.0.0.1:{server.port}") as error:
-                FoxgloveServer(source, "127.0.0.1", server.port)
+            port = urlsplit(server.address).port
+            assert port is not None
+            with pytest.raises(NetworkError, match=f"127.0.0.1:{port}") as error:
+                FoxgloveServer(source, "127.0.0.1", port)
             assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("origin", [None, "null", "https://evil.example", "http://localhost:80"])
+@pytest.mark.parametrize("path", ["", "/", "/guess", "/?secret"])
+def test_without_the_secret_no_page_and_no_program_connects(origin: str | None, path: str) -> None:
+    with FedSwarm(1) as swarm:
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        with FoxgloveServer(source, "127.0.0.1", 0) as server:
+            place = urlsplit(server.address)
+            origins = None if origin is None else Origin(origin)
+            words: dict[str, Any] = {
+                "subprotocols": [PROTOCOL],
+                "open_timeout": CAP,
+                "origin": origins,
+            }
+            with pytest.raises(InvalidStatus) as error:
+                connect(f"ws://{place.netloc}{path}", **words).close()
+            assert error.value.response.status_code == 403
+            with connect(f"{server.address}?layout=1", **words) as other:
+                assert json.loads(other.recv(timeout=CAP))["op"] == "serverInfo"
+
+
+def test_what_sends_no_request_is_let_go_and_disturbs_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarmd.view.foxglove_gate.HEAD_TIMEOUT", 0.2)
+    with FedSwarm(1) as swarm:
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        with FoxgloveServer(source, "127.0.0.1", 0) as server:
+            place = urlsplit(server.address)
+            address = (str(place.hostname), int(place.port or 0))
+            for junk in (b"", b"\x16\x03\x01" * 9000, b"GET /\r\n\r\n", b"\r\n\r\n"):
+                with socket.create_connection(address, CAP) as raw:
+                    raw.settimeout(CAP)
+                    with contextlib.suppress(ConnectionError):
+                        raw.sendall(junk)
+                        while raw.recv(4096):
+                            pass
+            with client(server.address) as reader:
+                assert json.loads(reader.socket.recv(timeout=CAP))["op"] == "serverInfo"
 
 
 @pytest.mark.parametrize("words", [("--web",), ("view.py",)])
@@ -189,7 +234,7 @@ def test_swarmctl_shows_a_swarm_of_daemons(swarm: Swarm) -> None:
     swarm.start("tb3-01", swarm.body("tb3-01"))
     view = swarm.begin("view", "--foxglove", "0")
     address = next(line for line in view.out if line.startswith("foxglove: "))
-    with client(int(address.rpartition(":")[2])) as reader:
+    with client(address.removeprefix("foxglove: ")) as reader:
         reader.await_topics("/tb3-01/status")
         reader.subscribe("/tb3-01/status", "/tf")
         found = reader.first_of("/tb3-01/status", "/tf")

@@ -192,6 +192,9 @@ FAULTS: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "an unknown key": (lambda d: d.update(goal=1), "goal"),
     "another version": (lambda d: d.update(suite=9), "suite is 9"),
     "an unknown metric": (lambda d: d["metric"].update(name="share_of"), "metric.name"),
+    "a metric of a file": (
+        lambda d: d["metric"].update(name=f"{__file__}:run"), "a task names no file",
+    ),
     "another direction": (lambda d: d["metric"].update(better="less"), "more is better"),
     "an unknown group": (lambda d: d.update(groups=["tem"]), "'tem'"),
     "a judged group with a pattern": (

@@ -79,6 +79,30 @@ def test_traces_are_measured_later_and_again_by_changed_code(
         results.metric("report:none")
 
 
+@pytest.mark.parametrize("change", ["a new file", "another user", "other code"])
+def test_a_file_that_results_name_is_imported_if_it_is_known_or_trusted(
+    duo: Path, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str
+) -> None:
+    out = tmp_path / "x"
+    small(duo, out, f"{file}:odd")
+    assert load_results(out).asked("mine.py:odd").origin == f"{file}:odd"
+    manifest = out / "manifest.json"
+    if change == "other code":
+        file.write_text(FILE.replace("1 /", "1 + 0 *"))
+    elif change == "another user":
+        monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "other"))
+    else:
+        manifest.write_text(manifest.read_text().replace(f'"{file}:odd": ', '"gone.py:odd": '))
+    results = load_results(out)
+    known = results.about("mine.py:odd")
+    for act in (results.asked, lambda _: known.series and known.series(results.traces[0])):
+        with pytest.raises(ConfigError, match=r"mine\.py:odd .*--trust$"):
+            act("mine.py:odd")
+    trusted = load_results(out, is_trusted=True).asked("mine.py:odd")
+    if change == "another user":  # who has run it now
+        assert load_results(out).asked("mine.py:odd").digest == trusted.digest
+
+
 def test_without_traces_a_metric_that_was_not_measured_is_refused(
     duo: Path, tmp_path: Path
 ) -> None:

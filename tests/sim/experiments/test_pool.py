@@ -22,6 +22,7 @@ from swarmd.sim.experiments.pool import (
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.lockstep.processes import RunProcess
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
+from tests.sim.conftest import MOODY
 from tests.support.processes import children
 
 END = "groups.all.parameters.end"
@@ -178,3 +179,36 @@ def test_closing_ends_all_processes(duo: Path) -> None:
         assert next(item.run for item in found if isinstance(item, JobResult)) == "s0"
         assert len(set(children(os.getpid())) - before) == 2
     assert set(children(os.getpid())) <= before
+
+
+FORGED = """
+import os
+import pickle
+import struct
+
+
+class Hostile:
+    def __reduce__(self):
+        return os.system, ("touch {canary}",)
+
+
+data = pickle.dumps(Hostile())
+for number in os.listdir("/proc/self/fd"):
+    if int(number) > 2:
+        try:
+            os.write(int(number), struct.pack("!i", len(data)) + data)
+        except OSError:
+            pass
+"""
+
+
+def test_what_a_guest_writes_into_the_pipe_runs_nothing(duo: Path, tmp_path: Path) -> None:
+    plain = job(duo, 0).effective
+    guest = tmp_path / "guest"
+    guest.mkdir()
+    canary = tmp_path / "canary"
+    (guest / "moody.py").write_text(FORGED.replace("{canary}", str(canary)) + MOODY)
+    forged = Job("s0", {**plain, "plugin_dir": str(guest)}, 0, None, guest=guest)
+    (result,) = done([forged], 1).values()
+    assert not canary.exists()
+    assert result.metrics is None

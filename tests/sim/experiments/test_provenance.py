@@ -6,6 +6,7 @@ import hashlib
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -94,3 +95,52 @@ def test_without_git_or_outside_of_it_there_is_no_state(
     assert git_state(tmp_path) is None
     monkeypatch.setenv("PATH", os.devnull)
     assert git_state(Path(swarmd.__file__).resolve().parent) is None
+
+
+PROGRAMS = {
+    "core.fsmonitor": "{touch}; false",
+    "filter.x.clean": "{touch}; cat",
+    "filter.x.process": "{touch}",
+    "filter.a=b.clean": "{touch}; cat",
+    "core.hooksPath": "hooks",
+    "include.path": "../included",
+    "remote.origin.url": "ext::touch {canary}",
+}
+"""Keys of a checkout's configuration that name a program, or lead to one."""
+
+
+@pytest.mark.parametrize("key", PROGRAMS)
+def test_a_checkout_of_others_runs_no_program(key: str, tmp_path: Path) -> None:
+    folder, canary = tmp_path / "checkout", tmp_path / "canary"
+    (folder / "hooks").mkdir(parents=True)
+    git(folder, "init", "-q")
+    touch = f"sh -c 'touch {canary}'"
+    hook = folder / "hooks" / "post-index-change"
+    hook.write_text(f"#!/bin/sh\n{touch}\n")
+    hook.chmod(0o755)
+    (folder / "included").write_text(f'[filter "x"]\nclean = "{touch}; cat"\n')
+    (folder / ".gitattributes").write_text(f"*.yaml filter={'a=b' if '=' in key else 'x'}\n")
+    (folder / "a.yaml").write_text("1")
+    git(folder, "add", ".")
+    git(folder, "commit", "-qm", "x")
+    os.utime(folder / "a.yaml", (1, 1))  # git has to look into it
+    git(folder, "config", key, PROGRAMS[key].format(touch=touch, canary=canary))
+    if key == "remote.origin.url":  # a checkout without its objects, which git would fetch
+        for name, value in (("remote.origin.promisor", "true"), ("protocol.ext.allow", "always")):
+            git(folder, "config", name, value)
+        git(folder, "config", "extensions.partialClone", "origin")
+        found = [one for one in (folder / ".git/objects").rglob("*") if one.is_file()]
+        for one in found:
+            kind = subprocess.run(
+                ["git", "-C", str(folder), "cat-file", "-t", one.parent.name + one.name],
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+            if kind.stdout == "tree\n":
+                one.unlink()
+    git_state(folder)
+    assert not canary.exists()
+    with suppress(subprocess.CalledProcessError):  # armed: git itself runs the program
+        git(folder, "status")
+    assert canary.exists()

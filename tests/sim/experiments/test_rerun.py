@@ -69,8 +69,12 @@ def test_a_run_that_fails_now_is_reported(duo: Path, tmp_path: Path) -> None:
     results = simulate(duo, seeds=1, set={"duration": 0.6}, out=tmp_path / "x")
     plugin = duo.parent / "plugins" / "moody.py"
     plugin.write_text(plugin.read_text().replace('self.params.end == "exit"', "True"))
-    assert warnings(results.folder) == [f"plugin {duo.parent}/plugins/moody.py has changed"]
-    found = again(results, tmp_path)
+    for act in (warnings, lambda folder: rerun(folder, None, 1)):
+        with pytest.raises(ConfigError, match=r"moody\.py has changed.*--trust"):
+            act(results.folder)
+    told = warnings(results.folder, is_trusted=True)
+    assert told == [f"plugin {plugin} has changed"]
+    found = rerun(results.folder, tmp_path / "y", 1, is_trusted=True)
     assert found["s0000"].startswith("failed now: its process ended with code 7")
 
 

@@ -78,6 +78,21 @@ def test_a_picture_lies_on_its_rectangle_with_its_top_at_the_highest_y(tmp_path:
         floor({**patch, "image": str(tmp_path / "large.png")}).check()
 
 
+def test_a_picture_of_others_starts_no_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image = pytest.importorskip("PIL.Image", reason="there is no Pillow")
+    program = tmp_path / "gs"  # Ghostscript, which Pillow starts for PostScript
+    program.write_text(f"#!/bin/sh\ntouch {tmp_path / 'canary'}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", str(program))
+    picture = tmp_path / "floor.png"
+    image.new("RGB", (2, 2)).save(picture, "EPS")
+    with pytest.raises(ConfigError, match=r"floor\.png"):
+        floor({"rectangle": [0, 0, 1, 1], "image": str(picture)}).check()
+    assert not (tmp_path / "canary").exists()
+
+
 @pytest.mark.parametrize(
     "wrong",
     [

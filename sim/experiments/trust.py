@@ -1,0 +1,61 @@
+"""Python files that results name: imported if this user has run them before, or trusts them.
+
+Results may come from anyone, their manifest with its paths and digests included. A digest of the
+manifest therefore shows that a file is the one of the runs, and not that the user knows the file. A
+list of the user's own, `run_code` in the state folder, has the digests of all code that the user's
+commands have run.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from swarmd.core.errors import ConfigError
+from swarmd.settings.settings import state_folder
+
+_LIST = "run_code"
+
+
+def remember_code(digests: Iterable[str]) -> None:
+    """Add SHA-256 digests to the user's list. Without a list that can be written, none is kept."""
+    new = sorted({*digests} - _known())
+    if new:
+        with suppress(OSError, ConfigError):
+            folder = state_folder(os.environ)
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with (folder / _LIST).open("a", encoding="ascii") as file:
+                file.write("".join(f"{digest}\n" for digest in new))
+
+
+def check_code(
+    folder: Path, recorded: Mapping[str, str], present: Mapping[str, str], *, is_trusted: bool
+) -> None:
+    """Raise ConfigError for a file that the results in `folder` name and that may not be run.
+
+    `recorded` are the digests of the manifest and `present` those of the files now, by name. A file
+    may be run if both are equal and the user has run this code before. `is_trusted`: all may be
+    run, and are remembered.
+    """
+    if is_trusted:
+        remember_code(present.values())
+        return
+    known = _known()
+    for name, digest in sorted(present.items()):
+        if name not in recorded:
+            fault = "is new since the runs"
+        elif recorded[name] != digest:
+            fault = f"has changed since the runs (SHA-256 {recorded[name][:8]}.. to {digest[:8]}..)"
+        elif digest not in known:
+            fault = f"is code that you have not run before (SHA-256 {digest[:8]}..)"
+        else:
+            continue
+        raise ConfigError(f"{folder}: {name} {fault}; read the file, then run it with --trust")
+
+
+def _known() -> set[str]:
+    with suppress(OSError, ConfigError, UnicodeDecodeError):
+        return {*(state_folder(os.environ) / _LIST).read_text(encoding="ascii").split()}
+    return set()
