@@ -11,8 +11,12 @@ by these rules:
   the sector, no nearer than a square corner between the ends.
 - A hidden obstacle moves with its empty sector and fills it unless the sector is too wide.
 - It is forgotten once returns show its place to be empty, once it reappears, or once the robot has
-  moved away; without these exits a memory would hold the robot for ever. It does not expire by
-  time, since a robot may be held in contact for minutes.
+  moved away by its own commands: what pushes a robot moves with it. Without these exits a memory
+  would hold the robot for ever. It does not expire by time, since a robot may be held in contact
+  for minutes.
+- It has reappeared once more of an obstacle came into view beside the rim than noise shows. In the
+  open, rays without return cannot show that the rest has left: what this obstacle may have been,
+  too, and what only continued a face, expires then.
 """
 
 from __future__ import annotations
@@ -54,8 +58,10 @@ else:
         sin,
     )
 
-# s for which an empty sector too narrow for a robot is remembered
+# s for which an empty sector too narrow for a robot, and a doubtful obstacle, are remembered
 _NARROW_MEMORY = cython.declare(cython.double, 2.0)
+# s: the age with which a doubtful obstacle begins to age
+_DOUBTFUL = cython.declare(cython.double, 1e-3)
 # of range_min: a robot that moved this far has left hidden obstacles behind
 _FORGET_DISTANCE = cython.declare(cython.double, 2.0)
 _RANGE_NOISE = cython.declare(cython.double, 0.03)  # m
@@ -68,6 +74,8 @@ _MAX_POINTS = cython.declare(cython.Py_ssize_t, 720)
 # rays side by side without a return; fewer are drop-outs
 _MIN_EMPTY_RUN = cython.declare(cython.Py_ssize_t, 4)
 _MIN_WIDTH = cython.declare(cython.double, 0.07)  # m: no robot that a lidar sees is narrower
+# m of an obstacle that come into view as it leaves the zone: noise at a rim shows 1 cm in and out
+_MIN_EMERGED = cython.declare(cython.double, 0.035)
 # a wider empty sector is open space
 _MAX_SECTOR = cython.declare(cython.double, math.radians(120.0))
 # a near face hides less of the horizon than this
@@ -222,6 +230,9 @@ class BlindZoneMemory:
     _is_hidden: cython.uchar[::1]
     _entered_x: cython.double
     _entered_y: cython.double
+    # m beside the rim that came into view since the memory was empty, and that went out of view
+    _emerged: cython.double
+    _vanished: cython.double
 
     def __init__(self, range_min: float, speed: float, period: float) -> None:
         """Blind within `range_min` m; obstacles approach at up to `speed` m/s; `period` s."""
@@ -232,7 +243,7 @@ class BlindZoneMemory:
         self._n = self._reserved = self._points = self._old_points = self._were_empty = (
             self._hidden
         ) = 0
-        self._entered_x = self._entered_y = 0.0
+        self._entered_x = self._entered_y = self._emerged = self._vanished = 0.0
         self._x = self._y = self._old_x = self._old_y = self._empty_bearing = _NOTHING
         self._hidden_at = self._age = self._near = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
@@ -241,8 +252,14 @@ class BlindZoneMemory:
         self._exact = self._corner = self._turned = self._angle = None
         self._is_empty = self._inside = self._face_of = self._is_hidden = None
 
-    def update(self, scan: Scan, geometry: ScanGeometry, moved: Pose, seconds: float) -> None:
-        """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then."""
+    def update(
+        self, scan: Scan, geometry: ScanGeometry, moved: Pose, driven: Pose, seconds: float
+    ) -> None:
+        """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then.
+
+        `driven` is the part of it that the robot's own commands explain: only that counts as moving
+        away from hidden obstacles. What pushes a robot moves with it.
+        """
         table = np.ascontiguousarray(scan.ranges, np.float64)
         given: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
         step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
@@ -268,6 +285,7 @@ class BlindZoneMemory:
                 self._x[self._points] = ahead + distance * cos(self._bearing[i])
                 self._y[self._points] = left + distance * sin(self._bearing[i])
                 self._points += 1
+        self._leave(driven.x, driven.y, moved.yaw)
         self._find(moved.x, moved.y, moved.yaw, ahead, left, seconds, step)
         self._were_empty = 0
         for i in range(n):
@@ -349,6 +367,18 @@ class BlindZoneMemory:
         self._is_hidden = _zeros(2 * size, np.uint8)
 
     @cython.cfunc
+    def _leave(
+        self, driven_x: cython.double, driven_y: cython.double, turned: cython.double
+    ) -> cython.int:
+        """Move the place at which the last obstacle became hidden, as seen from the robot."""
+        c: cython.double = cos(turned)
+        s: cython.double = sin(turned)
+        x: cython.double = self._entered_x - driven_x
+        y: cython.double = self._entered_y - driven_y
+        self._entered_x, self._entered_y = c * x + s * y, c * y - s * x
+        return 0
+
+    @cython.cfunc
     def _find(
         self,
         moved_x: cython.double,
@@ -365,9 +395,6 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t
         c: cython.double = cos(turned)
         s: cython.double = sin(turned)
-        x: cython.double = self._entered_x - moved_x
-        y: cython.double = self._entered_y - moved_y
-        self._entered_x, self._entered_y = c * x + s * y, c * y - s * x
         self._find_sectors()
         if not self._sectors:
             self._keep(0)
@@ -405,6 +432,8 @@ class BlindZoneMemory:
     @cython.cfunc
     def _keep(self, count: cython.Py_ssize_t):
         self._hidden = count
+        if not count:
+            self._emerged = self._vanished = 0.0
         self.bearings = np.array(self._bearings[:count]) if count else _NOTHING
         self.nearest = np.array(self._ranges[:count]) if count else _NOTHING
 
@@ -504,6 +533,7 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
         for i in range(self._old_points):
             x_here, y_here = self._old_x[i] - moved_x, self._old_y[i] - moved_y
             x, y = c * x_here + s * y_here, c * y_here - s * x_here
@@ -524,9 +554,14 @@ class BlindZoneMemory:
                     is_gone, start = False, k
                     break
             bearing = atan2(y - left, x - ahead)
-            if is_gone or (is_entered and self._inside[_nearest(self._rising, self._n, bearing)]):
+            ray = _nearest(self._rising, self._n, bearing)
+            if isinf(self._range[ray]):
+                width = hypot(x - ahead, y - left) * _TURN / self._n
+                self._emerged -= width
+                self._vanished += width
+            if is_gone or (is_entered and self._inside[ray]):
                 k = self._candidates
-                self._hidden_at[k], self._age[k] = bearing, 0.0
+                self._hidden_at[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
                 self._near[k], self._is_face[k] = self._blind - step, not is_gone
                 self._candidates += 1
         return 0
@@ -538,17 +573,23 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        shift: cython.double = min(step / (_MIN_HIDDEN_RANGE * self._blind), 0.25 * _PI)
+        reach: cython.double = step / (_MIN_HIDDEN_RANGE * self._blind)
+        shift: cython.double = min(reach, 0.25 * _PI)
         is_here: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._blind
         )
         self._find_reappeared(turned, step)
+        self._emerged = max(self._emerged, 0.0)
+        has_emerged: cython.bint = self._emerged >= min(_MIN_EMERGED, 0.5 * self._vanished)
         for k in range(self._candidates):
             self._is_hidden[k] = is_here and self._age[k] < _NARROW_MEMORY
-            if k < self._hidden and self._found:
+            if has_emerged and k < self._hidden and self._found:
                 i = _nearest(self._angle, self._found, self._hidden_at[k])
-                if _apart(self._angle[i], self._hidden_at[k]) <= shift:
+                off = _apart(self._angle[i], self._hidden_at[k])
+                if off <= shift:
                     self._is_hidden[k] = False
+                elif off <= reach:
+                    self._age[k] = max(self._age[k], _DOUBTFUL)
         self._found = 0
         for i in range(n):
             self._exact[i] = self._bearing[i]
@@ -592,6 +633,7 @@ class BlindZoneMemory:
                 if _apart(self._turned[k], self._bearing[i]) <= _PI / n:
                     self._angle[self._found] = self._rising[i]
                     self._found += 1
+                    self._emerged += self._range[i] * _TURN / n
         return 0
 
     @cython.cfunc
@@ -631,12 +673,14 @@ class BlindZoneMemory:
             width = self._width[k] * 2.0 * _PI / n
             if self._crossings[k] == 2 and width < _MAX_FACE:
                 for i in range(first, end):
-                    self._age_of[_wrapped(i, n)] = 0.0
+                    self._age_of[_wrapped(i, n)] = min(self._age_of[_wrapped(i, n)], _DOUBTFUL)
                     if self._face_of[_wrapped(i, n)]:
                         self._nearest_of[_wrapped(i, n)] = self._corner[k]
             elif youngest < INFINITY and width <= _MAX_SECTOR:
-                if self._crossings[k] or width >= self._narrow:
+                if width >= self._narrow:
                     youngest = 0.0
+                elif self._crossings[k]:
+                    youngest = min(youngest, _DOUBTFUL)
                 else:
                     youngest += seconds
                 for i in range(first, end):
@@ -644,4 +688,8 @@ class BlindZoneMemory:
                         youngest,
                         nearest,
                     )
+            elif not self._crossings[k]:
+                for i in range(first, end):
+                    if 0.0 < self._age_of[_wrapped(i, n)] < INFINITY:
+                        self._age_of[_wrapped(i, n)] += seconds
         return 0

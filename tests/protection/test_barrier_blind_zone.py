@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -162,3 +162,51 @@ def test_lost_near_returns_of_an_lds_do_not_count_as_free() -> None:
     left = sim.run(Twist(-0.22), 9.0)
     assert left.poses[300].x == pytest.approx(-0.015 * 2.9, abs=0.01)
     assert left.poses[-1].x < -0.4
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Visitor(Shape):
+    """A shape with a velocity (x, y) in m/s up to each of some times in s; then it stands."""
+
+    legs: tuple[tuple[float, tuple[float, float]], ...]
+
+    def at(self, time: float) -> Pose:
+        """Where it is."""
+        x, y, begin = self.pose.x, self.pose.y, 0.0
+        for end, (vx, vy) in self.legs:
+            seconds = max(min(time, end) - begin, 0.0)
+            x, y, begin = x + vx * seconds, y + vy * seconds, end
+        return Pose(x, y)
+
+
+def visited(*legs: tuple[float, tuple[float, float]], noise: float = 0.005) -> FilterSim:
+    """A Burger that is seen whole, 5 mm before which another one has come to rest within 3 s."""
+    come = (2.5, (-0.3, 0.0)), (3.0, (0.0, 0.0))
+    visitor = Visitor(BURGER.footprint * -1.0, Pose(0.038 + 0.005 + 0.038 + 0.75), legs=come + legs)
+    sim = FilterSim(under_barrier(BURGER, unseen_extent=0.0), [visitor], noise=noise)
+    assert sim.run(Twist(), 3.0).touch is None
+    return sim
+
+
+@pytest.mark.parametrize(("speed", "seconds"), [(0.1, 4.0), (0.3, 2.0)])
+def test_robot_that_is_pushed_does_not_drive_into_what_pushes_it(
+    speed: float, seconds: float
+) -> None:
+    """By odometry it leaves the obstacle, which follows it; then both rest."""
+    sim = visited((3.0 + seconds, (-speed, 0.0)))
+    sim.pushed = -speed, 0.0
+    pushed = sim.run(AHEAD, seconds)
+    sim.pushed = 0.0, 0.0
+    rested = sim.run(AHEAD, 20.0)
+    assert pushed.touch is rested.touch is None
+    assert rested.poses[-1].x == pytest.approx(-speed * seconds, abs=0.005)
+
+
+@pytest.mark.parametrize("away", [(0.3, 0.0), (0.1, 0.0), (0.0, 0.3), (0.0, -0.3), (0.0, 0.1)])
+def test_obstacle_that_leaves_in_the_open_is_forgotten(away: tuple[float, float]) -> None:
+    """Nothing behind it gives a return; it comes into view at other bearings than it vanished."""
+    sim = visited((15.0, away))
+    assert sim.run(Twist(), 12.0).touch is None
+    run = sim.run(AHEAD, 2.0)
+    assert run.touch is None
+    assert run.poses[-1].x > 0.3

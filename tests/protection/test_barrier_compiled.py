@@ -40,9 +40,9 @@ class Robot:
         self.ranges = np.full(360, math.inf)
         self.ranges[:rays] = platform.scan.range_min + beyond
 
-    def see(self, odometry: Odometry) -> None:
+    def see(self, odometry: Odometry, at: float = NOW) -> None:
         scan = scan_from(self.platform, self.ranges, self.platform.scan.bearings)
-        context = DecisionContext(NOW, 0.0, odometry, 0.0)
+        context = DecisionContext(at, 0.0, odometry, 0.0)
         self.barrier.observe(scan, ScanGeometry(self.platform.scan), context)
 
     def decide(
@@ -83,6 +83,47 @@ def test_contact_stays_one_after_the_robot_has_moved_away(module: Any) -> None:
     away = Odometry(NOW + 0.2, Pose(-0.13), ZERO)
     for angular in (0.8, -0.8):
         assert robot.decide(Twist(0.22, angular), away, 0.2).is_active
+
+
+@paths
+@pytest.mark.parametrize(("distance", "nearer"), [(0.13, 0.0), (0.16, 0.02)])
+def test_contact_with_what_is_seen_lasts_until_the_next_scan(
+    module: Any, distance: float, nearer: float
+) -> None:
+    """By odometry a robot that is pushed leaves the obstacle, which follows it.
+
+    The return lies less than 4 cm beside the robot in the scan, or once the robot is `nearer`.
+    """
+    robot = Robot(module, under_barrier(BURGER, unseen_extent=0.0), math.inf)
+    robot.ranges[55] = distance
+    robot.see(Odometry(NOW, Pose(), ZERO))
+    for after, y in ((0.02, nearer), (0.1, -0.05)):
+        odometry = Odometry(NOW + after, Pose(0.0, y), ZERO)
+        decision = robot.decide(Twist(-0.22), odometry, after)
+        assert -0.015 - 1e-9 <= decision.twist.linear < -0.01
+    robot.ranges[55] = 0.2
+    robot.see(Odometry(NOW + 0.2, Pose(0.0, -0.05), ZERO))
+    assert not robot.decide(Twist(-0.22), Odometry(NOW + 0.21, Pose(0.0, -0.05), ZERO)).is_active
+
+
+@paths
+@pytest.mark.parametrize(
+    ("command", "has_left"),
+    [(Twist(-0.22), True), (Twist(-0.03), False), (ZERO, False), (Twist(0.22), False)],
+)
+def test_only_motion_that_commands_explain_leaves_a_hidden_obstacle(
+    module: Any, command: Twist, has_left: bool
+) -> None:
+    """What is in the blind zone ahead may push the robot back, by 0.4 m in all."""
+    robot = Robot(module, BURGER, 0.01)
+    robot.see(Odometry(NOW - 0.2, Pose(), ZERO), NOW - 0.2)
+    robot.ranges[:] = math.inf
+    for i in range(11):
+        odometry = Odometry(NOW + 0.2 * i, Pose(-0.04 * i), Twist(-0.2))
+        robot.see(odometry, odometry.stamp)
+        decision = robot.decide(Twist(0.22), odometry, 0.2 * i + 0.01, command=command)
+        assert i > 0 or decision.is_active
+    assert decision.is_active != has_left
 
 
 @paths

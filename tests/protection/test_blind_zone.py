@@ -22,6 +22,7 @@ GEOMETRY = ScanGeometry(JACKAL.scan)
 PERIOD = 0.1
 SPEED = 1.1
 WIDE = range(-4, 5)
+HERE = Pose()
 
 
 class Memory:
@@ -32,9 +33,16 @@ class Memory:
             module.BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD) for module in PATHS
         ]
 
-    def update(self, scan: Scan, geometry: ScanGeometry, moved: Pose, seconds: float) -> None:
+    def update(
+        self,
+        scan: Scan,
+        geometry: ScanGeometry,
+        moved: Pose = HERE,
+        driven: Pose = HERE,
+        seconds: float = PERIOD,
+    ) -> None:
         for memory in self._paths:
-            memory.update(scan, geometry, moved, seconds)
+            memory.update(scan, geometry, moved, driven, seconds)
         one, other = self._paths
         assert one.bearings == pytest.approx(other.bearings, rel=0.0, abs=1e-12)
         assert one.nearest == pytest.approx(other.nearest, rel=0.0, abs=1e-12)
@@ -58,6 +66,7 @@ def look(
     empty: Sequence[int] = (),
     turned: float = 0.0,
     ahead: float = 0.0,
+    pushed: float = 0.0,
     seconds: float = PERIOD,
     beyond: float = 3.0,
     geometry: ScanGeometry = GEOMETRY,
@@ -65,13 +74,14 @@ def look(
     """Take in one more scan; returns the bearings of hidden obstacles in whole degrees.
 
     Rays `near` have returns at `distance`, rays `empty` none, all others at `beyond`. The base has
-    turned by `turned` degrees and moved `ahead` m since the last scan.
+    turned by `turned` degrees since the last scan, driven `ahead` m and been pushed by `pushed` m.
     """
     ranges = np.full(360, beyond)
     ranges[list(empty)] = math.inf
     ranges[list(near)] = distance
     scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
-    memory.update(scan, geometry, Pose(ahead, 0.0, math.radians(turned)), seconds)
+    yaw = math.radians(turned)
+    memory.update(scan, geometry, Pose(ahead + pushed, 0.0, yaw), Pose(ahead, 0.0, yaw), seconds)
     return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
 
 
@@ -95,7 +105,7 @@ def test_order_of_the_rays_does_not_matter() -> None:
         ranges = np.full(360, 3.0)
         ranges[20:29] = distance
         scan = reordered(scan_from(JACKAL, ranges, JACKAL.scan.bearings), np.random.default_rng(1))
-        memory.update(scan, GEOMETRY, Pose(), PERIOD)
+        memory.update(scan, GEOMETRY)
     assert sorted(round(degrees) for degrees in np.degrees(memory.bearings)) == [*range(20, 29)]
 
 
@@ -127,7 +137,7 @@ def face(memory: Memory, distance: float, first: int = -90, last: int = 90) -> l
     ranges[ranges < JACKAL.scan.range_min] = math.inf
     ranges[ranges > JACKAL.scan.range_max] = math.inf
     scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
-    memory.update(scan, GEOMETRY, Pose(), PERIOD)
+    memory.update(scan, GEOMETRY)
     return sorted(round(math.degrees(bearing)) for bearing in memory.bearings)
 
 
@@ -211,6 +221,23 @@ def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
     assert look(memory, range(5, 14), beyond=math.inf) == []
 
 
+def test_noise_at_the_rim_is_no_reappearance() -> None:
+    """A face in contact, whose corner is measured now and then."""
+    memory = Memory()
+    look(memory, WIDE, beyond=math.inf)
+    look(memory, beyond=math.inf)
+    for _ in range(20):
+        assert set(look(memory, [4], distance=0.81, beyond=math.inf)) >= set(range(-4, 4))
+        assert set(look(memory, beyond=math.inf)) >= set(range(-4, 5))
+
+
+def test_thin_obstacle_reappears_as_wide_as_it_vanished() -> None:
+    memory = Memory()
+    look(memory, [1], beyond=math.inf)
+    assert look(memory, beyond=math.inf) == [1]
+    assert look(memory, [3], beyond=math.inf) == []
+
+
 def test_standing_neighbor_does_not_count_as_reappearance() -> None:
     """The legs on both sides of the empty sector were visible before."""
     memory = Memory()
@@ -264,6 +291,13 @@ def test_robot_that_leaves_forgets_hidden_obstacles() -> None:
     for ahead in (0.5, -0.5, 0.5, 0.5, 0.5):
         assert set(wide) <= set(look(memory, empty=wide, beyond=math.inf, ahead=ahead))
     assert look(memory, empty=wide, beyond=math.inf, ahead=0.2) == []
+
+
+def test_robot_that_is_pushed_does_not_forget_hidden_obstacles() -> None:
+    """What pushes a robot moves with it."""
+    memory, wide = hiding(), range(-4, 5)
+    for pushed in (0.5, -0.5, -1.5, -1.0):
+        assert set(wide) <= set(look(memory, empty=wide, beyond=math.inf, pushed=pushed))
 
 
 def test_hidden_obstacle_moves_with_its_empty_sector() -> None:

@@ -178,7 +178,7 @@ class FilterSim:
     rad/s2 (None: as protection assumes). `noise`: the standard deviation of ranges in m. `late`: s
     by which each scan comes later than declared, by its number. `rolling`: each ray is measured at
     its own time, by the platform's sweep. A test may set `has_lidar` and `has_odometry` to false at
-    any time.
+    any time, and `pushed` to the m/s (x, y) by which something pushes the robot.
     """
 
     def __init__(
@@ -200,6 +200,7 @@ class FilterSim:
         self.platform, self.shapes = platform, tuple(shapes)
         self.pose, self.twist, self.time = HERE, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
+        self.pushed = 0.0, 0.0
         self.protection, self.sensors = Protection(platform), Sensors(platform)
         self.sensors.on_driver(True, "a simulation")
         settings = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
@@ -327,6 +328,7 @@ class FilterSim:
         (b_v, b_w), (a_v, a_w) = self._braking, self._accelerating
         v, w = ramped(v, command.linear, a_v, b_v), ramped(w, command.angular, a_w, b_w)
         x, y, yaw = self.pose.x, self.pose.y, self.pose.yaw + 0.5 * w * DT
+        x, y = x + self.pushed[0] * DT, y + self.pushed[1] * DT
         self.pose = Pose(x + v * DT * math.cos(yaw), y + v * DT * math.sin(yaw), yaw + 0.5 * w * DT)
         self.twist = Twist(v, w)
         self._step += 1
