@@ -97,6 +97,7 @@ def _parser() -> argparse.ArgumentParser:
             verb.add_argument("--robot-hours", type=float, default=300.0, help="in all")
             verb.add_argument("--attack-share", type=float, default=0.4, help="of them")
             verb.add_argument("--mode", choices=MODES, default="barrier")
+            verb.add_argument("--first-seed", type=_seed, help="counts up from it")
         else:
             verb.add_argument("--modes", nargs="+", choices=MODES, default=progress.MODES)
             verb.add_argument("--seeds", type=_count, default=5, help="how many")
@@ -138,6 +139,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.verb == "tracks":
         print(tracking.table(seeds[: options.seeds], options.duration))
         return
+    if options.verb == "hours" and options.first_seed is not None:
+        seeds = range(options.first_seed, options.first_seed + len(ACCEPTANCE_SEEDS))
     tasks = options.plan(options, seeds)
     if not tasks:
         raise ConfigError(

@@ -20,7 +20,9 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
 PLUGINS = Path(__file__).parent / "plugins"
-KINDS = ("burger", "waffle_pi", "jackal")
+MIXED = ("burger", "waffle_pi", "jackal")
+"""The kinds of robots in a mixed swarm."""
+KINDS = (*MIXED, "turtlebot4", "rosbot_xl")
 TURTLEBOTS = ("burger", "waffle_pi")
 PLATFORMS = (*KINDS, "mixed")
 VISIBILITIES = ("body", "real")
@@ -129,12 +131,16 @@ ROOMS: Mapping[str, Room] = {
     "burger": Room(10, 4.0, inset=0.4, reach=0.2, radius=1.5, clearance=0.2),
     "waffle_pi": Room(8, 5.0, inset=0.5, reach=0.25, radius=1.8, clearance=0.3),
     "jackal": Room(8, 12.0, inset=1.2, reach=0.4, radius=4.2, clearance=1.0),
+    "turtlebot4": Room(8, 5.5, inset=0.6, reach=0.25, radius=2.0, clearance=0.3),
+    "rosbot_xl": Room(8, 8.0, inset=0.7, reach=0.3, radius=3.0, clearance=0.5),
     "mixed": Room(9, 10.0, inset=1.2, reach=0.4, radius=3.5, clearance=1.0),
 }
 SPARSE: Mapping[str, Room] = {
     "burger": structs.replace(ROOMS["burger"], robots=6, side=6.0),
     "waffle_pi": structs.replace(ROOMS["waffle_pi"], robots=6, side=7.5),
     "jackal": structs.replace(ROOMS["jackal"], robots=6, side=15.0),
+    "turtlebot4": structs.replace(ROOMS["turtlebot4"], robots=6, side=8.25),
+    "rosbot_xl": structs.replace(ROOMS["rosbot_xl"], robots=6, side=11.0),
     "mixed": structs.replace(ROOMS["mixed"], robots=6, side=13.0),
 }
 """More room for a robot: 6 m2 for a Burger instead of 1.6 m2."""
@@ -250,7 +256,7 @@ def _arena(scene: Scene) -> dict[str, Any]:
 
 def kinds_of(platform: str) -> tuple[str, ...]:
     """The kinds of robots in a scene's swarm."""
-    return KINDS if platform == "mixed" else (platform,)
+    return MIXED if platform == "mixed" else (platform,)
 
 
 def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:

@@ -585,7 +585,7 @@ class AssumptionMonitor:
         came = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:
             return f"something {came}"
-        _, speed, spread = sorted(self._approaches, key=itemgetter(1))[-2]
+        _, speed, spread = sorted(self._approaches, key=itemgetter(1), reverse=True)[1]
         came = f"came at {speed:.2f} +- {spread:.2f} m/s or faster, declared at most {assumed:.2f}"
         self._others = f"{len(self._approaches)} things {came}"
         self._others_share = min(assumed / speed, self._others_share)

@@ -13,6 +13,7 @@ import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
+from swarmd.protection import assumption_monitor
 from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor, axis_of
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.protection import Protection
@@ -27,6 +28,7 @@ TOP = BURGER.limits.linear
 SLIDES = replace(BURGER, limits=replace(BURGER.limits, lateral=TOP))
 """A Burger that also moves sideways."""
 Command = Callable[[float], Twist]
+FORMS = assumption_monitor, load_kernel("swarmd.protection.assumption_monitor")
 
 
 def to_and_fro(time: float) -> Twist:
@@ -303,16 +305,20 @@ def approach(
     return [text for text in events if text]
 
 
+@pytest.mark.parametrize("kernel", FORMS, ids=["interpreted", "compiled"])
 @pytest.mark.parametrize("own", [0.0, 0.2])
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
-def test_two_fast_approaches_reduce_the_speed(own: float, rate: float) -> None:
-    monitor = AssumptionMonitor(BURGER)
+def test_two_fast_approaches_reduce_the_speed(kernel: Any, own: float, rate: float) -> None:
+    monitor = kernel.AssumptionMonitor(BURGER)
     assert len(approach(monitor, 0.6, 0.0, own, rate)) == 1
     assert monitor.speed_share == 1.0
     events = approach(monitor, 0.6, 20.0, own, rate)
     assert monitor.speed_share == pytest.approx(0.5, rel=0.15)
     assert "m/s or faster, declared at most 0.30: speed reduced to" in events[-1]
     assert "2 things came at" in monitor.findings[0]
+    approach(monitor, 0.75, 40.0, own, rate)  # the second fastest counts
+    assert "3 things came at" in monitor.findings[0]
+    assert monitor.speed_share == pytest.approx(0.5, rel=0.15)
 
 
 @pytest.mark.parametrize("own", [0.0, 0.2])

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.core.messages import State
+from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.metrics.gap import minimum_gap
+from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
 
@@ -30,14 +33,19 @@ def group(platform: str, name: str, pose: Pose, speed: float, turn: float = 0.0)
     }
 
 
-def meeting(
+def meeting(*groups: dict[str, Any], seed: int = 1, **keys: Any) -> Trace:
+    """The trace of a run of `scene`."""
+    return simulate_run(scene(*groups, **keys), seed)
+
+
+def scene(
     *groups: dict[str, Any],
-    seed: int = 1,
     duration: float = 12.0,
     visibility: str = "body",
     arena: dict[str, Any] | None = None,
-) -> Trace:
-    """The trace of a run; platforms `ram-*` are unprotected, `seeing-*` are fully visible."""
+    events: Sequence[dict[str, Any]] = (),
+) -> Scenario:
+    """Platforms `ram-*` are unprotected, `seeing-*` are fully visible."""
     barrier = {kind: {"extends": kind, "protection": {"mode": "barrier"}} for kind in KINDS}
     free = {f"ram-{kind}": {"extends": kind, "protection": {"mode": "off"}} for kind in KINDS}
     whole = {"mode": "barrier", "barrier": {"unseen_extent": 0.0}}
@@ -49,8 +57,9 @@ def meeting(
         "accepts_faster": list(free),
         "platforms": {**barrier, **free, **seeing},
         "groups": {f"group-{one['robots'][0]}": one for one in groups},
+        "events": list(events),
     }
-    return simulate_run(scenario_of(data), seed)
+    return scenario_of(data)
 
 
 def first_touch(trace: Trace, name: str = "a") -> float:
@@ -119,6 +128,29 @@ def test_jackal_rammed_out_of_its_blind_zone_is_not_at_fault() -> None:
     )
     assert len(trace.contact_t) > 0
     assert first_touch(trace) <= NO_FAULT
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_resting_robot_that_is_rammed_twice_faster_than_declared_goes_on(seed: int) -> None:
+    """A Jackal drives at 0.5 m/s into a Burger, backs, and comes again."""
+    turns = ((3.6, -0.5), (6.6, 0.5))
+    lab = Lockstep(
+        scene(
+            group("burger", "a", (0.0, 0.0, 0.0), 0.0),
+            group("ram-jackal", "b", (1.7, 0.0, math.pi), 0.5),
+            events=[{"at": at, "param": {"speed": speed}, "targets": "b"} for at, speed in turns],
+        ),
+        seed,
+    )
+    lab.advance(12.0)
+    contacts = lab.trace().contact_t
+    assert min(contacts) < turns[0][0] + 0.5
+    assert max(contacts) > turns[1][0]
+    robot = lab.shells[0]
+    assert robot is not None
+    status = robot.robot.status(lab.world.time)
+    assert status.findings[0].startswith("2 things came at")
+    assert status.state is State.RUNNING
 
 
 def test_turning_robot_does_not_swing_into_one_that_passes() -> None:

@@ -44,8 +44,8 @@ class Swarm:
 
     # Start
 
-    def body(self, robot: str) -> Body:
-        body = Body(load_platform("waffle_pi"), swarm=self.name, robot=robot)
+    def body(self, robot: str, rate: float | None = None) -> Body:
+        body = Body(load_platform("waffle_pi"), swarm=self.name, robot=robot, rate=rate)
         return self._left.enter_context(body)
 
     def spawn(

@@ -30,8 +30,10 @@ class Misuse(MovementPattern[Params]):
             case 0:
                 return Twist(float(rng.choice(_WILD)), float(rng.choice(_WILD)))
             case 1:
-                return Twist(self._sign * limits.linear, -self._sign * limits.angular)
+                return Twist(
+                    self._sign * limits.linear, -self._sign * limits.angular, limits.lateral
+                )
             case 2:
                 return Twist(1e300, float(rng.normal(0.0, limits.angular)))
             case _:
-                return Twist(limits.linear, limits.angular)
+                return Twist(limits.linear, limits.angular, -limits.lateral)

@@ -32,7 +32,10 @@ class RandomTwists(MovementPattern[RandomTwistsParams]):
             linear = float(rng.uniform(-limits.linear, limits.linear))
             angular = float(rng.uniform(-limits.angular, limits.angular))
             kind = int(rng.integers(6))
-            self._twist = Twist(0.0 if kind == 0 else linear, 0.0 if kind in (1, 2) else angular)
+            lateral = float(rng.uniform(-limits.lateral, limits.lateral)) if limits.lateral else 0.0
+            self._twist = Twist(
+                0.0 if kind == 0 else linear, 0.0 if kind in (1, 2) else angular, lateral
+            )
             lasts = float(rng.uniform(self.params.shortest, self.params.longest))
             self._until = inputs.now + lasts
         return self._twist
