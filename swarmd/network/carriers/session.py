@@ -206,6 +206,14 @@ def session_options(
     if settings.profile == "routed":
         return _options(settings, "client", (), settings.routers, identity)
     options = _options(settings, "peer", _listen(settings), (), identity)
+    if settings.answers_scouts(is_secured=identity is not None):
+        # It answers and dials nobody: without a program there is not one packet more.
+        options |= {
+            "scouting/multicast/enabled": True,
+            "scouting/multicast/listen": True,
+            "scouting/multicast/autoconnect": [],
+            "scouting/multicast/interface": settings.interface_name,
+        }
     if identity is not None:
         options["access_control"] = robot_access(identity.roster, identity.name)
     return options
