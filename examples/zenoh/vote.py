@@ -15,11 +15,12 @@ def main() -> None:
     seconds = float(sys.argv[4]) if len(sys.argv) > 4 else 10.0
     end = time.monotonic() + seconds
     with zenoh.open(zenoh.Config()) as session:
-        session.liveliness().declare_token(f"swarm/{swarm}/{program}")
+        token = session.liveliness().declare_token(f"swarm/{swarm}/{program}")
         vote = session.declare_publisher(f"swarm/{swarm}/{program}/message/voter_model/opinion")
         while time.monotonic() < end:
             vote.put(VERSION + msgpack.packb(opinion))
             time.sleep(0.5)
+        token.undeclare()
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.codec import MAX_MESSAGE, encode_value
-from swarmd.core.values import Value
 from swarmd.core.message_limits import (
     BYTE_BURST,
     BYTE_RATE,
@@ -14,6 +13,7 @@ from swarmd.core.message_limits import (
     SENDER_BURST,
     SENDER_RATE,
 )
+from swarmd.core.values import Value
 from swarmd.robot.message_limits import Outbox
 
 SECONDS = 20.0
