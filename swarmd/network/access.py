@@ -24,7 +24,11 @@ from swarmd.security.roster import Role, Roster
 
 OPERATOR_SENDERS = "operator-$*"
 """The senders of datagrams by routers that are operators or viewers, see `routed.py`."""
-_ALL_MESSAGES = ["put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"]
+_LIVELINESS = ["declare_liveliness_subscriber", "liveliness_query"]
+_ALL_MESSAGES = [
+    *("put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"),
+    *("liveliness_token", *_LIVELINESS),
+]
 Access = dict[str, Any]
 _IN, _OUT = "ingress", "egress"
 
@@ -59,8 +63,8 @@ def robot_access(roster: Roster, robot: str) -> Access:
     rules.allow(readers, _OUT, ["put"], [state, build(roster.swarm, robot, MESSAGE, ANY, ANY)])
     rules.allow(readers, _OUT, ["reply", "declare_queryable"], [state, control, shared])
     rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
-    rules.allow(readers, _OUT, ["declare_liveliness_subscriber", "liveliness_query"], tokens)
-    rules.allow(readers, _IN, ["declare_liveliness_subscriber", "liveliness_query"], tokens)
+    rules.allow(readers, _OUT, _LIVELINESS, tokens)
+    rules.allow(readers, _IN, _LIVELINESS, tokens)
     rules.allow(roster.operators, _OUT, ["declare_subscriber"], messages)
     rules.allow(readers, _IN, ["query", "declare_subscriber"], states)
     rules.allow(readers, _IN, ["declare_subscriber"], messages)
@@ -94,11 +98,10 @@ def asker_access(roster: Roster, name: str) -> Access:
     rules = _Rules()
     if role is not Role.ROBOT:
         messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
-        liveliness = ["declare_liveliness_subscriber", "liveliness_query"]
         rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
         rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
         for flow in (_IN, _OUT):
-            rules.allow(roster.robots, flow, liveliness, [token(roster.swarm, ANY)])
+            rules.allow(roster.robots, flow, _LIVELINESS, [token(roster.swarm, ANY)])
     if role is Role.OPERATOR:
         own = build(roster.swarm, name, MESSAGE, ANY, ANY)
         rules.allow(roster.robots, _OUT, ["put"], [own])
@@ -137,6 +140,8 @@ def router_access(roster: Roster, router: str) -> Access:
         rules.allow([name], _IN, ["put"], own)
         rules.allow([name], _IN, ["query"], asked if is_robot else [*asked, states])
         rules.allow([name], _IN, ["declare_subscriber"], wanted if is_robot else [*wanted, states])
+        rules.allow([name], _IN, ["liveliness_token"], [token(swarm, name)])
+        rules.allow([name], _IN, _LIVELINESS, [token(swarm, ANY)])
         if is_robot:
             rules.allow([name], _IN, ["reply", "declare_queryable"], own)
     return rules.access()
