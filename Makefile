@@ -40,7 +40,7 @@ help:
 	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
-	@echo "make reference writes the generated parts of pages again: docs/reference, docs/keys.md, and reasons in docs/trouble.md"
+	@echo "make reference writes the generated parts of pages again: docs/reference, docs/zenoh.md, and reasons in docs/trouble.md"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"

@@ -55,7 +55,7 @@ CONTENTS = {
         "docs/daemon",
         "docs/watching",
         "docs/recording",
-        "docs/keys",
+        "docs/zenoh",
         "docs/python",
         "docs/experiments",
         "docs/benchmark_suite",

@@ -288,7 +288,6 @@ def keys() -> Iterator[str]:
             _roles(CONTROL, row.name, "query"),
         )
         for row in VERBS.values()
-        if not row.is_datagram
     ]
     shared = [
         (f"`shared/{name}/ASKER`", "a name and an offset", "bytes", text, _roles(SHARED, name))
@@ -298,6 +297,9 @@ def keys() -> Iterator[str]:
     yield _table(heads, [*answered, *asked, *shared])
     yield "## Content"
     known: list[type] = [one.content for one in PUBLISHED.values()]
+    for row in VERBS.values():
+        kinds = (row.asked, row.answer)
+        known += [one for one in kinds if one.__struct_fields__ and one not in known]
     for kind in known:  # it grows by the parts that are found
         form = "array" if kind.__struct_config__.array_like else "map"
         yield f"### {kind.__name__}"
@@ -309,6 +311,8 @@ def keys() -> Iterator[str]:
         info = msgspec.inspect.type_info(kind)
         assert isinstance(info, msgspec.inspect.StructType)
         rows = [(f"`{one.encode_name}`", _on_wire(one.type, known)) for one in info.fields]
+        if info.tag_field is not None:
+            rows.insert(0, (f"`{info.tag_field}`", f"`{info.tag}`"))
         yield _table((f"field of the {form}", "type"), rows)
 
 

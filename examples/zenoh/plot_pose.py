@@ -36,7 +36,7 @@ def main() -> None:
         while len(xs) < options.count:
             payload = arrived.get()
             if payload[0] == VERSION:
-                motion = msgpack.unpackb(payload[1:])  # `Motion` of docs/keys.md, an array
+                motion = msgpack.unpackb(payload[1:])  # `Motion` of docs/zenoh.md, an array
                 xs.append(motion[2])
                 ys.append(motion[3])
     figure, axes = plt.subplots()

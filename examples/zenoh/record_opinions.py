@@ -40,7 +40,7 @@ def main() -> None:
             payload = arrived.get()
             if payload[0] != VERSION:
                 continue  # of a robot with another version of swarmd
-            one = msgpack.unpackb(payload[1:])  # `ShownMessage` of docs/keys.md
+            one = msgpack.unpackb(payload[1:])  # `ShownMessage` of docs/zenoh.md
             if one["channel"].endswith(options.channel):
                 count += 1
                 table.writerow((one["robot"], f"{one['at']:.3f}", one["channel"], one["value"]))

@@ -41,7 +41,11 @@ def members(options: CommonOptions, wide: bool) -> None:
         notes = (*health(view), *_secured(operator.identity), *operator.trust_notes())
         if options.is_json:
             found = [to_builtins(member) for member in view.members.values()]
-            content = {"roster": sorted(view.roster), "missing": list(view.missing)}
+            content = {
+                "roster": sorted(view.roster),
+                "missing": list(view.missing),
+                "programs": sorted(view.programs),
+            }
             print_json("Members", {"members": found, **content, "notes": list(notes)})
         else:
             seen = view.members.values()

@@ -17,13 +17,19 @@ from swarmd.core.errors import ConfigError, NetworkError
 
 @click.command()
 @click.option("--out", type=FILE, metavar="FILE", help="Write the configuration to this file.")
+@click.option(
+    "--dial",
+    is_flag=True,
+    help="Name the endpoints of the robots that are found now, for networks without multicast.",
+)
 @common_options
-def zenoh(options: CommonOptions, out: Path | None) -> None:
-    """Print the configuration of a Zenoh session to the robots that are found now.
+def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
+    """Print the configuration of a Zenoh session to the robots.
 
-    JSON, which Zenoh reads as JSON5: a peer that dials each robot, or a client of the routers in
-    profile routed; scouting is off. In a secured swarm it names the files of your identity, and
-    has its access rules. A robot that starts later needs the verb again.
+    JSON, which Zenoh reads as JSON5: a peer that finds the robots by scouting, also those that
+    start later; with --dial, or where robots answer no scouts, one that dials each robot found now;
+    a client of the routers in profile routed. In a secured swarm it names the files of your
+    identity, and has its access rules.
     """
     from swarmd.network.carriers.session import foreign_options
 
@@ -42,7 +48,9 @@ def zenoh(options: CommonOptions, out: Path | None) -> None:
             if not robots:
                 raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
         identity = replace(identity, folder=identity.folder.absolute())
-    config = foreign_options(settings, sorted(set(robots.values())), identity)
+    scouts = not dial and settings.answers_scouts(is_secured=identity is not None)
+    endpoints = [] if scouts else sorted(set(robots.values()))
+    config = foreign_options(settings, endpoints, identity, scouts=scouts)
     text = json.dumps(config, indent=2)
     if out is not None:
         try:

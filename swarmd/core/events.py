@@ -103,11 +103,15 @@ class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
 
 
 class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
-    """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`."""
+    """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`.
+
+    `is_program`: the sender is a Zenoh program, which has no body and no place.
+    """
 
     sender: Name
     channel: Annotated[str, Meta(max_length=127)]
     value: Value
+    is_program: bool = False
 
 
 class PeersInput(Struct, frozen=True, array_like=True, tag="peers"):

@@ -1,7 +1,7 @@
 """The names of the keys of a robot: what it publishes, answers and hands over. See `keys.py`.
 
 A daemon publishes and answers no other names: `ZenohBus` makes its publishers from `PUBLISHED` and
-refuses a query handler without a row. `docs/keys.md` is made from these tables.
+refuses a query handler without a row. `docs/zenoh.md` is made from these tables.
 """
 
 from __future__ import annotations

@@ -1,7 +1,10 @@
 """Key expressions: `swarm/<swarm>/<robot>/<plane>/<name>`, built and parsed only here.
 
-What is asked of a robot, on the planes `control` and `shared`, has one more chunk: the asker. In a
-secured swarm it is the name of an identity, and links let pass no other one (`network/access.py`).
+A key of the planes `control`, `shared` and `message` has one more chunk. On `control` and `shared`
+it is the asker: in a secured swarm the name of an identity, and links let pass no other one
+(`network/access.py`). On `message` the name is a pattern and the last chunk its channel; the second
+chunk is the sender, a robot or a Zenoh program. `swarm/<swarm>/<name>` is the liveliness token of a
+robot or program.
 
 Ids are `[a-z0-9][a-z0-9_-]{0,62}`, so that no name can widen a key expression. A sample whose key
 is not a concrete key of this form is dropped, since wildcard puts reach subscribers unchanged.
@@ -19,20 +22,25 @@ ANY = "*"
 _ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
 ANYONE = "anyone"
 """The asker in an insecure swarm."""
-STATE, CONTROL, SHARED, MULTICAST, UNICAST = "state", "control", "shared", "multicast", "unicast"
+STATE, CONTROL, SHARED, MESSAGE = "state", "control", "shared", "message"
+MULTICAST, UNICAST = "multicast", "unicast"
 """The planes; `core/key_table.py` lists the names of each."""
 _ASKED = frozenset({CONTROL, SHARED})
-_PLANES = frozenset({STATE, MULTICAST, UNICAST}) | _ASKED
+_SIX_CHUNKS = _ASKED | {MESSAGE}
+_PLANES = frozenset({STATE, MULTICAST, UNICAST}) | _SIX_CHUNKS
 
 
 class Key(NamedTuple):
-    """A parsed key. `asker`: of the planes `control` and `shared`, else empty."""
+    """A parsed key. `robot`: on plane `message` the sender, which may be a program.
+
+    `last`: the asker on the planes `control` and `shared`, the channel on `message`, else empty.
+    """
 
     swarm: str
     robot: str
     plane: str
     name: str
-    asker: str = ""
+    last: str = ""
 
 
 def check_id(value: str, what: str) -> str:
@@ -49,14 +57,27 @@ def is_id(value: str) -> bool:
     return _ID.fullmatch(value) is not None
 
 
-def build(swarm: str, robot: str, plane: str, name: str, asker: str = "") -> str:
-    """The key expression; `*` stands for every swarm, robot, asker or one chunk of the name.
+def build(swarm: str, robot: str, plane: str, name: str, last: str = "") -> str:
+    """The key expression; `*` stands for every swarm, robot or name, or for the last chunk.
 
-    `asker`: on the planes `control` and `shared`, and only there.
+    `last`: on the planes `control`, `shared` and `message`, and only there.
     """
-    if bool(asker) != (plane in _ASKED):
-        raise ValueError(f"a key of plane {plane} with asker {asker!r}")
-    return f"{ROOT}/{swarm}/{robot}/{plane}/{name}" + (f"/{asker}" if asker else "")
+    if bool(last) != (plane in _SIX_CHUNKS):
+        raise ValueError(f"a key of plane {plane} with last chunk {last!r}")
+    return f"{ROOT}/{swarm}/{robot}/{plane}/{name}" + (f"/{last}" if last else "")
+
+
+def token(swarm: str, name: str) -> str:
+    """The key expression of the liveliness token of a robot or program; `*` stands for each."""
+    return f"{ROOT}/{swarm}/{name}"
+
+
+def named_by(key: str) -> str | None:
+    """The robot or program of a liveliness token; None for a foreign or malformed one."""
+    chunks = key.split("/")
+    if len(chunks) != 3 or chunks[0] != ROOT or not all(map(is_id, chunks[1:])):
+        return None
+    return chunks[2]
 
 
 def parse(key: str, *, is_query: bool = False) -> Key | None:
@@ -67,7 +88,7 @@ def parse(key: str, *, is_query: bool = False) -> Key | None:
     chunks = key.split("/")
     if len(chunks) not in (5, 6) or chunks[0] != ROOT or chunks[3] not in _PLANES:
         return None
-    if (len(chunks) == 6) != (chunks[3] in _ASKED):
+    if (len(chunks) == 6) != (chunks[3] in _SIX_CHUNKS):
         return None
     is_for_all = is_query and chunks[2] == ANY
     names = (chunks[1], *(() if is_for_all else (chunks[2],)), *chunks[4:])

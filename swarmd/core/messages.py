@@ -554,10 +554,12 @@ class Member(Struct, frozen=True, kw_only=True):
 class PeerView(Struct, frozen=True, kw_only=True):
     """A daemon's answer to `members`: itself, and every other robot that it knows.
 
-    Alive members come without their status, since they answer for themselves.
+    Alive members come without their status, since they answer for themselves. `programs`: the Zenoh
+    programs whose liveliness tokens it sees.
     """
 
     robot: Name
     status: Status
     members: tuple[Member, ...]
     roster: tuple[Name, ...] = ()
+    programs: tuple[Name, ...] = ()

@@ -632,7 +632,7 @@ class Verb(Generic[Asked, Answer]):
 
     @property
     def is_datagram(self) -> bool:
-        """True if a `Stop` datagram carries the request, no key of Zenoh."""
+        """True if a `Stop` datagram carries the request, too, as `swarmctl` sends it."""
         return issubclass(self.asked, StopRequest | EstopRequest)
 
     @property

@@ -173,6 +173,7 @@ class Daemon:
             drops=self._drops,
             identity=settings.identity,
             stop_counters=self._latches.path.with_name("stops"),
+            hears_programs=settings.neighbors.programs,
         )
         self._has_joined = False
         self._recording = RecordingService(

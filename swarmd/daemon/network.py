@@ -124,8 +124,10 @@ class Network:
         drops: DropCounter,
         identity: Identity | None = None,
         stop_counters: Path | None,
+        hears_programs: bool = True,
     ) -> None:
         self._version = version
+        self._hears_programs = hears_programs
         self._body = body
         self._settings = settings
         self._robot = robot
@@ -286,6 +288,10 @@ class Network:
             return
         now = boottime()
         self._carry_out(peer.advance(now, self._owner.summary()))
+        bus = self._connection.bus
+        if bus is not None and bus.programs is not None:
+            for message in bus.programs.take(now):
+                self._owner.on_input(MessageInput(*message, is_program=True))
         self._connection.watch_for_flood(now)
         if self._guard is not None and self._guard.has_new_counters():
             self._loop.run_in_executor(None, self._guard.write_counters)
@@ -299,9 +305,12 @@ class Network:
             self._owner.on_input(DuplicateInput(None))
 
     def publish_message(self, channel: str, payload: bytes) -> None:
-        """Send a pattern's message to all robots."""
+        """Send a pattern's message to all robots, and to Zenoh programs that subscribe to it."""
         if self._peer is not None and self._peer.owns_id:
             self._send(self._peer.message(channel, payload), None)
+            bus = self._connection.bus
+            if bus is not None and bus.programs is not None:
+                bus.programs.publish(channel, payload)
 
     def publish_pose(self, pose: SharedPose, age: float) -> None:
         """Tell all robots the own pose, measured `age` s ago; dropped if it is not due yet."""
@@ -512,7 +521,16 @@ class Network:
         """Answer operators, once the id is owned and the latches of the others are known."""
         bus = self._connection.bus
         if bus is not None and self._is_settled:
+            # Behind routers robots would hear each other's messages there, too.
+            takes_messages = self._hears_programs and self._settings.profile != "routed"
+            bus.meet_programs(self._is_robot, takes_messages=takes_messages)
             self._owner.serve(bus)
+
+    def _is_robot(self, name: str) -> bool:
+        """True for this robot, for robots of the roster, and for each that was heard."""
+        if name == self._robot or name in self._roster or self._peer is None:
+            return True
+        return self._peer.membership.member(name, boottime()) is not None
 
 
 def _warn_of_claim(robot: str, rivals: Collection[str]) -> None:

@@ -100,7 +100,7 @@ class RequestServer:
     def serve(self, bus: ZenohBus) -> None:
         """Answer all verbs on a bus that was opened, but those that the bus itself answers."""
         for row in verbs.VERBS.values():
-            if row.handler is not verbs.Handler.NETWORK and not row.is_datagram:
+            if row.handler is not verbs.Handler.NETWORK:
                 handle = self.handle if row.is_request else self.ask
                 bus.serve(CONTROL, row.name, partial(handle, row.name))
 
@@ -197,16 +197,20 @@ class RequestServer:
             request = msgspec.structs.replace(request, operator=query.asker)
         is_for_this = request.targets is None or self._robot in request.targets
         is_pending = request.id in self._pending
-        if not is_for_this or (not is_pending and len(self._pending) >= MAX_PENDING):
+        is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
+        if isinstance(request, verbs.EstopRequest):
+            request = msgspec.structs.replace(request, is_relayed=False)
+        is_dropped = not is_pending and not is_stop and len(self._pending) >= MAX_PENDING
+        if not is_for_this or is_dropped:
             query.drop()
-        elif request.id in self._replies:
+        elif request.id in self._replies and not is_stop:
             query.reply(encode(self._replies[request.id]))
         else:
             # The newest query of an id gets the reply: the link of an older one may be closed.
             self._pending[request.id] = _Pending(
                 request, lambda reply: query.reply(encode(reply)), lambda: query.source, query=query
             )
-            if not is_pending:
+            if is_stop or not is_pending:
                 self._handlers[request.verb](request, self.reply)
 
     def _keep(self, reply: Reply) -> bool:

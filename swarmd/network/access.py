@@ -5,10 +5,11 @@ silently for its sender. Zenoh compares the common name in the certificate of th
 link, exactly, and keeps the rules for the life of a session: another roster needs another session.
 
 - A robot takes questions on `control/<verb>/<asker>` from the operator of that name, and from the
-  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` to
-  operators and viewers, and answers `shared/<what>/<asker>` to each name of the roster. It takes no
-  puts.
+  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` and
+  `message/**` to operators and viewers, and answers `shared/<what>/<asker>` to each name of the
+  roster. It takes puts of operators alone, as messages: a vote may move a robot, as a request may.
 - Operators and viewers take what comes on a key of a robot from the robot of that name only.
+- Robots, operators and viewers see each other's liveliness tokens, each of its own name only.
 """
 
 from __future__ import annotations
@@ -17,13 +18,17 @@ from collections.abc import Iterable
 from typing import Any
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.keys import ANY, CONTROL, ROOT, SHARED, build
+from swarmd.core.keys import ANY, CONTROL, MESSAGE, ROOT, SHARED, build, token
 from swarmd.core.verbs import VERBS
 from swarmd.security.roster import Role, Roster
 
 OPERATOR_SENDERS = "operator-$*"
 """The senders of datagrams by routers that are operators or viewers, see `routed.py`."""
-_ALL_MESSAGES = ["put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"]
+_LIVELINESS = ["declare_liveliness_subscriber", "liveliness_query"]
+_ALL_MESSAGES = [
+    *("put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"),
+    *("liveliness_token", *_LIVELINESS),
+]
 Access = dict[str, Any]
 _IN, _OUT = "ingress", "egress"
 
@@ -52,10 +57,22 @@ def robot_access(roster: Roster, robot: str) -> Access:
     control = build(roster.swarm, robot, CONTROL, ANY, ANY)
     shared = build(roster.swarm, robot, SHARED, ANY, ANY)
     states = [build(roster.swarm, ANY, "state", ANY)]
+    tokens = [token(roster.swarm, ANY)]
+    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
     rules = _Rules()
-    rules.allow(readers, _OUT, ["put"], [state])
+    rules.allow(readers, _OUT, ["put"], [state, build(roster.swarm, robot, MESSAGE, ANY, ANY)])
     rules.allow(readers, _OUT, ["reply", "declare_queryable"], [state, control, shared])
+    rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
+    rules.allow(readers, _OUT, _LIVELINESS, tokens)
+    rules.allow(readers, _IN, _LIVELINESS, tokens)
+    rules.allow(roster.operators, _OUT, ["declare_subscriber"], messages)
     rules.allow(readers, _IN, ["query", "declare_subscriber"], states)
+    rules.allow(readers, _IN, ["declare_subscriber"], messages)
+    for name in readers:
+        rules.allow([name], _IN, ["liveliness_token"], [token(roster.swarm, name)])
+    for name in roster.operators:
+        own = build(roster.swarm, name, MESSAGE, ANY, ANY)
+        rules.allow([name], _IN, ["put"], [own])
     rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [shared])
     for name in (*readers, *roster.robots):
         own = build(roster.swarm, robot, SHARED, ANY, name)
@@ -79,10 +96,25 @@ def asker_access(roster: Roster, name: str) -> Access:
     states = [] if role is Role.ROBOT else [build(roster.swarm, ANY, "state", ANY)]
     shared = build(roster.swarm, ANY, SHARED, ANY, name)
     rules = _Rules()
+    if role is not Role.ROBOT:
+        messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
+        rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
+        rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
+        for flow in (_IN, _OUT):
+            rules.allow(roster.robots, flow, _LIVELINESS, [token(roster.swarm, ANY)])
+    if role is Role.OPERATOR:
+        own = build(roster.swarm, name, MESSAGE, ANY, ANY)
+        rules.allow(roster.robots, _OUT, ["put"], [own])
+        rules.allow(roster.robots, _IN, ["declare_subscriber"], messages)
     rules.allow(roster.robots, _OUT, ["query"], [*_questions(roster, name), shared, *states])
     rules.allow(roster.robots, _OUT, ["declare_subscriber"], states)
     for robot in roster.robots:  # one rule each: Zenoh takes 0.1 ms for a rule at each opening
-        rules.allow([robot], _IN, ["put", "reply", "declare_queryable"], [subtree(roster, robot)])
+        rules.allow(
+            [robot],
+            _IN,
+            ["put", "reply", "declare_queryable", "liveliness_token"],
+            [subtree(roster, robot)],
+        )
     return rules.access()
 
 
@@ -108,6 +140,8 @@ def router_access(roster: Roster, router: str) -> Access:
         rules.allow([name], _IN, ["put"], own)
         rules.allow([name], _IN, ["query"], asked if is_robot else [*asked, states])
         rules.allow([name], _IN, ["declare_subscriber"], wanted if is_robot else [*wanted, states])
+        rules.allow([name], _IN, ["liveliness_token"], [token(swarm, name)])
+        rules.allow([name], _IN, _LIVELINESS, [token(swarm, ANY)])
         if is_robot:
             rules.allow([name], _IN, ["reply", "declare_queryable"], own)
     return rules.access()

@@ -70,6 +70,9 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
     (dev) or port 7440 on the interface (field).
     `seeds`: endpoints of robots to which datagrams also go one by one: the way through networks
     that drop multicast and broadcast, and the only one with `multicast` off.
+    `discoverable`: answer the scouts by which Zenoh programs find robots. None: yes in dev, and in
+    field unless the swarm is secured or `multicast` is off. A scout of 3 bytes draws an answer of
+    40 bytes or more from each robot. Robots never scout themselves.
     `lease`: seconds without a sign of life after which a peer counts as gone. A shorter one
     notices sooner and tolerates less loss. None: 2 s in dev, 3 s in field.
     """
@@ -81,6 +84,7 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
     seeds: tuple[str, ...] = ()
     routers: tuple[str, ...] = ()
     multicast: bool = True
+    discoverable: bool | None = None
     lease: Annotated[float, Meta(ge=MIN_LEASE, le=MAX_LEASE)] | None = None
 
     @property
@@ -89,6 +93,14 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
         if self.lease is not None:
             return self.lease
         return 2.0 if self.profile == "dev" else 3.0
+
+    def answers_scouts(self, *, is_secured: bool) -> bool:
+        """True if the robots of the swarm answer the scouts of Zenoh programs."""
+        if self.profile == "routed":
+            return False
+        if self.discoverable is not None:
+            return self.discoverable
+        return self.profile == "dev" or (self.multicast and not is_secured)
 
     @property
     def settle(self) -> float:
@@ -122,6 +134,12 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
             yield (
                 ("profile",),
                 "profile field needs `interface`: the network interface to use, such as wlan0",
+            )
+        if self.profile == "routed" and self.discoverable:
+            yield (
+                ("discoverable",),
+                "discoverable is true, but programs find the robots of profile routed by its"
+                " routers; leave it out",
             )
         if self.profile == "routed" and not self.routers:
             yield (

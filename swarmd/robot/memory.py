@@ -54,7 +54,7 @@ _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
         *("arrival_delay", "behaviour", "events", "goal", "hazard", "host_messages", "messages"),
-        *("record", "token_bucket", "values", "verbs"),
+        *("message_limits", "record", "token_bucket", "values", "verbs"),
     )
 )
 """Modules of the core with values and pure classes alone."""

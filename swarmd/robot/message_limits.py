@@ -8,19 +8,13 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.codec import encode_value
 from swarmd.core.errors import CodecError
+from swarmd.core.message_limits import SenderLimits
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import Value
 
 if TYPE_CHECKING:
     from swarmd.robot.state import Lifecycle
 
-CHANNEL_RATE, CHANNEL_BURST = 20.0, 5.0
-"""Messages per second on one channel, and at once."""
-ROBOT_RATE, ROBOT_BURST = 100.0, 25.0
-"""Messages per second of one robot: five channels at their full rate."""
-BYTE_RATE, BYTE_BURST = 32_000.0, 16_000.0
-"""Encoded bytes per second of one robot: 31 messages of the largest size, or 320 bytes each at
-ROBOT_RATE. The shipped patterns say less than 1 kB/s."""
 EVENT_BURST = 3
 """Events of one kind that pass at once."""
 EVENT_PERIOD = 60.0
@@ -32,9 +26,7 @@ class Outbox:
     of the robot; `dropped` counts the others."""
 
     def __init__(self) -> None:
-        self._channels: dict[str, TokenBucket] = {}
-        self._messages = TokenBucket(ROBOT_RATE, ROBOT_BURST)
-        self._bytes = TokenBucket(BYTE_RATE, BYTE_BURST)
+        self._limits = SenderLimits()
         self.dropped = 0
 
     def take(
@@ -50,14 +42,11 @@ class Outbox:
         return passed
 
     def _spend(self, channel: str, value: Value, now: float) -> bool:
-        bucket = self._channels.setdefault(channel, TokenBucket(CHANNEL_RATE, CHANNEL_BURST))
-        if not (bucket.take(1.0, now) and self._messages.holds(1.0, now)):
-            return False
         try:
             size = len(encode_value(value))
         except CodecError:
             size = 0  # the shell cannot send it either, and counts it
-        return self._bytes.take(size, now) and self._messages.take(1.0, now)
+        return self._limits.passes(channel, size, now)
 
 
 class EventLimit:

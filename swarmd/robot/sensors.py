@@ -173,14 +173,17 @@ class Sensors(InputTimes):
         self.hazards.take(hazards, now)
         self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
-    def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
-        """Keep a message for the next step; False if its sender is no neighbour.
+    def on_message(
+        self, sender: str, channel: str, value: Value, now: float, *, is_program: bool = False
+    ) -> bool:
+        """Keep a message for the next step; False if its sender is neither neighbour nor program.
 
         Raises CodecError if the encoded value is too large.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
-        if sender not in self._neighbor_ids or now - self._neighbors_at > NEIGHBOR_TIMEOUT:
+        is_neighbor = sender in self._neighbor_ids and now - self._neighbors_at <= NEIGHBOR_TIMEOUT
+        if not (is_neighbor or is_program):
             self.rejected += 1
             return False
         size = MESSAGE_OVERHEAD + len(encode_value(value))

@@ -73,6 +73,8 @@ def health(view: MembersView) -> Iterator[str]:
     """The count of living robots, then a line for each problem."""
     members, alive = view.members, [view.members[name] for name in view.alive]
     yield f"{len(alive)}/{len(members.keys() | view.roster)} alive"
+    if view.programs:
+        yield f"programs: {', '.join(sorted(view.programs))}"
     for presence in (Presence.FAILED, Presence.LEFT):
         gone = [m for m in members.values() if m.presence is presence]
         if gone:

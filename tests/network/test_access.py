@@ -7,7 +7,7 @@ import pytest
 import zenoh
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.keys import ANY, CONTROL, SHARED, build
+from swarmd.core.keys import ANY, CONTROL, MESSAGE, SHARED, build, token
 from swarmd.core.verbs import VERBS
 from swarmd.network.access import (
     Access,
@@ -69,6 +69,36 @@ def test_shared_blobs_are_for_each_name_of_the_roster() -> None:
         assert not may_query(name, build("lab", "r2", SHARED, "roster", name))
         assert not may_query(name, build("lab", "r1", SHARED, "roster", "bob"))
     assert not may_query("mallory", build("lab", "r1", SHARED, "roster", "mallory"))
+
+
+def test_messages_of_programs_come_from_operators_in_their_own_names() -> None:
+    access = robot_access(ROSTER, "r1")
+    may_put = {
+        (name, sender)
+        for name in ("alice", "bob", "class", "r2", "mallory")
+        for sender in ("alice", "bob", "class", "r1", "r2", "mallory", "*")
+        if allows(access, name, "ingress", "put", build("lab", sender, MESSAGE, "voter", "opinion"))
+    }
+    assert may_put == {("alice", "alice"), ("bob", "bob")}
+    own = asker_access(ROSTER, "alice")
+    assert allows(own, "r1", "egress", "put", build("lab", "alice", MESSAGE, "voter", "opinion"))
+    assert not allows(own, "r1", "egress", "put", build("lab", "bob", MESSAGE, "voter", "opinion"))
+
+
+def test_each_name_holds_its_own_token_alone() -> None:
+    names = ("alice", "class", "r1", "r2", "mallory")
+    for access, holders in (
+        (robot_access(ROSTER, "r1"), ("alice", "class")),
+        (asker_access(ROSTER, "alice"), ("r1", "r2")),
+        (router_access(ROSTER, "router"), ("alice", "class", "r1", "r2")),
+    ):
+        held = {
+            (name, holder)
+            for name in names
+            for holder in (*names, "*")
+            if allows(access, name, "ingress", "liveliness_token", token("lab", holder))
+        }
+        assert held == {(name, name) for name in holders}
 
 
 @pytest.mark.parametrize("key", ["**", "swarm/**", "swarm/lab/**", "swarm/lab/*/state/*/**"])

@@ -61,7 +61,42 @@ def test_a_daemon_listens_and_dials_nobody_but_its_routers(
 ) -> None:
     options = session_options(settings)
     assert {path: options[path] for path in wanted} == wanted
-    assert not any(options[f"scouting/{way}/enabled"] for way in ("multicast", "gossip"))
+    assert not options["scouting/gossip/enabled"]
+    # It answers scouts and sends none.
+    answers = settings.profile == "dev" or (settings.profile == "field" and settings.multicast)
+    assert options["scouting/multicast/enabled"] is answers
+    assert options.get("scouting/multicast/autoconnect", []) == []
+
+
+@pytest.mark.parametrize(
+    ("settings", "is_secured", "answers"),
+    [
+        (NetworkSettings(swarm="lab"), False, True),
+        (NetworkSettings(swarm="lab", discoverable=False), False, False),
+        (field(), False, True),
+        (field(), True, False),
+        (field(discoverable=True), True, True),
+        (field(seeds=("tcp/10.0.0.5:7447",), multicast=False), False, False),
+        (ROUTED, False, False),
+    ],
+)
+def test_robots_answer_scouts_unless_their_swarm_is_secured(
+    settings: NetworkSettings, is_secured: bool, answers: bool
+) -> None:
+    assert settings.answers_scouts(is_secured=is_secured) is answers
+
+
+def test_robots_behind_routers_are_not_discoverable() -> None:
+    faults = dict(replace(ROUTED, discoverable=True).faults())
+    assert faults.keys() == {("discoverable",)}
+
+
+def test_a_program_scouts_for_robots_or_dials_them() -> None:
+    scouting = foreign_options(field(), [], scouts=True)
+    assert scouting["scouting"]["multicast"]["autoconnect"] == ["router", "peer"]
+    assert scouting["connect"]["endpoints"] == []
+    dialling = foreign_options(field(), ["tcp/10.0.0.5:7440"])
+    assert not dialling["scouting"]["multicast"]["enabled"]
 
 
 def test_an_operator_dials_what_it_found_and_listens_nowhere() -> None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.codec import MAX_MESSAGE, encode_value
-from swarmd.core.values import Value
-from swarmd.robot.message_limits import (
+from swarmd.core.message_limits import (
     BYTE_BURST,
     BYTE_RATE,
     CHANNEL_BURST,
     CHANNEL_RATE,
-    ROBOT_BURST,
-    ROBOT_RATE,
-    Outbox,
+    SENDER_BURST,
+    SENDER_RATE,
 )
+from swarmd.core.values import Value
+from swarmd.robot.message_limits import Outbox
 
 SECONDS = 20.0
 
@@ -44,7 +44,7 @@ def test_each_channel_has_its_rate() -> None:
 
 def test_many_channels_share_the_messages_of_one_robot() -> None:
     count, _, _ = passed(60, 7)
-    assert count == pytest.approx(ROBOT_RATE, abs=ROBOT_BURST / SECONDS + 0.1)
+    assert count == pytest.approx(SENDER_RATE, abs=SENDER_BURST / SECONDS + 0.1)
 
 
 def test_large_messages_share_the_bytes_of_one_robot() -> None:

@@ -57,7 +57,7 @@ def config(voting: tuple[Swarm, dict[str, Body]]) -> Path:
     """The file that `swarmctl zenoh` has written for that swarm."""
     swarm, _ = voting
     file = swarm.folder / "swarm.json5"
-    done = swarm.ctl("zenoh", "--out", str(file), "-o", "json")
+    done = swarm.ctl("zenoh", "--dial", "--out", str(file), "-o", "json")
     assert done.code == 0, done
     assert done.json["robots"].keys() == set(ROBOTS)
     assert sorted(done.json["robots"].values()) == done.json["config"]["connect"]["endpoints"]
@@ -151,7 +151,7 @@ def test_an_example_needs_zenoh_and_msgpack_alone(file: Path) -> None:
     tree = ast.walk(ast.parse(file.read_text()))
     modules = {one.name for node in tree if isinstance(node, ast.Import) for one in node.names}
     assert "from " not in file.read_text().partition("def main")[0].partition('"""\n\n')[2]
-    standard = {"argparse", "contextlib", "csv", "queue"}
+    standard = {"argparse", "contextlib", "csv", "queue", "sys", "threading", "time", "uuid"}
     assert modules <= standard | {"msgpack", "zenoh", "matplotlib.pyplot"}
 
 

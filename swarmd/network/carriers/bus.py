@@ -29,6 +29,7 @@ from swarmd.core.keys import ANY, CONTROL, SHARED, STATE, Key, build, parse
 from swarmd.core.messages import Member, PeerView, Status
 from swarmd.core.verbs import MembersQuery
 from swarmd.network.carriers.inbound_queue import DropCounter, InboundQueue
+from swarmd.network.carriers.programs import Programs
 from swarmd.network.carriers.session import has_subscriber, undeclare
 
 
@@ -137,6 +138,18 @@ class ZenohBus:
             on_change = Callback(partial(self._on_viewers, name), indirect=False)
             publisher.declare_matching_listener(on_change)
         self._is_closed = False
+        self.programs: Programs | None = None
+
+    def meet_programs(self, is_robot: Callable[[str], bool], *, takes_messages: bool) -> None:
+        """Hold the liveliness token of this robot, and hear Zenoh programs; see `Programs`."""
+        self.programs = Programs(
+            self._session,
+            self.swarm,
+            self.robot,
+            is_robot,
+            self.drops,
+            takes_messages=takes_messages,
+        )
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
         """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
@@ -184,8 +197,8 @@ class ZenohBus:
                 elif len(payload) > MAX_CONTROL:
                     self.drops.add(f"{kind}:oversized")
                 else:
-                    own = build(self.swarm, self.robot, plane, name, key.asker)
-                    asked = ZenohQuery(self._session, query, own, key.asker, bytes(payload))
+                    own = build(self.swarm, self.robot, plane, name, key.last)
+                    asked = ZenohQuery(self._session, query, own, key.last, bytes(payload))
                     if queue.offer(handle, asked):
                         return
             query.drop()
@@ -205,7 +218,14 @@ class ZenohBus:
             if self._is_excused(query.payload):
                 query.drop()
                 return
-            view = PeerView(robot=self.robot, status=status(), members=members(), roster=roster)
+            programs = () if self.programs is None else self.programs.names
+            view = PeerView(
+                robot=self.robot,
+                status=status(),
+                members=members(),
+                roster=roster,
+                programs=programs,
+            )
             query.reply(encode(view))
 
         self.serve(STATE, "status", lambda query: query.reply(encode(status())))
@@ -219,6 +239,8 @@ class ZenohBus:
         for queue in self._queues:
             queue.close()
         undeclare(*self._entities, *self._publishers.values())
+        if self.programs is not None:
+            self.programs.close()
 
     def _on_viewers(self, name: str, _: zenoh.MatchingStatus) -> None:
         """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""

@@ -102,6 +102,10 @@ def _open(settings: NetworkSettings, options: dict[str, object]) -> zenoh.Sessio
     return session
 
 
+_SCOUTING: Mapping[str, object] = {
+    "scouting/multicast/enabled": True,
+    "scouting/multicast/listen": True,
+}
 PROMPT_OPTIONS: Mapping[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
@@ -206,6 +210,13 @@ def session_options(
     if settings.profile == "routed":
         return _options(settings, "client", (), settings.routers, identity)
     options = _options(settings, "peer", _listen(settings), (), identity)
+    if settings.answers_scouts(is_secured=identity is not None):
+        # It answers and dials nobody: without a program there is not one packet more.
+        options |= {
+            **_SCOUTING,
+            "scouting/multicast/autoconnect": [],
+            "scouting/multicast/interface": settings.interface_name,
+        }
     if identity is not None:
         options["access_control"] = robot_access(identity.roster, identity.name)
     return options
@@ -227,14 +238,25 @@ def operator_options(
 
 
 def foreign_options(
-    settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
+    settings: NetworkSettings,
+    endpoints: Sequence[str],
+    identity: Identity | None = None,
+    *,
+    scouts: bool = False,
 ) -> dict[str, Any]:
     """`operator_options` as the nested configuration file of another program of Zenoh.
 
-    Without the sizes and timeouts of links, which have defaults. Raises ConfigError for wrong
-    settings.
+    `scouts`: the program finds the robots by multicast. Without the sizes and timeouts of links,
+    which have defaults. Raises ConfigError for wrong settings.
     """
     options = operator_options(settings, endpoints, identity)
+    if scouts:
+        options |= {
+            **_SCOUTING,
+            "scouting/multicast/autoconnect": ["router", "peer"],
+            "scouting/multicast/interface": settings.interface_name,
+            "open/return_conditions/connect_scouted": True,
+        }
     nested: dict[str, Any] = {}
     for path, value in options.items():
         if not path.startswith(("transport/unicast", "transport/link/tx", "transport/link/rx")):

@@ -15,12 +15,14 @@ class NeighborSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
       a shared frame; link: by the quality of the radio link.
     - `quality`: with link, the share of beacons that must arrive.
     - `signal`: with link, the least signal strength in dBm where the radio reports it.
+    - `programs`: whether messages of Zenoh programs count as those of neighbors.
     """
 
     neighborhood: Literal["all", "range", "link"] = "all"
     range: Annotated[float, Meta(ge=0.01, le=100_000.0)] | None = None
     quality: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.8
     signal: Annotated[float, Meta(ge=-120.0, le=0.0)] | None = None
+    programs: bool = True
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Each key that contradicts the others, and what is wrong with it."""

@@ -80,6 +80,7 @@ class Discovery:
         self.found_at = now  # when the last robot was found
         self._news = self._prolonging_news = now
         self._roster = set(roster)
+        self._programs: set[str] = set()
         self._members = Membership("", FRESH_TIME)
         self._trips = RoundTrips()
         self._reports = MemberReports(is_local=is_local)
@@ -153,6 +154,8 @@ class Discovery:
         self._take_answer(view.robot, StatusAnswer(view.status, view.members, now), now)
         if len(self._roster) < MAX_MEMBERS:
             self._roster.update(name for name in view.roster if is_id(name))
+        if len(self._programs) < MAX_MEMBERS:
+            self._programs.update(name for name in view.programs if is_id(name))
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
 
     def on_header(self, header: StatusHeader, now: float) -> None:
@@ -343,6 +346,7 @@ class Discovery:
         alive = {name for name, one in seen.items() if one.presence is Presence.ALIVE}
         holders = {robot: self.holders(robot) for robot in alive}
         return MembersView(
+            programs=frozenset(self._programs),
             members=seen,
             answered=frozenset((self.settled & alive) | others),
             roster=frozenset(self._roster),

@@ -47,7 +47,8 @@ class MembersView(Struct, frozen=True):
     with a status. `absent` robots are on the roster and nowhere else. `duplicates`: ids that
     several instances hold, with those instances. `round_trip` in s, the longest; `loss` the largest
     share of solicits that a robot left unanswered. `seconds`: how long the look took.
-    `goal_generation`: the greatest one of a goal that a robot shows; 0 without a goal.
+    `goal_generation`: the greatest one of a goal that a robot shows; 0 without a goal. `programs`:
+    the Zenoh programs whose tokens a robot sees; they are no members.
     """
 
     members: Mapping[str, SeenMember]
@@ -58,6 +59,7 @@ class MembersView(Struct, frozen=True):
     loss: float = 0.0
     seconds: float = 0.0
     goal_generation: int = 0
+    programs: frozenset[str] = frozenset()
 
     @property
     def alive(self) -> tuple[str, ...]:

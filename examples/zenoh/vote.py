@@ -1,0 +1,27 @@
+"""Vote with the robots that run voter_model: python examples/zenoh/vote.py meadow teacher 2"""
+
+import sys
+import time
+
+import msgpack
+import zenoh
+
+VERSION = b"\x01"  # the first byte of each payload; MessagePack follows
+
+
+def main() -> None:
+    """Hold the token of a program, and put an opinion twice a second."""
+    swarm, program, opinion = sys.argv[1], sys.argv[2], int(sys.argv[3])
+    seconds = float(sys.argv[4]) if len(sys.argv) > 4 else 10.0
+    end = time.monotonic() + seconds
+    with zenoh.open(zenoh.Config()) as session:
+        token = session.liveliness().declare_token(f"swarm/{swarm}/{program}")
+        vote = session.declare_publisher(f"swarm/{swarm}/{program}/message/voter_model/opinion")
+        while time.monotonic() < end:
+            vote.put(VERSION + msgpack.packb(opinion))
+            time.sleep(0.5)
+        token.undeclare()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,159 @@
+"""The Zenoh programs beside a swarm: their liveliness tokens, and messages from and to them.
+
+A program is a Zenoh session that is no robot: it has no body and no place. It may hold the token
+`swarm/<swarm>/<program>`, and put messages on
+`swarm/<swarm>/<program>/message/<pattern>/<channel>`. Zenoh keeps the last MAX_TAKEN messages of
+all programs without Python, and `take` reads them at each tick: a flood costs its senders their
+messages, and the daemon a bounded time.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import zenoh
+from zenoh.handlers import Callback, RingChannel
+
+from swarmd.core.bounds import keep_newest
+from swarmd.core.codec import MAX_MESSAGE, decode_value
+from swarmd.core.errors import CodecError
+from swarmd.core.keys import ANY, MESSAGE, build, is_id, named_by, parse, token
+from swarmd.core.message_limits import SenderLimits
+from swarmd.core.values import Value
+from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.session import has_subscriber, undeclare
+
+MAX_TAKEN = 64
+"""Messages of all programs that a robot takes in one tick: 1,280 a second."""
+MAX_PROGRAMS = 64
+"""Programs that a robot lists, and senders whose limits it keeps."""
+
+
+class ProgramMessage(NamedTuple):
+    """A message of the program `sender` on the channel `<pattern>/<channel>`."""
+
+    sender: str
+    channel: str
+    value: Value
+
+
+class Programs:
+    """The programs that one robot hears, on one session; built on the loop's thread.
+
+    `is_robot` tells whether a name is that of a robot: its messages come as datagrams, and a put in
+    its name is refused. `drops` counts what is refused, as `message:robot`, `message:limit`. With
+    `takes_messages` False no message passes either way.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        swarm: str,
+        robot: str,
+        is_robot: Callable[[str], bool],
+        drops: DropCounter,
+        *,
+        takes_messages: bool,
+    ) -> None:
+        self._session, self._swarm, self._robot = session, swarm, robot
+        self._is_robot, self._drops = is_robot, drops
+        self._limits: dict[str, SenderLimits] = {}
+        self._lock = threading.Lock()
+        self._tokens: dict[str, None] = {}
+        liveliness = session.liveliness()
+        on_token = Callback(self._on_token, indirect=False)
+        self._entities: list[Any] = [
+            liveliness.declare_token(token(swarm, robot)),
+            liveliness.declare_subscriber(token(swarm, ANY), on_token, history=True),
+        ]
+        self._messages: Any = None
+        self._is_unsure, self._is_heard = takes_messages, False
+        if takes_messages:
+            self._messages = session.declare_subscriber(
+                build(swarm, ANY, MESSAGE, ANY, ANY), RingChannel(MAX_TAKEN)
+            )
+            self._publisher = session.declare_publisher(build(swarm, robot, MESSAGE, ANY, ANY))
+            on_change = Callback(self._on_subscribers, indirect=False)
+            self._publisher.declare_matching_listener(on_change)
+            self._entities += [self._messages, self._publisher]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The programs that hold a token, sorted; at most MAX_PROGRAMS."""
+        with self._lock:
+            names = tuple(self._tokens)
+        return tuple(sorted(name for name in names if not self._is_robot(name)))[:MAX_PROGRAMS]
+
+    def publish(self, channel: str, payload: bytes) -> None:
+        """Publish a message of the pattern on the channel `<pattern>/<channel>`, if it is heard."""
+        if self._is_unsure:
+            self._is_unsure = False  # before the question: a later change makes it unsure again
+            self._is_heard = has_subscriber(self._publisher)
+        pattern, _, name = channel.partition("/")
+        if not (self._is_heard and is_id(pattern) and is_id(name)):
+            return
+        key = build(self._swarm, self._robot, MESSAGE, pattern, name)
+        try:
+            self._session.put(
+                key, payload, congestion_control=zenoh.CongestionControl.DROP, express=True
+            )
+        except zenoh.ZError:
+            self._drops.add("message:unsent")
+
+    def take(self, now: float) -> Iterator[ProgramMessage]:
+        """The messages of programs that came since the last call, within their limits."""
+        for _ in range(0 if self._messages is None else MAX_TAKEN):
+            try:
+                sample = self._messages.try_recv()
+            except zenoh.ZError:  # the session has closed
+                return
+            if sample is None:
+                return
+            message = self._read(sample, now)
+            if message is not None:
+                yield message
+
+    def _read(self, sample: zenoh.Sample, now: float) -> ProgramMessage | None:
+        key = parse(str(sample.key_expr))
+        if key is None or key.swarm != self._swarm or sample.kind != zenoh.SampleKind.PUT:
+            self._drops.add("message:key")
+            return None
+        if self._is_robot(key.robot):
+            self._drops.add("message:robot")
+            return None
+        size = len(sample.payload)
+        if size > MAX_MESSAGE:
+            self._drops.add("message:oversized")
+            return None
+        limits = self._limits.pop(key.robot, None) or SenderLimits()
+        keep_newest(self._limits, key.robot, limits, MAX_PROGRAMS)
+        channel = f"{key.name}/{key.last}"
+        if not limits.passes(channel, size, now):
+            self._drops.add("message:limit")
+            return None
+        try:
+            return ProgramMessage(key.robot, channel, decode_value(sample.payload.to_bytes()))
+        except CodecError:
+            self._drops.add("message:malformed")
+            return None
+
+    def close(self) -> None:
+        """Take back the token, and hear nothing more."""
+        undeclare(*self._entities)
+
+    def _on_token(self, sample: zenoh.Sample) -> None:
+        """On a thread of Zenoh: a token has come or gone."""
+        name = named_by(str(sample.key_expr))
+        if name is None:
+            return
+        with self._lock:
+            if sample.kind != zenoh.SampleKind.PUT:
+                self._tokens.pop(name, None)
+            elif len(self._tokens) < 2 * MAX_PROGRAMS:
+                self._tokens[name] = None
+
+    def _on_subscribers(self, _: zenoh.MatchingStatus) -> None:
+        """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""
+        self._is_unsure = True
