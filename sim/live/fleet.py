@@ -26,6 +26,7 @@ import msgspec
 from msgspec import structs
 
 from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.core.files import as_text
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
@@ -187,6 +188,7 @@ class Fleet:
 
     def _start(self) -> None:
         spec = self.spec
+        as_text(spec.folder.absolute())
         spec.folder.mkdir(parents=True, exist_ok=True)
         start_server(DAEMON_MODULES)
         if spec.scenario is not None:

@@ -17,6 +17,7 @@ from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import as_text
 from swarmd.core.numbers import FLOAT, INTEGER, read_number
 
 Data = dict[str, Any]
@@ -101,7 +102,8 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
 def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
     """The data as YAML which `read` reads as the same data: text such as 08 is in quotes.
 
-    `flow`: all in brackets; None: the innermost lists and mappings.
+    `flow`: all in brackets; None: the innermost lists and mappings. ConfigError for a path that is
+    not UTF-8.
     """
     text: str = yaml.dump(
         data,
@@ -193,7 +195,8 @@ class _Dumper(yaml.SafeDumper):
 
     def represent_text(self, text: str) -> Any:
         # Outside of double quotes, readers fold what YAML 1.1 takes for the end of a line.
-        return self.represent_scalar(_TAG + "str", text, None if text.isprintable() else '"')
+        style = None if text.isprintable() else '"'
+        return self.represent_scalar(_TAG + "str", as_text(text), style)
 
 
 _TAG = "tag:yaml.org,2002:"
@@ -218,6 +221,8 @@ def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return f": is not YAML: {' '.join(str(error).split())}"
     begin = error.context_mark
+    if "escape" in (error.problem or ""):
+        return rf":{error.problem_mark.line + 1}: {error.problem}; write \ twice, or take ' for \""
     if begin is not None and any(one in (error.context or "") for one in ("quoted", "flow")):
         what = "quote" if "quoted" in str(error.context) else "bracket"
         return f":{begin.line + 1}: the {what} that begins here is not closed; close it"

@@ -56,6 +56,8 @@ def test_reads_values_by_type(file: Path, text: str, data: object) -> None:
         ("a:\n  - b\n c: 2", "x.yaml:3: the line is indented by 1 spaces; expected 0 or 2,"),
         ("a: b: c", "x.yaml:1: the line has a second `: `; put the value in quotes"),
         ("a: 'b\nc: 1", "x.yaml:1: the quote that begins here is not closed"),
+        ("a: 1\nb: 'C:\\dir'\nc: \"C:\\dir\"", "x.yaml:3: found unknown escape character; write"),
+        ('a: "\\uDCFF"', "x.yaml:1: found invalid Unicode character escape code; write"),
         ("a: 1\nb: [c\nd: 2", "x.yaml:2: the bracket that begins here is not closed"),
         ("a: !!python/object:os.system x", "x.yaml:1: the tag tag:yaml.org,2002:python/object:os"),
         ("a: !!bool maybe", "x.yaml:1: the tag tag:yaml.org,2002:bool is not read here"),
