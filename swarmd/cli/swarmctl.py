@@ -227,6 +227,8 @@ def run_cli(
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
         why = error.strerror or str(error) or type(error).__name__
+        if "temporary directory" in why:
+            why += "; make one of them writable with some room, or set TMPDIR to a folder that is"
         return _fail(why if error.filename is None else f"{error.filename}: {why}", 1, words)
 
 
