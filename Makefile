@@ -131,7 +131,7 @@ docs: $(VENV)/docs
 
 # From plugins, YAML files, schemas, command lines and docstrings; tests/docs compares the pages with these.
 reference: $(VENV)/tools
-	@$(BIN)/python docs/site/reference.py
+	@PYTHONPATH=. $(BIN)/python docs/site/reference.py
 
 format: $(VENV)/tools
 	$(BIN)/ruff format .

@@ -15,13 +15,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
 
-import yaml
-
 from swarmd.core.messages import State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
+from swarmd.settings.yamlfile import text_of
 
 HERE = Path(__file__).parent
 PLUGINS = HERE / "plugins"
@@ -158,7 +157,7 @@ class Swarm:
             "state_dir": str(self.folder / "state"),
             "plugin_dir": str(PLUGINS),
         }
-        config.write_text(yaml.safe_dump(settings))
+        config.write_text(text_of(settings))
         if self._is_stamped:
             stamps = str(self.folder / f"{robot}.json")
             return ["-m", "benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]

@@ -154,7 +154,8 @@ def floors(out: Path) -> None:
         right.errorbar(at, middle, (middle - few, most - middle), **look)
         for n, share in enumerate(perception.SHARES):
             none = sum(one.opinion is None for one in runs[n])
-            wrong, mean = len(runs[n]) - wins[n] - none, f"{perception.taken(runs[n]):.0f} s"
+            wrong = len(runs[n]) - wins[n] - none
+            mean = f"{np.mean(perception.taken(runs[n])):.0f} s"
             text = f"{few[n]:.0f} / {middle[n]:.0f} / {most[n]:.0f} s"
             won = f"{wins[n]} of {len(runs[n])}"
             print(f"| {rule} | {share:.0%} | {won} | {wrong} | {none} | {mean} | {text} |")

@@ -111,6 +111,12 @@ def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
     ]
 
 
+def test_one_module_reads_and_writes_yaml() -> None:
+    files = sources(*CODE, *_MEASURES, "docs", "examples")
+    users = {name_of(path) for path in files for _, name in imports(path) if name == "yaml"}
+    assert users == {"swarmd/settings/yamlfile.py"}
+
+
 @pytest.mark.parametrize("folder", FORBIDDEN)
 def test_imports_point_one_way(folder: str) -> None:
     found = [line for path in sources(folder) for line in offences(path, FORBIDDEN[folder])]

@@ -9,6 +9,7 @@ import inspect
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -17,6 +18,7 @@ import msgspec
 import zenoh
 from docstrings import module, prose
 
+from studies.outcomes.outcome import Kept, kept_outcomes
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import cli
@@ -111,7 +113,7 @@ def patterns() -> Iterator[str]:
 
 def comparison() -> Iterator[str]:
     """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
-    inputs, outcomes, breaks = [], [], []
+    inputs, outcomes, breaks, kept = [], [], [], kept_outcomes()
     for row in describe_patterns((), None, _PLATFORM):
         page = _PAGES / f"{row['name']}.md"
         if page.exists():
@@ -119,7 +121,11 @@ def comparison() -> Iterator[str]:
             channels = ", ".join(f"`{one}`" for one in row["channels"])
             needs = ", ".join(f"`{one}`" for one in row["needs"])
             inputs.append((name, needs or "no sensor", channels or "nothing"))
-            outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
+            if row["name"] in kept:  # its page may be renewed only now
+                first = kept[row["name"]].outcomes[0]
+                outcomes.append((name, first.what, first.wanted, first.shown, first.source))
+            else:
+                outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
             fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
             breaks.append((name, fails.partition("\n- ")[0].replace("**", "")))
     yield "## What it needs and sends"
@@ -458,6 +464,11 @@ def python() -> Iterator[str]:
     yield from module("swarmd.sim.live.simulated_swarm", ["demo", "SimulatedSwarm"])
 
 
+def outcomes(kept: Kept) -> Iterator[str]:
+    """The outcomes of a pattern, from the values of each run that its study has kept."""
+    yield kept.table
+
+
 PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
     "comparison": comparison,
@@ -473,6 +484,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "testing": testing,
     "experiments": experiments,
     "python": python,
+    **{f"outcomes_{name}": partial(outcomes, kept) for name, kept in kept_outcomes().items()},
 }
 """The parts by the name in their comments."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ import click
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError, unknown
+from swarmd.core.numbers import finite_number
 from swarmd.sim.cli.options import (
     chosen_metrics,
     folder_argument,
@@ -309,10 +311,7 @@ def parse_targets(words: Sequence[str]) -> Mapping[str, float]:
     found = {}
     for word in words:
         name, _, value = word.rpartition("=")
-        try:
-            found[name] = float(value)
-        except ValueError:
-            name = ""
-        if not name:
+        found[name] = finite_number(value)
+        if not name or math.isnan(found[name]):
             raise ConfigError(f"--target {word!r}: expected such as gather_time=60")
     return found

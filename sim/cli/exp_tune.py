@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli.output import has_colour, print_json, signals_end, warn
-from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.options import (
     need,
     new_folder,
@@ -178,11 +177,6 @@ def tune(
             )
     except (KeyboardInterrupt, SystemExit):
         warn(f"finished runs are kept; to go on, give the same command with --out {folder}")
-        raise
-    except SwarmError:
-        if out is None:  # made for nothing
-            with suppress(OSError):
-                folder.rmdir()
         raise
     if is_json:
         print_json("Tuning", tuning.plain_tuning(found))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -219,13 +221,26 @@ def chosen_metrics(
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:
-    """A new folder of `base`, with the first free name; ConfigError if none can be made."""
+    """A new folder of `base`, with the first free name; ConfigError if none can be made.
+
+    The end of the verb removes it, and `base` if it was new, as far as nothing is in them.
+    """
+    was_there = base.exists()
     for name in names:
         try:
             (base / name).mkdir(parents=True)
+            if (ctx := click.get_current_context(silent=True)) is not None:
+                ours = (base / name,) if was_there else (base / name, base)
+                ctx.call_on_close(partial(_remove_empty, ours))
             return base / name
         except OSError as error:
             if not (base / name).exists():
                 text = f"{base / name}/ cannot be made ({error.strerror})"
                 raise ConfigError(f"{text}; work in another folder, or name one") from error
     raise ConfigError(f"{base}/ has no free name left; remove some folders of it")
+
+
+def _remove_empty(folders: Iterable[Path]) -> None:
+    with suppress(OSError):
+        for folder in folders:
+            folder.rmdir()

@@ -22,6 +22,7 @@ from msgspec import Meta, Struct
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.numbers import finite_number, read_number
 from swarmd.plugins import find_pattern
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import PlatformFile
@@ -380,17 +381,15 @@ def read_results(
 
 
 def _seed(where: str, text: str) -> int:
-    if not text.isdecimal() or int(text) > MAX_SEED:
+    seed = read_number(text)
+    if not isinstance(seed, int) or not 0 <= seed <= MAX_SEED:
         raise ConfigError(f"{where}: seed is {text!r}; expected a whole number 0 to {MAX_SEED}")
-    return int(text)
+    return seed
 
 
 def _value(where: str, text: str) -> float:
-    try:
-        value = float(text) if text else math.nan
-    except ValueError:
-        value = math.inf
-    if math.isinf(value):
+    value = finite_number(text)
+    if math.isnan(value) and text.lower() not in ("", "nan"):  # as NumPy and pandas write NaN
         raise ConfigError(f"{where}: value is {text!r}; expected a number, or nothing")
     return value
 

@@ -12,7 +12,7 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import whole_file
+from swarmd.core.files import as_text, whole_file
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
 from swarmd.sim.experiments.provenance import GitState, digests_of_folders, git_state, made_with
 from swarmd.sim.metrics.metric import Better, Metric
@@ -85,7 +85,7 @@ def manifest_of(
 ) -> Manifest:
     """The manifest of a plan, with the present software; `metrics` are those beyond the catalog.
 
-    ConfigError if two of them have one name.
+    ConfigError if two of them have one name, or a path is not UTF-8.
     """
     own = list(metrics)
     measured = [msgspec.convert(one, OwnMetric, from_attributes=True) for one in own]
@@ -94,7 +94,7 @@ def manifest_of(
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise ConfigError(f"two metrics are named {twice}; rename a file or a function")
     place = Path(plan.scenario)
-    return Manifest(
+    manifest = Manifest(
         format=FORMAT,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         command=command,
@@ -113,6 +113,11 @@ def manifest_of(
         shard=plan.shard,
         metrics=measured,
     )
+    try:
+        msgspec.json.encode(manifest)
+    except UnicodeEncodeError as error:
+        as_text(error.object)
+    return manifest
 
 
 def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:

@@ -19,8 +19,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import whole_file
 from swarmd.kit.factory import Find
@@ -28,7 +26,7 @@ from swarmd.mission.mission import mission_class
 from swarmd.mission.schema import MissionFile
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import is_same_file, pattern_names
-from swarmd.settings.yamlfile import brief, read, shown
+from swarmd.settings.yamlfile import brief, read, shown, text_of
 from swarmd.sim.experiments.search_space import (
     SOURCE,
     Parameter,
@@ -433,7 +431,4 @@ def _keyed(key: str, condition: dict[str, Any]) -> dict[str, Any]:
 
 
 def _yaml(data: Mapping[str, Any]) -> str:
-    text: str = yaml.safe_dump(
-        dict(data), sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
-    )
-    return text
+    return text_of(dict(data), flow=None, width=100)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import re
 from collections.abc import Callable, Sequence
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.numbers import finite_number
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.statistics import Interval, Summary
 
@@ -79,12 +81,9 @@ def parse_requirement(text: str) -> Requirement:
     statistic, inner, bare, comparison, number = found.groups()
     if statistic is not None and statistic not in _STATISTICS:
         raise ConfigError(f"requirement {text!r}: {unknown('statistic', statistic, _STATISTICS)}")
-    try:
-        value = float(number)
-    except ValueError:
-        raise ConfigError(f"requirement {text!r}: {number!r} is no number; {wanted}") from None
-    if value != value:
-        raise ConfigError(f"requirement {text!r}: nothing compares with nan; {wanted}")
+    value = float(number) if number in ("inf", "-inf") else finite_number(number)
+    if math.isnan(value):
+        raise ConfigError(f"requirement {text!r}: {number!r} is no number; {wanted}")
     return Requirement(text, statistic or "mean", inner or bare, comparison, value)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.numbers import finite_number
 from swarmd.core.values import Platform
 from swarmd.kit.params import Params, ParamSpec, build, derived_defaults, schema
 from swarmd.pattern_host.loader import PatternLoader
@@ -187,11 +188,8 @@ def once(found: Sequence[Parameter]) -> Sequence[Parameter]:
 def parse_range(word: str) -> tuple[float, float]:
     """The bounds of KEY=LO..HI; ConfigError unless both are finite, and LO is below HI."""
     match = _RANGE.fullmatch(word.partition("=")[2])
-    try:
-        low, high = map(float, match.groups() if match else ())
-    except ValueError:
-        low = high = math.nan
-    if not -math.inf < low < high < math.inf:
+    low, high = map(finite_number, match.groups() if match else ("", ""))
+    if not low < high:
         raise ConfigError(f"{SOURCE} {word}: expected LO..HI with LO below HI, such as 0.1..0.5")
     return low, high
 

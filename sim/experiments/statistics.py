@@ -131,6 +131,20 @@ def difference_interval(a: Array, b: Array) -> Interval | None:
     return _bootstrap((a, b), difference, "percentile")
 
 
+def ratio_interval(above: Array, below: Array) -> Interval | None:
+    """The interval of mean(above) / mean(below) of independent samples, as `difference_interval`.
+
+    None also where resampled means below the line are 0.
+    """
+
+    def ratio(above: Array, below: Array, axis: int) -> Array:
+        return np.asarray(above.mean(axis=axis) / below.mean(axis=axis))
+
+    with np.errstate(divide="ignore"):
+        found = _bootstrap((above, below), ratio, "percentile")
+    return found if found is not None and np.isfinite(found).all() else None
+
+
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
     """The two-sided p that means do not differ, by exchange of values (n,) between a and b.
 

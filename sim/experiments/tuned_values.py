@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
+from swarmd.settings.yamlfile import text_of
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.manifest import Manifest
 from swarmd.sim.experiments.search_space import ParameterSpace
@@ -104,7 +103,4 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _yaml(data: Mapping[str, Any]) -> str:
-    text: str = yaml.safe_dump(
-        dict(data), sort_keys=False, default_flow_style=None, allow_unicode=True, width=100
-    )
-    return text
+    return text_of(dict(data), flow=None, width=100)

@@ -23,14 +23,15 @@ from types import FrameType
 from typing import Any, Literal
 
 import msgspec
-import yaml
 from msgspec import structs
 
 from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.core.files import as_text
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
+from swarmd.settings.yamlfile import text_of
 from swarmd.sim.live.live_scenario import SCENARIO_FILE, LiveScenario
 from swarmd.sim.live.state import WorldOptions
 from swarmd.sim.world.detector import DETECTIONS
@@ -187,6 +188,7 @@ class Fleet:
 
     def _start(self) -> None:
         spec = self.spec
+        as_text(spec.folder.absolute())
         spec.folder.mkdir(parents=True, exist_ok=True)
         start_server(DAEMON_MODULES)
         if spec.scenario is not None:
@@ -199,7 +201,7 @@ class Fleet:
         self.endpoint = ready.endpoint
         for robot in spec.robots:
             config = spec.folder / f"{robot}.yaml"
-            config.write_text(yaml.safe_dump(daemon_config(spec, robot, ready)))
+            config.write_text(text_of(daemon_config(spec, robot, ready)), "utf-8")
         for robot in spec.robots:
             if robot not in spec.absent:
                 self.start_daemon(robot)

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform
+from swarmd.settings.yamlfile import text_of
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.world.detector import DETECTIONS
 from swarmd.sim.world.radio import RadioSettings
@@ -33,7 +32,7 @@ class LiveScenario:
         (folder / "platforms").mkdir(exist_ok=True)
         for platform in {one.name: one for one in scenario.robots.values()}.values():
             path = _platform_path(folder, platform)
-            path.write_text(yaml.safe_dump(self._platform_file(platform)))
+            path.write_text(text_of(self._platform_file(platform)), "utf-8")
 
     def daemon_config(self, robot: str, folder: Path) -> dict[str, object]:
         """The keys of the daemon's file that the scenario sets; `write` has written to `folder`."""

@@ -260,13 +260,18 @@ def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = 
     """What `work` returns for the first of `count` processes; the others are forks of this one.
 
     Raises what `work` raises in any of them, and SwarmError with the number of a process that ended
-    or that made no progress for `timeout` s. No process is left behind.
+    or that made no progress for `timeout` s, or if /dev/shm cannot be written. No process is left
+    behind.
     """
     if count == 1:
         return work(RunProcess())
     context = get_context("fork")
     memory = mmap.mmap(-1, 2 * count * _SLOT)
-    ready = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
+    try:
+        ready = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
+    except OSError as error:  # sem_open(3) makes a file there, and names none
+        text = f"/dev/shm: {error.strerror}; the {count} processes of a run keep semaphores there"
+        raise SwarmError(f"{text}: mount it as tmpfs with some room, or take --cores 1") from error
     children = _Children(count, timeout)
     try:
         for index in range(1, count):

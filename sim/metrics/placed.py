@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.numbers import finite_number
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Better, Metric, Series, Value, at_end, late_mean, over_time
@@ -237,15 +238,11 @@ def placed_metric(name: str) -> Metric:
 def _numbers(words: Sequence[str], count: int) -> tuple[float, ...]:
     if len(words) != count:
         raise ValueError(f"there are {len(words)} values, not {count}")
-    found = []
-    for word in words:
-        try:
-            found.append(float(word))
-        except ValueError:
-            raise ValueError(f"{word!r} is no number") from None
-    if not all(map(math.isfinite, found)):
-        raise ValueError("a number is not finite")
-    return tuple(found)
+    numbers = tuple(map(finite_number, words))
+    for word, number in zip(words, numbers, strict=True):
+        if math.isnan(number):
+            raise ValueError(f"{word!r} is no number")
+    return numbers
 
 
 def _areas(words: Sequence[str]) -> tuple[Area, ...]:

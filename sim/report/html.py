@@ -11,9 +11,8 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-import yaml
-
 from swarmd.core.errors import SwarmError
+from swarmd.settings.yamlfile import text_of
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.statistics import FEW, METHOD
@@ -199,7 +198,7 @@ def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]
 
 def _scenario(results: Results, manifest: Manifest) -> str:
     values = _given(dict(manifest.variants[0].effective))
-    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=90)
+    text = text_of(values, width=90)
     parts = []
     if results.plan.sweep:
         swept = "; ".join(

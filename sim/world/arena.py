@@ -11,6 +11,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
+from swarmd.core.numbers import finite_number
 from swarmd.core.values import Array
 from swarmd.sim.world.geometry import transform
 
@@ -275,11 +276,8 @@ def _box(name: str, words: list[str]) -> Box:
 
 
 def _number(word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = finite_number(word)
+    if math.isnan(value):
         raise _TextError(f"{word!r} is no number")
     return value
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.random import Generator
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.numbers import finite_number
 from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import gaps, radius, transform
@@ -226,10 +227,7 @@ def _listed(rest: str, n: int) -> Array:
 def _number(word: str, default: float) -> float:
     if not word:
         return default
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = finite_number(word)
+    if math.isnan(value):
         raise ConfigError(f"{word!r} is no number; expected a value such as row:1.0")
     return value

@@ -1,7 +1,8 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
-Prints a table; ends with 1 if one is not reached. `tests/studies/test_outcomes.py` tests a
-few seeds.
+Prints a table; ends with 1 if one is not reached. `--keep` keeps the values of each run beside the
+studies, from which `make reference` makes the table of the pattern's page.
+`tests/studies/test_outcomes.py` tests a few seeds.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import sys
 from collections.abc import Sequence
 
 from studies.outcomes.catalog import MODULES
+from studies.outcomes.outcome import HEAD, keep
 from swarmd.core.errors import SwarmError, unknown
 
 
@@ -19,21 +21,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m studies.outcomes", description=__doc__)
     parser.add_argument("patterns", nargs="*", metavar="PATTERN", help="default: all")
     parser.add_argument("--seeds", type=int, default=20, help="runs of each setting [20]")
+    parser.add_argument("--keep", action="store_true", help="write studies/outcomes/results")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
     options = parser.parse_args(arguments)
     for name in options.patterns:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
-    print("| pattern | what | wanted | least / median / most | runs | reached | from |")
-    print("|---|---|---|---|---|---|---|")
+    print(f"| pattern | {' | '.join(HEAD)} |\n|---{'|---' * len(HEAD)}|")
     missed = 0
     for name in options.patterns or MODULES:
-        for outcome in MODULES[name].outcomes(range(options.seeds), options.jobs):
-            reached = "yes" if outcome.is_reached else "**no**"
-            cells = (outcome.pattern, outcome.what, outcome.wanted, outcome.shown)
-            count = len(outcome.values)
-            print(f"| {' | '.join(cells)} | {count} | {reached} | {outcome.source} |", flush=True)
+        found = MODULES[name].outcomes(range(options.seeds), options.jobs)
+        for outcome in found:
+            print(f"| {outcome.pattern} {outcome.row}", flush=True)
             missed += not outcome.is_reached
+        if options.keep:
+            keep(name, options.seeds, found)
     return 1 if missed else 0
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least
+from studies.outcomes.outcome import Joined, Outcome, at_least, ratio_of, share_of
 from studies.point_swarm import PointSwarm, at_places, each
 from swarmd.core.values import Scalar
 from tests.support.voting_sim import Air
@@ -50,35 +50,35 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> l
     majority, voter = choices("majority", 0.5), choices("voter", 0.5)
     what = "qualities 1 and 0.5: share won by the better"
     easy = [
-        at_least(NAME, f"{what}, majority", 0.9, [won(majority)], _VALENTINI),
-        at_least(NAME, f"{what}, voter", 0.9, [won(voter)], _VALENTINI),
+        at_least(NAME, f"{what}, majority", 0.9, won(majority), _VALENTINI),
+        at_least(NAME, f"{what}, voter", 0.9, won(voter), _VALENTINI),
     ]
     if not has_hard:
         return easy
     hard, hard_voter = choices("majority", 0.9), choices("voter", 0.9)
     large = choices("majority", 0.9, 25)
     what, ratio = "qualities 1 and 0.9", "time of the voter / of the majority"
-    times = taken(voter) / taken(majority), taken(hard_voter) / taken(hard)
-    gained = taken(hard) / taken(large)
+    times = ratio_of(taken(voter), taken(majority)), ratio_of(taken(hard_voter), taken(hard))
+    gained = ratio_of(taken(hard), taken(large))
     return [
         *easy,
-        at_least(NAME, f"qualities 1 and 0.5: {ratio}", 1.0, [times[0]], _FASTER),
-        at_least(NAME, f"{what}: share won, majority", 0.4, [won(hard)], _HARD),
-        at_least(NAME, f"{what}: share won, majority, groups of 25", 0.3, [won(large)], _HARD),
-        at_least(NAME, f"{what}: share won, voter", 0.5, [won(hard_voter)], _HARD),
-        at_least(NAME, f"{what}: {ratio}", 1.5, [times[1]], _LIMITS),
-        at_least(NAME, f"{what}: time in groups of 5 / of 25", 1.0, [gained], _GROUPS),
+        at_least(NAME, f"qualities 1 and 0.5: {ratio}", 1.0, times[0], _FASTER),
+        at_least(NAME, f"{what}: share won, majority", 0.4, won(hard), _HARD),
+        at_least(NAME, f"{what}: share won, majority, groups of 25", 0.3, won(large), _HARD),
+        at_least(NAME, f"{what}: share won, voter", 0.5, won(hard_voter), _HARD),
+        at_least(NAME, f"{what}: {ratio}", 1.5, times[1], _LIMITS),
+        at_least(NAME, f"{what}: time in groups of 5 / of 25", 1.0, gained, _GROUPS),
     ]
 
 
-def won(choices: Sequence[Choice]) -> float:
+def won(choices: Sequence[Choice]) -> Joined:
     """The share of the runs that the better option won."""
-    return float(np.mean([one.is_best for one in choices]))
+    return share_of(one.is_best for one in choices)
 
 
-def taken(choices: Sequence[Choice]) -> float:
-    """The mean time in s; at least so long where a run has not ended after `SECONDS`."""
-    return float(np.mean([min(one.at, SECONDS) for one in choices]))
+def taken(choices: Sequence[Choice]) -> list[float]:
+    """The time of each run in s; `SECONDS` where it has not ended by then."""
+    return [min(one.at, SECONDS) for one in choices]
 
 
 def choose(setting: _Setting) -> Choice:

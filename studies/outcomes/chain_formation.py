@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Outcome, at_least, at_most, difference_of, share_of
 from studies.point_swarm import PointSwarm, Track, each
 from swarmd.core.values import Array, Scalar, Scan, Value
 from swarmd.settings.platforms import load_platform
@@ -43,8 +43,9 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
     """All outcomes: for each seed a run with the defaults, and `has_more` with still chains."""
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
     done = [one for one in runs if one.at <= SECONDS]
+    joined = share_of(map(_is_joined, runs))
     found = [
-        at_least(NAME, "share of runs in which a chain joins both", 0.9, [_share(runs)], _PATH),
+        at_least(NAME, "share of runs in which a chain joins both", 0.9, joined, _PATH),
         at_most(NAME, "longest gap of it / distance", 1.6, [one.gap for one in done], "ours"),
         at_least(NAME, "share of 30 s after it for which it holds", 0.9, _held(done), "ours"),
     ]
@@ -53,15 +54,18 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
     aligning = each(run, [(seed, ALIGNING) for seed in seeds], jobs)
     static = each(run, [(seed, STATIC) for seed in seeds], jobs)
     what = "the same share, less than with the defaults by"
+    fewer, fewest = (
+        difference_of(map(_is_joined, runs), map(_is_joined, some)) for some in (aligning, static)
+    )
     return [
         *found,
-        at_least(NAME, f"sweep 0: {what}", 0.1, [_share(runs) - _share(aligning)], _MOTION),
-        at_least(NAME, f"sweep 0, leave 0: {what}", 0.3, [_share(runs) - _share(static)], _MOTION),
+        at_least(NAME, f"sweep 0: {what}", 0.1, fewer, _MOTION),
+        at_least(NAME, f"sweep 0, leave 0: {what}", 0.3, fewest, _MOTION),
     ]
 
 
-def _share(runs: Sequence[Chain]) -> float:
-    return float(np.mean([one.at <= SECONDS for one in runs]))
+def _is_joined(chain: Chain) -> bool:
+    return chain.at <= SECONDS
 
 
 def _held(runs: Sequence[Chain]) -> list[float]:

@@ -11,7 +11,15 @@ from itertools import count
 import numpy as np
 from msgspec import to_builtins
 
-from studies.outcomes.outcome import Outcome, at_least, metric, no_contacts
+from studies.outcomes.outcome import (
+    Joined,
+    Outcome,
+    at_least,
+    metric,
+    no_contacts,
+    ratio_of,
+    share_of,
+)
 from studies.point_swarm import PointSwarm, each
 from swarmd.core.values import Array, Pose, Scalar, Scan, Value
 from swarmd.settings.platforms import load_platform
@@ -71,11 +79,11 @@ def outcomes(
     for rule in RULES:
         for share in sorted((one for one in shares if one >= SURE), reverse=True):
             what = f"{rule}, {100.0 * share:.0f} % black: share of runs that agree on black"
-            points.append(at_least(NAME, what, RIGHT, [won(found[rule, share])], "ours"))
+            points.append(at_least(NAME, what, RIGHT, won(found[rule, share]), "ours"))
         if low < high:
-            ratio = taken(found[rule, low]) / taken(found[rule, high])
+            ratio = ratio_of(taken(found[rule, low]), taken(found[rule, high]))
             what = f"{rule}: mean time at {100.0 * low:.0f} % / at {100.0 * high:.0f} % black"
-            points.append(at_least(NAME, what, 1.0, [ratio], "ours: the nearer, the later"))
+            points.append(at_least(NAME, what, 1.0, ratio, "ours: the nearer, the later"))
     if not has_bodies:
         return points
     fields = [{"kind": "floor", "name": "ground", "patches": [to_builtins(tiles(SHARES[-1], 1))]}]
@@ -83,7 +91,7 @@ def outcomes(
     what = f"Burgers, majority, {100.0 * SHARES[-1]:.0f} % black: share that agree on black"
     return [
         *points,
-        at_least(NAME, what, RIGHT, [right(burgers)], "ours"),
+        at_least(NAME, what, RIGHT, right(burgers), "ours"),
         no_contacts(NAME, burgers),
     ]
 
@@ -98,19 +106,19 @@ def agreements(
     return {key: [next(found) for _ in seeds] for key in keys}
 
 
-def won(found: Sequence[Agreement]) -> float:
+def won(found: Sequence[Agreement]) -> Joined:
     """The share of runs that agree on black."""
-    return float(np.mean([one.opinion == BLACK for one in found]))
+    return share_of(one.opinion == BLACK for one in found)
 
 
-def taken(found: Sequence[Agreement]) -> float:
-    """The mean time in s; `SECONDS` where a run has no agreement."""
-    return float(np.mean([min(one.at, SECONDS) for one in found]))
+def taken(found: Sequence[Agreement]) -> list[float]:
+    """The time of each run in s; `SECONDS` where it has no agreement."""
+    return [min(one.at, SECONDS) for one in found]
 
 
-def right(results: Results) -> float:
+def right(results: Results) -> Joined:
     """The share of Burgers' runs that end in agreement on black."""
-    return float(np.mean([opinion == BLACK for opinion in metric(results, "consensus_opinion")]))
+    return share_of(opinion == BLACK for opinion in metric(results, "consensus_opinion"))
 
 
 def run(setting: _Setting) -> Agreement:

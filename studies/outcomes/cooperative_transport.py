@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts, share_of
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
@@ -41,7 +41,8 @@ def outcomes(
     return [
         at_least(
             NAME, "share of runs in which the box arrives", SHARE,
-            [len(arrived) / len(found)], "Chen et al. 2015: 43 of 45, with e-pucks",
+            share_of(not np.isnan(one) for one in found),
+            "Chen et al. 2015: 43 of 45, with e-pucks",
         ),
         at_most(NAME, "way of the box that arrives / straight way", WAY, arrived, "ours"),
         at_most(NAME, "one robot alone moves the box [m]", ALONE, [moved], "friction of the box"),

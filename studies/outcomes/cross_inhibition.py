@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of
 from studies.point_swarm import PointSwarm, at_places, each
 from swarmd.core.values import Value
 from tests.support.voting_sim import Air
@@ -40,19 +40,18 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bounds: bool = True) ->
         return each(decided, [_Setting(seed, rule, stubborn) for seed in seeds], jobs)
 
     what = "share of the time with a majority of 0.7"
-    crossed = float(np.mean(shares("cross_inhibition")))
-    direct = float(np.mean(shares("direct")))
+    crossed, direct = mean_of(shares("cross_inhibition")), mean_of(shares("direct"))
     found = [
-        at_least(NAME, f"{what}, mean", 0.7, [crossed], _REINA),
-        at_most(NAME, "the same, direct", 0.5, [direct], _DIRECT),
+        at_least(NAME, f"{what}, mean", 0.7, crossed, _REINA),
+        at_most(NAME, "the same, direct", 0.5, direct, _DIRECT),
     ]
     if not has_bounds:
         return found
-    free, many = shares("cross_inhibition", 0), float(np.mean(shares("cross_inhibition", 10)))
+    free, many = shares("cross_inhibition", 0), mean_of(shares("cross_inhibition", 10))
     return [
         *found,
         at_least(NAME, "the same, no stubborn robot, each run", 0.9, free, "ours"),
-        at_most(NAME, "the same, ten stubborn ones each", 0.2, [many], _THIRD),
+        at_most(NAME, "the same, ten stubborn ones each", 0.2, many, _THIRD),
     ]
 
 

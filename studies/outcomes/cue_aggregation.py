@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, no_contacts, ratio_of
 from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
@@ -28,19 +28,17 @@ def outcomes(
         return simulate(NAME, seeds, jobs=jobs, set=changes)
 
     twelve = found(12)
-    shares, less = (
-        np.array([share(t.pose, spot) for t in twelve.traces]) for spot in (WARMER, WARM)
-    )
-    what, ratio = "share of robots at the warmer spot", float(shares.mean() / less.mean())
+    shares, less = ([share(t.pose, spot) for t in twelve.traces] for spot in (WARMER, WARM))
+    what, ratio = "share of robots at the warmer spot", ratio_of(shares, less)
     main = [
-        at_least(NAME, f"{what}, mean", 0.42, [float(shares.mean())], _MAJORITY),
-        at_least(NAME, "at the warmer spot / at the other, mean", 1.5, [ratio], _MAJORITY),
+        at_least(NAME, f"{what}, mean", 0.42, mean_of(shares), _MAJORITY),
+        at_least(NAME, "at the warmer spot / at the other, mean", 1.5, ratio, _MAJORITY),
         no_contacts(NAME, twelve),
     ]
     if not has_alone:
         return main
-    one = float(np.mean([share(trace.pose, WARMER) for trace in found(1).traces]))
-    return [*main, at_most(NAME, f"one robot: {what}, mean", 0.31, [one], _ALONE)]
+    one = mean_of(share(trace.pose, WARMER) for trace in found(1).traces)
+    return [*main, at_most(NAME, f"one robot: {what}, mean", 0.31, one, _ALONE)]
 
 
 def share(pose: Array, spot: tuple[float, float]) -> float:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts, ratio_of
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
 
@@ -35,19 +35,20 @@ def outcomes(
     mean = {n: float(np.mean(values)) for n, values in items.items()}
     alone, most = sizes[0], sizes[-1]
     best = max(sizes, key=lambda n: mean[n])
-    rise, chance = mean[best] / mean[alone], group_rate(run(alone, seeds, jobs, duration, DARK), 1)
+    rise = ratio_of(items[best], items[alone])
+    dark = ratio_of(group_rate(run(alone, seeds, jobs, duration, DARK), 1), items[alone])
     found = [
-        at_least(NAME, f"the group: items of {best} robots / of one", RISE, [rise], _SOURCE),
+        at_least(NAME, f"the group: items of {best} robots / of one", RISE, rise, _SOURCE),
         at_most(
             NAME, "one robot: without the lamp / with it", CHANCE,
-            [float(np.mean(chance)) / mean[alone]], "ours: random search for the nest",
+            dark, "ours: random search for the nest",
         ),
         no_contacts(NAME, runs[most]),
     ]  # fmt: skip
     if len(sizes) > 2:
-        fall = mean[most] / mean[best]
         what = f"the group: items of {most} robots / of {best}"
-        found.insert(1, at_most(NAME, what, FALL, [fall], _SOURCE))
+        fall = ratio_of(items[most], items[best])
+        found.insert(1, at_most(NAME, what, FALL, fall, _SOURCE))
         robot = [mean[n] / n for n in sizes]
         steps = [later / before for before, later in itertools.pairwise(robot)]
         found.insert(

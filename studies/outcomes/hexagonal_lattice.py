@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, metric, no_contacts
 from studies.point_swarm import PointSwarm, each
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
@@ -45,7 +45,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
     what = "share of bonds within 10 % of the distance"
     near = [one.near for one in last]
     points = [
-        at_least(NAME, f"points: {what}, mean", 0.9, [float(np.mean(near))], _LATTICE),
+        at_least(NAME, f"points: {what}, mean", 0.9, mean_of(near), _LATTICE),
         at_least(NAME, f"points: {what}", 0.6, near, _LATTICE),
         at_least(NAME, "points: order psi6", 0.5, [one.psi6 for one in last], _LATTICE),
         at_most(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Outcome, at_least, at_most, share_of
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.formation import line_errors
@@ -74,14 +74,14 @@ def _judged(pattern: str, name: str, errors: Errors, runs: Sequence[Trace]) -> l
 
     before, after = largest(REMOVED - _HELD, REMOVED - 0.1), largest(END - _HELD, END)
     moved = [_moving(_span(run, END - _HELD, END)) for run in runs]
-    share = float(np.mean(np.array(largest(REMOVED, REMOVED + 1.0)) > _BOUND))
+    share = share_of(error > _BOUND for error in largest(REMOVED, REMOVED + 1.0))
     again, moving = (
         "largest error, 20 to 30 s after a removal",
         "share that moves 5 cm in these 10 s",
     )
     return [
         at_most(pattern, f"{name}: largest error, 20 to 30 s", _BOUND, before, _PROJECT),
-        at_least(pattern, f"{name}: runs in which a removal breaks it", 0.5, [share], _BREAKS),
+        at_least(pattern, f"{name}: runs in which a removal breaks it", 0.5, share, _BREAKS),
         at_most(pattern, f"{name}: {again}", _BOUND, after, _PROJECT),
         at_most(pattern, f"{name}: {moving}", _FEW, moved, "ours: noise wakes one now and then"),
     ]

@@ -16,7 +16,7 @@ from studies.debates import (
     hold_all,
     most_frequent,
 )
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Outcome, at_least, at_most, share_of
 from swarmd.core.values import Value
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.consensus import consensus_time
@@ -74,14 +74,14 @@ def debates(
 def free(results: Sequence[Result], what: str) -> list[Outcome]:
     """How many swarms agree in time, how soon, and on which opinion."""
     times = [result.agreed_at for result in results]
-    share = float(np.mean([time <= WITHIN for time in times]))
+    share = share_of(time <= WITHIN for time in times)
     median = float(np.median(times))
     wins = [sum(result.winner == opinion for result in results) for opinion in range(OPINIONS)]
     even = sum(wins) / OPINIONS
     bias = sum((win - even) ** 2 for win in wins) / even if even else math.inf
     alike = "no opinion is better: all win alike"
     return [
-        at_least(NAME, f"{what}: share agreed within 20 s", 0.99, [share], _PAPER),
+        at_least(NAME, f"{what}: share agreed within 20 s", 0.99, share, _PAPER),
         at_most(NAME, f"{what}: median time, s", 5.3, [median], _WINDOW),
         at_most(NAME, f"{what}: chi-squared of who wins", CHI2_MAX, [bias], alike),
     ]
@@ -90,9 +90,9 @@ def free(results: Sequence[Result], what: str) -> list[Outcome]:
 def split(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     """Six robots, three against three: in step they would swap opinions for ever."""
     results = debates(seeds, jobs, count=6, held=(0, 0, 0, 1, 1, 1))
-    share = float(np.mean([result.agreed_at <= WITHIN for result in results]))
+    share = share_of(result.agreed_at <= WITHIN for result in results)
     what = "6 robots, three against three: share agreed within 20 s"
-    return at_least(NAME, what, 0.99, [share], _PAPER)
+    return at_least(NAME, what, 0.99, share, _PAPER)
 
 
 def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, metric, no_contacts
 from swarmd.sim.experiments.simulate import simulate
 
 NAME = "one_bit_aggregation"
@@ -27,12 +25,12 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     blocked = simulate(NAME, seeds, jobs=jobs, set={**changes, **BLOCKED}, traces=False)
     blind = simulate(NAME, seeds, jobs=jobs, set={**changes, **BLIND}, traces=False)
     shares = [metric(some, "largest_cluster_share") for some in (found, blocked, blind)]
-    means = [float(np.mean(share)) for share in shares]
+    means = [mean_of(share) for share in shares]
     what = "share of the robots in the largest cluster"
     return [
-        at_least(NAME, f"{what}, mean", 0.93, [means[0]], _GAUCI),
+        at_least(NAME, f"{what}, mean", 0.93, means[0], _GAUCI),
         at_least(NAME, f"{what}, each run", 0.7, shares[0], _GAUCI),
-        at_most(NAME, "the same, mean, recovery off", 0.93, [means[1]], _DAYMUDE),
-        at_most(NAME, "the same, mean, blind", 0.5, [means[2]], _CHANCE),
+        at_most(NAME, "the same, mean, recovery off", 0.93, means[1], _DAYMUDE),
+        at_most(NAME, "the same, mean, blind", 0.5, means[2], _CHANCE),
         no_contacts(NAME, found),
     ]

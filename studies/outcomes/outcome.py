@@ -3,17 +3,80 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
+import msgspec
 import numpy as np
 
+from swarmd.sim.experiments.provenance import made_with
 from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.statistics import (
+    Interval,
+    difference_interval,
+    mean_interval,
+    median_interval,
+    ratio_interval,
+    wilson,
+)
+
+RESULTS = Path(__file__).parent / "results"
+"""The outcomes that were kept, a JSON file for each pattern."""
+HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """One number of all runs, its 95 % interval, and the values of each run that it joins.
+
+    `kind`: its function below is `<kind>_of`.
+    """
+
+    kind: Literal["mean", "median", "share", "ratio", "difference"]
+    value: float
+    interval: Interval | None
+    samples: tuple[tuple[float, ...], ...]
+
+
+def mean_of(values: Iterable[float]) -> Joined:
+    """The mean of one value of each run."""
+    (some,) = samples = (tuple(map(float, values)),)
+    return Joined("mean", float(np.mean(some)), mean_interval(np.array(some)), samples)
+
+
+def median_of(values: Iterable[float]) -> Joined:
+    """The median of one value of each run."""
+    (some,) = samples = (tuple(map(float, values)),)
+    return Joined("median", float(np.median(some)), median_interval(np.array(some)), samples)
+
+
+def share_of(is_so: Iterable[bool]) -> Joined:
+    """The share of the runs for which it is so."""
+    (some,) = samples = (tuple(map(float, is_so)),)
+    return Joined("share", float(np.mean(some)), wilson(int(sum(some)), len(some)), samples)
+
+
+def ratio_of(above: Iterable[float], below: Iterable[float]) -> Joined:
+    """The mean of one kind of run by the mean of another."""
+    samples = tuple(map(float, above)), tuple(map(float, below))
+    one, other = map(np.array, samples)
+    return Joined("ratio", float(one.mean() / other.mean()), ratio_interval(one, other), samples)
+
+
+def difference_of(more: Iterable[float], less: Iterable[float]) -> Joined:
+    """The mean of one kind of run less the mean of another."""
+    samples = tuple(map(float, more)), tuple(map(float, less))
+    one, other = map(np.array, samples)
+    return Joined(
+        "difference", float(one.mean() - other.mean()), difference_interval(other, one), samples
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One number of one pattern. `values`: one for each run, or one for all runs.
+    """One number of one pattern. `values`: one for each run, or that of `joined`.
 
     `wanted` is the condition as text, `source` the origin of the condition.
     """
@@ -24,29 +87,94 @@ class Outcome:
     values: tuple[float, ...]
     is_reached: bool
     source: str
+    joined: Joined | None = None
 
     @property
     def shown(self) -> str:
-        """The value as text; several values as least, median and most."""
+        """The value as text, with its interval; several values as least, median and most."""
+        if self.joined is not None and self.joined.interval is not None:
+            low, high = self.joined.interval
+            return f"{self.joined.value:.3g} ({low:.3g} to {high:.3g})"
         if len(self.values) < 2:
             return " ".join(f"{value:.3g}" for value in self.values) or "none"
         some = np.array(self.values)
         return f"{some.min():.3g} / {np.median(some):.3g} / {some.max():.3g}"
 
+    @property
+    def runs(self) -> int:
+        """The number of runs, of the kind that has fewest."""
+        return len(self.values) if self.joined is None else min(map(len, self.joined.samples))
 
-def at_most(pattern: str, what: str, bound: float, values: Sequence[float], source: str) -> Outcome:
+    @property
+    def row(self) -> str:
+        """The row of a table with the columns HEAD."""
+        reached = "yes" if self.is_reached else "**no**"
+        cells = (self.what, self.wanted, self.shown, str(self.runs), reached, self.source)
+        return f"| {' | '.join(cells)} |"
+
+
+class Kept(msgspec.Struct, frozen=True):
+    """The outcomes of a pattern in a file, with the seeds and the software that gave them."""
+
+    pattern: str
+    seeds: int
+    made_with: dict[str, str]
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def table(self) -> str:
+        """The table of a page."""
+        lines = ["| " + " | ".join(HEAD) + " |", "|---" * len(HEAD) + "|"]
+        return "\n".join([*lines, *(one.row for one in self.outcomes)])
+
+
+def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:
+    """Write the outcomes of these first seeds to the pattern's file below RESULTS."""
+    kept = Kept(pattern, seeds, made_with(), tuple(outcomes))
+    RESULTS.mkdir(exist_ok=True)
+    text = msgspec.json.encode(kept).replace(b'{"pattern"', b'\n{"pattern"')  # a line for each
+    (RESULTS / f"{pattern}.json").write_bytes(text.strip() + b"\n")
+
+
+def kept_outcomes() -> dict[str, Kept]:
+    """The outcomes in the files below RESULTS, by pattern."""
+    files = sorted(RESULTS.glob("*.json"))
+    return {one.stem: msgspec.json.decode(one.read_bytes(), type=Kept) for one in files}
+
+
+def at_most(
+    pattern: str, what: str, bound: float, values: Sequence[float] | Joined, source: str
+) -> Outcome:
     """Reached if there are values, and none is above the bound or NaN."""
-    is_reached = len(values) > 0 and all(value <= bound for value in values)
     wanted = f"<= {bound:g}" if bound else "0"
-    return Outcome(pattern, what, wanted, tuple(values), is_reached, source)
+    return _judged(pattern, what, wanted, values, source, lambda value: value <= bound)
 
 
 def at_least(
-    pattern: str, what: str, bound: float, values: Sequence[float], source: str
+    pattern: str, what: str, bound: float, values: Sequence[float] | Joined, source: str
 ) -> Outcome:
     """Reached if there are values, and none is below the bound or NaN."""
-    is_reached = len(values) > 0 and all(value >= bound for value in values)
-    return Outcome(pattern, what, f">= {bound:g}", tuple(values), is_reached, source)
+    return _judged(pattern, what, f">= {bound:g}", values, source, lambda value: value >= bound)
+
+
+def within(pattern: str, what: str, low: float, high: float, value: Joined, source: str) -> Outcome:
+    """Reached if the value is within both bounds."""
+    wanted = f"{low:g} to {high:g}"
+    return _judged(pattern, what, wanted, value, source, lambda value: low <= value <= high)
+
+
+def _judged(
+    pattern: str,
+    what: str,
+    wanted: str,
+    values: Sequence[float] | Joined,
+    source: str,
+    is_good: Callable[[float], bool],
+) -> Outcome:
+    joined = values if isinstance(values, Joined) else None
+    some = (values.value,) if isinstance(values, Joined) else tuple(values)
+    is_reached = len(some) > 0 and all(map(is_good, some))
+    return Outcome(pattern, what, wanted, some, is_reached, source, joined)
 
 
 def metric(results: Results, name: str) -> list[float]:

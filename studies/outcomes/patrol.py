@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, no_contacts
 from studies.point_swarm import CLEAR, PointSwarm, each
 from swarmd.core.values import Array, Value
 from swarmd.sim.experiments.simulate import simulate
@@ -67,10 +67,10 @@ def outcomes(
     changes = {"trace_rate": 1.0 / EVERY}
     runs = simulate(NAME, seeds, jobs=jobs, set=changes)
     burgers = [idleness(trace.pose[:, :, :2] + 2.0, 0.2, BODY_SETTLED) for trace in runs.traces]
-    alone = float(np.mean(_shares(mute, 4)))
+    alone = mean_of(_shares(mute, 4))
     return [
         *points,
-        at_least(NAME, "no message arrives: mean idleness / ideal, N = 4", 1.4, [alone], _MUTE),
+        at_least(NAME, "no message arrives: mean idleness / ideal, N = 4", 1.4, alone, _MUTE),
         at_most(NAME, "Burgers: mean idleness / ideal, N = 3", 1.4, _shares(burgers, 3), _CYCLE),
         no_contacts(NAME, runs),
     ]

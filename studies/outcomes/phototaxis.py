@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, no_contacts
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
@@ -29,13 +29,11 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     alone = simulate(NAME, seeds, jobs=jobs, set=changes)
     away = {"groups.tb3.parameters": {"sense": "away"}, "duration": ALONE}
     fled = simulate(NAME, seeds, jobs=jobs, set=away)
-    gathered = float(np.mean([(distances(trace)[-1] < NEAR).mean() for trace in found.traces]))
+    gathered = mean_of(float((distances(trace)[-1] < NEAR).mean()) for trace in found.traces)
     detours = [detour(trace) for trace in alone.traces]
     far = [float(distances(trace)[-1].mean()) for trace in fled.traces]
     return [
-        at_least(
-            NAME, f"share of robots within {NEAR} m of the lamp", GATHERED, [gathered], "ours"
-        ),
+        at_least(NAME, f"share of robots within {NEAR} m of the lamp", GATHERED, gathered, "ours"),
         at_most(NAME, "alone: way to the lamp / straight way", DETOUR, detours, _EYES),
         at_least(NAME, "away: mean distance from the lamp [m]", FAR, far, "ours"),
         no_contacts(NAME, found),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from studies.learning import ROOM
-from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, metric, no_contacts
 from swarmd.sim.experiments.simulate import simulate
 
 NAME = "policy"
@@ -27,9 +27,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     )
     what = "mean distance to the centroid, late / at the start, mean"
     return [
-        at_most(NAME, what, 0.6, [float(np.mean(ends / starts))], _OURS),
-        at_least(
-            NAME, "the same of random_walk", 0.7, [float(np.mean(walks / starts))], "the control"
-        ),
+        at_most(NAME, what, 0.6, mean_of(ends / starts), _OURS),
+        at_least(NAME, "the same of random_walk", 0.7, mean_of(walks / starts), "the control"),
         no_contacts(NAME, found),
     ]

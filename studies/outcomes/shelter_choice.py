@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Joined, Outcome, at_least, at_most, mean_of, share_of
 from studies.point_swarm import PointSwarm, each
 from swarmd.core.values import Array, Scan, Value
 from swarmd.settings.settings import load_platform
@@ -57,30 +57,30 @@ def outcomes(
     larger = [one.larger for one in found]
     resting = [one.resting for one in found]
     main = [
-        at_least(NAME, f"{what}, mean", 0.8, [float(np.mean(larger))], _AME),
+        at_least(NAME, f"{what}, mean", 0.8, mean_of(larger), _AME),
         at_least(NAME, "share of the robots at rest", 0.6, resting, "ours"),
     ]
     if not has_controls:
         return main
     small, alone = chosen(capacity=robots // 2), chosen(**ALONE)
     wins = float(np.mean([one.first > 0.5 for one in found]))
-    split = [float(np.mean([one.larger for one in some])) for some in (small, alone)]
+    halves, apart = (mean_of(one.larger for one in some) for some in (small, alone))
     return [
         *main,
-        at_least(NAME, "runs with 0.8 of them under one, share", 0.5, [_won(found)], _AME),
+        at_least(NAME, "runs with 0.8 of them under one, share", 0.5, _won(found), _AME),
         at_most(
             NAME, "share of runs won by the first, off from half", 0.45, [abs(wins - 0.5)], _EQUAL
         ),
-        at_most(NAME, f"each holds half: {what}, mean", 0.7, split[:1], _SMALL),
-        at_most(NAME, f"social 0: {what}, mean", 0.65, split[1:], _CONTROL),
+        at_most(NAME, f"each holds half: {what}, mean", 0.7, halves, _SMALL),
+        at_most(NAME, f"social 0: {what}, mean", 0.65, apart, _CONTROL),
         at_most(
             NAME, "social 0: share of the robots at rest", 0.5, [o.resting for o in alone], _CONTROL
         ),
     ]
 
 
-def _won(found: Sequence[Choice]) -> float:
-    return float(np.mean([one.larger >= 0.8 for one in found]))
+def _won(found: Sequence[Choice]) -> Joined:
+    return share_of(one.larger >= 0.8 for one in found)
 
 
 def choose(given: tuple[int, int, float, Mapping[str, Value]]) -> Choice:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Joined, Outcome, at_least, at_most, mean_of, ratio_of, share_of
 from studies.point_swarm import PointSwarm, each
 from swarmd.core.values import Scalar, Value
 
@@ -38,13 +38,13 @@ def outcomes(
     """All outcomes: for each seed a herd of each size, and `has_loose` eight loose sheep."""
     found = [each(drive, [(seed, size, {}) for seed in seeds], jobs) for size in sizes]
     wins = [(size, _won(some)) for size, some in zip(sizes, found, strict=True)]
-    times = [float(np.mean([one.at for one in some])) for some in found]
+    first, last = ([one.at for one in some] for some in (found[0], found[-1]))
     tight = [
         *(
-            at_least(NAME, f"{size} sheep: share of runs in which all arrive", 0.9, [won], _ALL)
+            at_least(NAME, f"{size} sheep: share of runs in which all arrive", 0.9, won, _ALL)
             for size, won in wins
         ),
-        at_most(NAME, f"{sizes[0]} sheep: time, mean [s]", 300.0, times[:1], "ours"),
+        at_most(NAME, f"{sizes[0]} sheep: time, mean [s]", 300.0, mean_of(first), "ours"),
     ]
     if not has_loose:
         return tight
@@ -52,13 +52,13 @@ def outcomes(
     what = f"mean time of {sizes[-1]} sheep / of {sizes[0]}"
     return [
         *tight,
-        at_least(NAME, what, 1.2, [times[-1] / times[0]], _TIME),
-        at_most(NAME, "8 sheep, nearest 1: the same share", 0.5, [_won(loose)], _LOOSE),
+        at_least(NAME, what, 1.2, ratio_of(last, first), _TIME),
+        at_most(NAME, "8 sheep, nearest 1: the same share", 0.5, _won(loose), _LOOSE),
     ]
 
 
-def _won(found: Sequence[Drive]) -> float:
-    return float(np.mean([one.is_success for one in found]))
+def _won(found: Sequence[Drive]) -> Joined:
+    return share_of(one.is_success for one in found)
 
 
 def drive(given: tuple[int, int, Mapping[str, Value]]) -> Drive:

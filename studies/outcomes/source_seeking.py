@@ -6,7 +6,15 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, no_contacts
+from studies.outcomes.outcome import (
+    Outcome,
+    at_least,
+    at_most,
+    mean_of,
+    median_of,
+    no_contacts,
+    ratio_of,
+)
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
 
@@ -24,20 +32,19 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     found = simulate(NAME, seeds, jobs=jobs, set={"duration": duration})
     walk = {"duration": duration, "groups.tb3.pattern": "random_walk"}
     walkers = simulate(NAME, seeds, jobs=jobs, set=walk)
-    own, random = share_there(found.traces), share_there(walkers.traces)
-    times = [time for trace in found.traces for time in arrivals(trace)]
-    gain = own / max(random, 0.01)
+    own, random = shares_there(found.traces), shares_there(walkers.traces)
+    times = median_of(float(np.median(arrivals(trace))) for trace in found.traces)
     return [
-        at_least(NAME, "share of robots at the source", ARRIVED, [own], "ours"),
-        at_least(NAME, "that share / of random walkers", GAIN, [gain], "ours"),
-        at_most(NAME, "median time to the source [s]", TIME, [float(np.median(times))], "ours"),
+        at_least(NAME, "share of robots at the source", ARRIVED, mean_of(own), "ours"),
+        at_least(NAME, "that share / of random walkers", GAIN, ratio_of(own, random), "ours"),
+        at_most(NAME, "median time to the source [s]", TIME, times, "ours"),
         no_contacts(NAME, found),
     ]
 
 
-def share_there(traces: Iterable[Trace]) -> float:
-    """The share of robots of all runs that are at the source at the end."""
-    return float(np.mean([_is_there(trace)[-1].mean() for trace in traces]))
+def shares_there(traces: Iterable[Trace]) -> list[float]:
+    """The share of robots that are at the source at the end of each run."""
+    return [float(_is_there(trace)[-1].mean()) for trace in traces]
 
 
 def arrivals(trace: Trace) -> list[float]:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most
+from studies.outcomes.outcome import Outcome, at_least, at_most, difference_of, mean_of
 from studies.point_swarm import PointSwarm, each
 
 NAME = "vicsek_alignment"
@@ -47,18 +47,18 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_sizes: bool = True) -> 
     off = abs(means[-1] - INDEPENDENT[ROBOTS])
     forty = [
         at_least(NAME, "order, noise 0.5", 0.8, by_noise[0], _VICSEK),
-        at_least(NAME, "mean order, noise 0.5", 0.9, means[:1], _VICSEK),
+        at_least(NAME, "mean order, noise 0.5", 0.9, mean_of(by_noise[0]), _VICSEK),
         at_least(NAME, "mean order falls by, to noise 2, 3.5, 5, 6.28", 0.0, falls, _VICSEK),
         at_most(NAME, "mean order at noise 6.28, off from 0.141", 0.02, [off], _RAYLEIGH),
     ]
     if not has_sizes:
         return forty
     off_few = abs(float(np.mean(orders(2.0 * math.pi, FEW))) - INDEPENDENT[FEW])
-    rise = float(np.mean(orders(5.0, FEW))) - means[3]
+    rise = difference_of(orders(5.0, FEW), by_noise[3])
     return [
         *forty,
         at_most(NAME, "ten robots: off from 0.282", 0.04, [off_few], _RAYLEIGH),
-        at_least(NAME, "noise 5: ten robots are more ordered by", 0.05, [rise], "size effect"),
+        at_least(NAME, "noise 5: ten robots are more ordered by", 0.05, rise, "size effect"),
     ]
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from studies.debates import IN_STEP, Counts, Motion, Result, agreed_by, any_of, hold_all
-from studies.outcomes.outcome import Outcome, at_most
+from studies.outcomes.outcome import Outcome, at_most, mean_of, within
 from swarmd.core.values import Value
 from swarmd.patterns.voter_model import VoterModelParams
 from tests.support.voting_sim import Air
@@ -66,10 +66,10 @@ def in_turn(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     """Tumbling windows: the mean time until all agree, as a multiple of that of `simulated`."""
     results = debates(seeds, jobs, 5, TWO, Air())
     length = VoterModelParams().window
-    ratio = float(np.mean([result.agreed_at for result in results])) / length / simulated(ROBOTS, 5)
-    low, high = RATIO
+    model = length * simulated(ROBOTS, 5)
+    ratio = mean_of(result.agreed_at / model for result in results)
     what = "tumbling: mean time until 10 robots agree, as a multiple of the model's"
-    return Outcome(NAME, what, f"{low} to {high}", (ratio,), low <= ratio <= high, _IN_TURN)
+    return within(NAME, what, *RATIO, ratio, _IN_TURN)
 
 
 def debates(

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from benchmarks.latency import FULL_BUDGET, REFLEX_BUDGET, Stamps, between, read_stamps, row
 from benchmarks.swarm import Swarm
@@ -35,6 +34,7 @@ from swarmd.core.values import Platform
 from swarmd.driver_api.hw_codec import encode_command
 from swarmd.network.carriers.robot_link import Connection, Hello, dial, read_endpoint
 from swarmd.settings.platforms import load_platform
+from swarmd.settings.yamlfile import text_of
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.trace import Trace, load_trace
@@ -189,7 +189,7 @@ def _steering(swarm: Swarm) -> Iterator[Connection]:
 
 def _variant(path: Path, platform: str, **sections: Mapping[str, str | float]) -> str:
     """Write a platform file that extends `platform` with `sections`; its path."""
-    path.write_text(yaml.safe_dump({"extends": platform, **sections}))
+    path.write_text(text_of({"extends": platform, **sections}))
     return str(path)
 
 

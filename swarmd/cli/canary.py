@@ -9,15 +9,17 @@ import click
 from swarmd.client.canary import choose_canaries
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import is_id
+from swarmd.core.numbers import exact_number
 
 
 def read_canary(text: str | None) -> int | str | None:
     """A number of robots, or the name of one. UsageError for anything else."""
     if text is None:
         return None
-    if text.isdecimal() and int(text) > 0:
-        return int(text)
-    if not is_id(text) or text.isdecimal():
+    count = exact_number(text)
+    if isinstance(count, int) and count > 0:
+        return count
+    if not is_id(text) or text.isdecimal():  # 010 is both
         raise click.UsageError(f"--canary {text}: expected a number of robots, or a robot's name")
     return text
 

@@ -16,6 +16,7 @@ from swarmd.cli import completion
 from swarmd.cli.options import FILE, PROFILES, LazyGroup, LazyVerb
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
+from swarmd.core.numbers import read_number
 from swarmd.core.processes import die_with_parent as tie_to
 from swarmd.core.processes import keep_from_tracing
 from swarmd.texts.assignments import Value, read_assignments
@@ -212,10 +213,14 @@ def _refuse_options(ctx: click.Context) -> None:
 
 
 def _read_options(words: tuple[str, ...]) -> dict[str, Value]:
-    """The driver's options; `true` and `false` are booleans, as in a file."""
+    """The driver's options; numbers and `true` and `false` are read as in a file."""
+    booleans = {"true": True, "false": False}
     found = read_assignments(words, "--driver-option")
-    booleans: dict[Value, Value] = {"true": True, "false": False}
-    return {key: booleans.get(value, value) for key, value in found.items()}
+    for key, value in found.items():
+        if isinstance(value, str):
+            number = read_number(value)
+            found[key] = booleans.get(value, value) if number is None else number
+    return found
 
 
 if __name__ == "__main__":

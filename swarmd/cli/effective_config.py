@@ -6,12 +6,12 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import yaml
 from msgspec import to_builtins
 
 from swarmd.core.values import Platform, ScanSpec, Sweep
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import DaemonSettings
+from swarmd.settings.yamlfile import text_of
 
 _COLUMN = 40
 NETWORK_KEYS = NetworkSettings.__struct_fields__
@@ -50,8 +50,7 @@ def _line(text: str, source: str) -> str:
 
 
 def _flow(value: object) -> str:
-    text = yaml.safe_dump(value, default_flow_style=True, width=math.inf, sort_keys=False)
-    return text.removesuffix("\n").removesuffix("\n...")
+    return text_of(value, flow=True, width=math.inf).removesuffix("\n").removesuffix("\n...")
 
 
 def _platform(platform: Platform) -> Mapping[str, Any]:

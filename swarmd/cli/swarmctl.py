@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn
@@ -24,6 +25,7 @@ from swarmd.core.errors import (
     RequestError,
     SwarmError,
 )
+from swarmd.core.files import as_text
 from swarmd.network.exit_codes import EXIT_CODES_HELP
 
 LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
@@ -195,6 +197,8 @@ def run_cli(
     words = sys.argv[1:] if args is None else args
     if os.environ.get(f"_{name.upper()}_COMPLETE"):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    elif fault := _not_text(words):
+        return _fail(fault, 2, words)
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
     except click.Abort:
@@ -212,12 +216,32 @@ def run_cli(
     except BrokenPipeError:  # the reader, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except UnicodeEncodeError as error:  # such as a file below a folder
+        try:
+            as_text(error.object)
+        except ConfigError as fault:
+            return _fail(str(fault), 2, words)
+        raise
     except OSError as error:  # such as a full disk
         import logging
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
         why = error.strerror or str(error) or type(error).__name__
+        if "temporary directory" in why:
+            why += "; make one of them writable with some room, or set TMPDIR to a folder that is"
         return _fail(why if error.filename is None else f"{error.filename}: {why}", 1, words)
+
+
+def _not_text(words: Sequence[str]) -> str:
+    """The fault of the first word that is not UTF-8; empty without one, and for a stop.
+
+    No answer, manifest or message to a process can hold the name of such a file. A stop sends
+    nothing of its line but robots' names, which its own check refuses.
+    """
+    if any(word in verbs.VERBS and verbs.VERBS[word].is_datagram for word in words):
+        return ""
+    bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)
+    return "" if bad is None else f"{bad!r} is not UTF-8; rename the file, or type the word again"
 
 
 def exit_code_of(error: SwarmError) -> int:

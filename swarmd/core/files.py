@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and folders that outlive a power cut."""
+"""Files that appear whole or not at all, folders that outlive a power cut, and names as text."""
 
 from __future__ import annotations
 
@@ -6,6 +6,19 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from swarmd.core.errors import ConfigError
+
+
+def as_text(path: str | Path) -> str:
+    """The path as text; ConfigError if its bytes are not UTF-8: no JSON or YAML can hold it."""
+    text = str(path)
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        shown = text[max(error.start - 30, 0) : error.end + 30]
+        raise ConfigError(f"{shown!r} is not UTF-8; rename the file or folder") from error
+    return text
 
 
 def partial_path(path: Path) -> Path:

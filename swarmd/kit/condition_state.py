@@ -11,6 +11,7 @@ from msgspec import Struct
 from numpy.random import Generator
 
 from swarmd.core.errors import MissingSensorError
+from swarmd.core.numbers import read_number
 from swarmd.core.values import Inputs, Neighbor, Outputs, Platform, Scalar, Scan
 from swarmd.kit import conditions
 
@@ -169,7 +170,9 @@ def _is_as_wanted(condition: conditions.Reported, value: Scalar | None) -> bool:
     wanted = condition.value
     if wanted is None:
         return _is_within(condition, value)
-    return value == wanted and isinstance(value, str) == isinstance(wanted, str)
+    if isinstance(value, str):
+        return value == (wanted if isinstance(wanted, str) else str(wanted))
+    return value == (read_number(wanted) if isinstance(wanted, str) else wanted)
 
 
 def _is_within(condition: conditions.Reported | conditions.Reading, value: Scalar | None) -> bool:

@@ -7,7 +7,6 @@ kind is also the tag; `parse_condition` reads the short forms of the command lin
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Annotated, TypeAlias
 
@@ -15,6 +14,7 @@ from msgspec import Meta, Struct, field
 
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.numbers import exact_number, finite_number
 
 MAX_SECONDS = 1e7
 MAX_CONDITIONS = 16
@@ -241,10 +241,7 @@ def _bound_text(above: float | None, below: float | None) -> str:
 
 
 def _number(text: str, word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
+    value = finite_number(word)
     if not 0.0 < value <= MAX_SECONDS:
         wanted = f"expected a number above 0 and up to {MAX_SECONDS:g}, such as 5"
         raise ConfigError(f"condition {text!r}: is {word!r}; {wanted}")
@@ -252,13 +249,4 @@ def _number(text: str, word: str) -> float:
 
 
 def _scalar(word: str) -> BoundedScalar:
-    if word in ("true", "false"):
-        return word == "true"
-    for kind in (int, float):
-        try:
-            value = kind(word)
-        except ValueError:
-            continue
-        if math.isfinite(value):
-            return value
-    return word
+    return word == "true" if word in ("true", "false") else exact_number(word)

@@ -19,7 +19,8 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import ParameterError, PluginError, unknown
-from swarmd.core.host_messages import Layers
+from swarmd.core.host_messages import REQUEST_LAYER, Layers
+from swarmd.core.numbers import read_number
 from swarmd.core.values import Platform, Scalar, Value
 
 _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "str"}
@@ -269,9 +270,15 @@ def _check_default(params_type: type[Params], spec: ParamSpec, hint: Any) -> Non
 def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | None:
     if spec.is_optional and value in ("none", "null"):
         return None
+    plain: Value = value
+    if isinstance(value, str) and spec.type in ("int", "float"):
+        number = read_number(value)
+        plain = value if number is None else number
+    elif spec.type == "str" and source == REQUEST_LAYER and type(value) in (int, float):
+        plain = str(value)  # `exact_number` made it a number
     try:
         # Only text is converted: a YAML `1` is not a bool, a `true` not a number.
-        converted = msgspec.convert(value, hint, strict=not isinstance(value, str))
+        converted = msgspec.convert(plain, hint, strict=not isinstance(plain, str))
     except msgspec.ValidationError:
         converted = math.nan
     if isinstance(converted, float) and not math.isfinite(converted):

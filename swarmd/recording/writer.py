@@ -183,6 +183,6 @@ class RecordingWriter:
     def _unused(self) -> Path:
         """The name of the next file; its number is above those of all others."""
         taken = [path.stem.rpartition("-")[2] for path in self._folder.glob(f"{self._name}-*.mcap")]
-        last = max((int(number) for number in taken if number.isdigit()), default=0)
+        last = max((int(number) for number in taken if number.isdecimal()), default=0)
         self._number = max(self._number, last) + 1
         return self._folder / f"{self._name}-{self._number:05d}.mcap"

@@ -94,13 +94,13 @@ def load_contexts(path: Path | None) -> Contexts:
 
 def save_contexts(path: Path | None, contexts: Contexts) -> None:
     """Write the contexts, whole or not at all. ConfigError without a home."""
-    import yaml
+    from swarmd.settings.yamlfile import text_of
 
     if path is None:
         raise ConfigError("contexts are kept in $HOME/.config/swarmd; set HOME")
     path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     with whole_file(path) as partial:
-        partial.write_text(yaml.safe_dump(msgspec.to_builtins(contexts), sort_keys=False))
+        partial.write_text(text_of(msgspec.to_builtins(contexts)), "utf-8")
 
 
 def context_in_use(environ: Mapping[str, str] = os.environ) -> tuple[str, Context] | None:

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from swarmd.core.errors import ConfigError
 from swarmd.security.identity import write_private
 from swarmd.settings.layered import Layered
 from swarmd.settings.swarmfile import DaemonFile, SwarmFile, check
-from swarmd.settings.yamlfile import Data, read, shown
+from swarmd.settings.yamlfile import Data, read, shown, text_of
 
 SWARM_YAML = "swarm.yaml"
 """The settings of a swarm, beside the identity of an operator and in the authority's folder."""
@@ -98,5 +96,4 @@ def draft_daemon_file(
 
 def write_yaml(path: Path, data: Mapping[str, Any], comment: str) -> None:
     """Write settings as YAML, readable by their owner alone, whole or not at all."""
-    text = yaml.safe_dump(dict(data), sort_keys=False, allow_unicode=True)
-    write_private(path, f"# {comment}\n{text}".encode())
+    write_private(path, f"# {comment}\n{text_of(dict(data))}".encode())

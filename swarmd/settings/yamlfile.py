@@ -1,7 +1,7 @@
 """YAML files read strictly; each error is one line with file and line number.
 
-Duplicate keys, keys that are not text, and anchors (a file could refer to itself) are refused.
-`swarmd.settings.layered` checks the values.
+Plain values are those of YAML 1.2's core schema. Duplicate keys, keys that are not text, tags, and
+anchors (a file could refer to itself) are refused. `swarmd.settings.layered` checks the values.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import as_text
+from swarmd.core.numbers import FLOAT, INTEGER, read_number
 
 Data = dict[str, Any]
 
@@ -32,7 +34,7 @@ def read(path: Path) -> Data:
         data = yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:
         raise ConfigError(f"{name}{_yaml_fault(error, text)}") from error
-    except (ValueError, RecursionError) as error:  # an impossible date, a thousand brackets
+    except (ValueError, RecursionError) as error:  # such as a thousand brackets
         raise ConfigError(f"{name}: is not YAML that can be read: {error}") from error
     if data is None:
         return {}
@@ -97,6 +99,23 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
     return found
 
 
+def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
+    """The data as YAML which `read` reads as the same data: text such as 08 is in quotes.
+
+    `flow`: all in brackets; None: the innermost lists and mappings. ConfigError for a path that is
+    not UTF-8.
+    """
+    text: str = yaml.dump(
+        data,
+        Dumper=_Dumper,
+        sort_keys=False,
+        default_flow_style=flow,
+        allow_unicode=True,
+        width=width,
+    )
+    return text
+
+
 def shown(path: Path) -> str:
     """The path as errors show it: relative if it is below the working directory, else absolute."""
     real, here = path.resolve(), Path.cwd()
@@ -126,16 +145,18 @@ if yaml.__with_libyaml__:
 
 
 class _StrictLoader(_Loader):  # type: ignore[misc]  # a base chosen at run time
-    """safe_load without duplicate keys, keys that are not text, and anchors.
-
-    Of YAML 1.1's booleans only true and false are left, as in YAML 1.2: `mode: off` is text.
-    """
+    """safe_load without duplicate keys, keys that are not text, tags and anchors."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
             raise yaml.MarkedYAMLError(
                 problem="& and * are not read here; write the value out",
+                problem_mark=event.start_mark,
+            )
+        if getattr(event, "tag", None) not in (None, "!", _TAG + "str"):
+            raise yaml.MarkedYAMLError(
+                problem=f"the tag {event.tag} is not read here; write the value alone",
                 problem_mark=event.start_mark,
             )
         return super().compose_node(parent, index)
@@ -145,8 +166,9 @@ class _StrictLoader(_Loader):  # type: ignore[misc]  # a base chosen at run time
         for key_node, _ in node.value:
             key, mark = self.construct_object(key_node, deep=True), key_node.start_mark
             if not isinstance(key, str):
+                text = key_node.value if isinstance(key_node, yaml.ScalarNode) else brief(key)
                 raise yaml.MarkedYAMLError(
-                    problem=f"key {brief(key)} is not text; put it in quotes", problem_mark=mark
+                    problem=f"key {text} is not text; put it in quotes", problem_mark=mark
                 )
             if key in lines:
                 raise yaml.MarkedYAMLError(
@@ -156,15 +178,42 @@ class _StrictLoader(_Loader):  # type: ignore[misc]  # a base chosen at run time
             lines[key] = mark.line + 1
         return super().construct_mapping(node, deep=deep)
 
+    def construct_number(self, node: Any) -> int | float:
+        number = read_number(node.value)
+        if number is None:
+            raise yaml.MarkedYAMLError(
+                problem=f"the number {brief(node.value)} is too large", problem_mark=node.start_mark
+            )
+        return number
 
-_StrictLoader.yaml_implicit_resolvers = {
-    first: [(tag, form) for tag, form in rules if first in "tTfF" or not tag.endswith(":bool")]
-    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
-}
-# YAML 1.1 as PyYAML reads it takes 1e-3 for text, since it has no point.
-_StrictLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+
+class _Dumper(yaml.SafeDumper):
+    """Writes what both `_StrictLoader` and a reader of YAML 1.1 read back, without anchors."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+    def represent_text(self, text: str) -> Any:
+        # Outside of double quotes, readers fold what YAML 1.1 takes for the end of a line.
+        style = None if text.isprintable() else '"'
+        return self.represent_scalar(_TAG + "str", as_text(text), style)
+
+
+_TAG = "tag:yaml.org,2002:"
+# Plain scalars of the core schema: type, form and first characters.
+_PLAIN = (
+    ("null", re.compile(r"(?:~|null|Null|NULL|)\Z"), ["", *"~nN"]),
+    ("bool", re.compile(r"(?:true|True|TRUE|false|False|FALSE)\Z"), list("tTfF")),
+    ("int", INTEGER, list("-+0123456789")),
+    ("float", FLOAT, list("-+.0123456789")),
 )
+_StrictLoader.yaml_implicit_resolvers = {}
+for _name, _form, _first in _PLAIN:
+    _StrictLoader.add_implicit_resolver(_TAG + _name, _form, _first)
+    _Dumper.add_implicit_resolver(_TAG + _name, _form, _first)
+_Dumper.add_representer(str, _Dumper.represent_text)
+_StrictLoader.add_constructor(_TAG + "int", _StrictLoader.construct_number)
+_StrictLoader.add_constructor(_TAG + "float", _StrictLoader.construct_number)
 
 
 def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
@@ -172,6 +221,8 @@ def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return f": is not YAML: {' '.join(str(error).split())}"
     begin = error.context_mark
+    if "escape" in (error.problem or ""):
+        return rf":{error.problem_mark.line + 1}: {error.problem}; write \ twice, or take ' for \""
     if begin is not None and any(one in (error.context or "") for one in ("quoted", "flow")):
         what = "quote" if "quoted" in str(error.context) else "bracket"
         return f":{begin.line + 1}: the {what} that begins here is not closed; close it"

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Iterable
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.numbers import exact_number
 
 Value = bool | int | float | str | None
 
-_MAX_INTEGER = 2**53
 # The bounds of a request: characters of a parameter's name and value, bytes of all together.
 _MAX_KEY, _MAX_TEXT, _MAX_BYTES = 64, 256, 32 * 1024
 
 
 def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Value]:
-    """The values of `key=value` words, numbers as numbers; ConfigError for a wrong word."""
+    """The values of `key=value` words, exact numbers as numbers; ConfigError for a wrong word."""
     values: dict[str, Value] = {}
     size = 0
     for word in words:
@@ -35,18 +33,5 @@ def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Valu
                 raise ConfigError(f"{shown}: more than {limit} characters")
         if size > _MAX_BYTES:
             raise ConfigError(f"{option}: all together are more than {_MAX_BYTES} bytes")
-        values[key] = _number(text)
+        values[key] = exact_number(text)
     return values
-
-
-def _number(text: str) -> int | float | str:
-    """The number, if the text is one in JSON's syntax that can be sent; else the text."""
-    if re.fullmatch(r"-?(0|[1-9]\d*)", text):
-        return int(text) if len(text) < 20 and abs(int(text)) <= _MAX_INTEGER else text
-    if re.fullmatch(r"-?(0|[1-9]\d*)?(\.\d*)?([eE][-+]?\d+)?", text):
-        try:
-            number = float(text)
-        except ValueError:  # such as "." and "-"
-            return text
-        return number if math.isfinite(number) else text
-    return text

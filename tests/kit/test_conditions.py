@@ -152,14 +152,17 @@ def test_done_refers_to_a_part_or_the_whole_pattern() -> None:
     assert met(Done(), seen, Observation(0.0, {}, done=("",))) == [False, True]
 
 
-def test_values_are_compared_by_kind() -> None:
+def test_values_are_compared_as_written() -> None:
     assert met(Reported("a", above=1.0), at(0.0, a=1), at(0.0, a=1.1), at(0.0, a="2")) == [
         False,
         True,
         False,
     ]
     assert met(Reported("a", below=1.0), at(0.0, a=0), at(0.0)) == [True, False]
-    assert met(Reported("a", "1"), at(0.0, a=1), at(0.0, a="1")) == [False, True]
+    some = (at(0.0, a=10), at(0.0, a="010"), at(0.0, a="10"), at(0.0, a=10.5))
+    assert met(Reported("a", "010"), *some) == [True, True, False, False]
+    assert met(Reported("a", 10), *some) == [True, False, True, False]
+    assert met(Reported("a", "ten"), *some) == [False] * 4
     light = Observation(0.0, {}, readings={"light": 3.0})
     assert met(Reading("light", above=2.0), light) == [True]
     assert met(Reported("light", above=2.0), light) == [False]

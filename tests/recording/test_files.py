@@ -329,3 +329,8 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     assert told.avoiding == "avoiding an object at -30 deg"
     assert (found["/event"][1].level, found["/event"][1].msg) == (20, "a line")
     assert (found["/clock/pair"][1].peer_clock, found["/clock/pair"][1].returned) == ("00ff", 3.0)
+
+
+def test_a_number_of_another_script_in_a_name_does_not_end_the_recorder(tmp_path: Path) -> None:
+    (tmp_path / "tb3-01-\N{SUPERSCRIPT TWO}.mcap").touch()
+    assert recorded(tmp_path, 1).name == "tb3-01-00001.mcap"

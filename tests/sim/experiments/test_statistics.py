@@ -21,6 +21,7 @@ from swarmd.sim.experiments.statistics import (
     logrank_p,
     mean_interval,
     median_interval,
+    ratio_interval,
     restricted,
     summarize,
     summary_rows,
@@ -69,11 +70,24 @@ def test_an_interval_covers_the_true_value(
     assert COARSE[0] <= share <= COARSE[1]
 
 
-def test_the_interval_of_a_difference_covers_it() -> None:
-    samples = draws("normal", 45)
-    found = [difference_interval(sample[:20], sample[20:] + 3.0) for sample in samples]
-    share = coverage(found, 3.0)
-    assert COARSE[0] <= share <= COARSE[1]
+@pytest.mark.parametrize(
+    ("interval", "kind", "truth"),
+    [(difference_interval, "normal", 3.0), (ratio_interval, "exponential", 4.0)],
+)
+def test_the_interval_of_two_means_covers_their_difference_and_ratio(
+    interval: Callable[[Array, Array], Interval | None], kind: str, truth: float
+) -> None:
+    is_ratio = interval is ratio_interval
+    found = [
+        interval(4.0 * sample[20:], sample[:20]) if is_ratio
+        else interval(sample[:20], sample[20:] + truth)
+        for sample in draws(kind, 45)
+    ]  # fmt: skip
+    assert COARSE[0] <= coverage(found, truth) <= COARSE[1]
+
+
+def test_a_ratio_to_nothing_has_no_interval() -> None:
+    assert ratio_interval(np.ones(5), np.zeros(5)) is None
 
 
 def test_two_samples_are_resampled_independently() -> None:

@@ -1,0 +1,50 @@
+"""Numbers in texts, by the core schema of YAML 1.2: files and options read them alike."""
+
+from __future__ import annotations
+
+import math
+import re
+
+INTEGER = re.compile(r"[-+]?[0-9]+\Z|0o[0-7]+\Z|0x[0-9a-fA-F]+\Z")
+FLOAT = re.compile(
+    r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z"
+    r"|[-+]?\.(?:inf|Inf|INF)\Z|\.(?:nan|NaN|NAN)\Z"
+)
+_BASES = {"0o": 8, "0x": 16}
+_MAX_EXACT = 2**53  # JSON's readers keep integers up to here
+
+
+def read_number(text: str) -> int | float | None:
+    """The number that the text shows: `010` is 10, `0x10` is 16, `.inf` is infinite.
+
+    None for any other text, such as `1_000`, `1:30` and a number that no float holds.
+    """
+    try:
+        if INTEGER.match(text):
+            return int(text, _BASES.get(text[:2], 10))
+        if FLOAT.match(text):
+            number = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
+            return None if math.isinf(number) and text[-1].isdigit() else number
+    except ValueError:  # more digits than int() takes
+        pass
+    return None
+
+
+def exact_number(text: str) -> int | float | str:
+    """The number whose shortest form the text is, else the text: `7` and `0.5`, not `010`, `1e3`.
+
+    A reader that knows the type converts either way without loss: `1e3` may be a name.
+    """
+    number = read_number(text)
+    is_exact = number is not None and str(number) == text and abs(number) <= _MAX_EXACT
+    return number if is_exact and number is not None else text
+
+
+def finite_number(text: str) -> float:
+    """The number that the text shows, NaN if it shows no finite one."""
+    number = read_number(text)
+    try:
+        value = math.nan if number is None else float(number)
+    except OverflowError:
+        return math.nan
+    return value if math.isfinite(value) else math.nan

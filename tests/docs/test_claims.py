@@ -1,0 +1,95 @@
+"""Numbers in pages: each ratio has its interval, few runs are named, and tables are their JSON."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from studies.outcomes import outcome
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGES = [path for folder in (".", "patterns", "evidence", "tutorial", "robots")
+         for path in sorted((DOCS / folder).glob("*.md"))]  # fmt: skip
+MEASURED = {
+    path.stem: path.read_text().partition("\n## Measured\n\n")[2].partition("\n## ")[0]
+    for path in sorted(DOCS.glob("patterns/*.md"))
+    if path.stem != "README"
+}
+KEPT = outcome.kept_outcomes()
+FEW = "fewer than twenty"
+
+_WORD = "two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|twenty|thirty|forty|fifty"
+_THAN = "as (?:fast|long|many|much|slow|soon|often)|faster|slower|longer|shorter|more|fewer|less"
+RATIO = re.compile(
+    rf"\b(?:\d+\.\d+ times\b|(?:(?:\d+|{_WORD}) times|twice|half|\d+ %) (?:{_THAN})\b)"
+    r"(?! \(\d\S* to \d)"  # its interval
+)
+# What is no measurement of ours: a constant, a rule, or a source's value.
+NO_CLAIM = {
+    "configuration.md": ("1.1 times",),
+    "keys.md": ("five times more",),  # a load; the shares beside it have their spread
+    "paper.md": ("1.4 times",),
+    "patterns.md": ("twice as often", "1.5 times"),
+    "recording.md": ("7 % more",),  # the end of a range
+    "ros.md": ("1.5 times",),
+    "best_of_n.md": ("1.89 times",),
+    "chain_formation.md": ("half as often",),
+    "hexagonal_lattice.md": ("1.5 times", "1.3 times"),
+    "one_bit_aggregation.md": ("3.9 times",),
+    "shepherding.md": ("1.5 times",),
+    "sensing.md": ("2.5 times",),
+}
+SEEDS = re.compile(r"^swarmctl exp (?:run|bench)\b.* --seeds (\d+)\b", re.MULTILINE)
+
+
+def prose(text: str) -> str:
+    return " ".join(re.sub(r"```.*?```", "", text, flags=re.DOTALL).split())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_measured_ratio_has_its_interval(page: Path) -> None:
+    found = {match[0] for match in RATIO.finditer(prose(page.read_text()))}
+    assert found - {*NO_CLAIM.get(page.name, ())} == set()
+
+
+@pytest.mark.parametrize("pattern", MEASURED)
+def test_the_first_line_of_measurements_has_the_number_of_runs(pattern: str) -> None:
+    first = MEASURED[pattern].partition("\n")[0]
+    match = re.match(
+        r"\*\*Runs: ([\d,]+) (?:debates )?of each kind(, fewer than twenty)?\*\*", first
+    )
+    assert match is not None
+    runs = int(match[1].replace(",", ""))
+    assert (match[2] is not None) == (runs < 20)
+    assert ("values are kept" in first) == (pattern in KEPT)
+    assert pattern not in KEPT or runs == KEPT[pattern].seeds
+    heads: list[str] = []
+    for line in MEASURED[pattern].splitlines():
+        cells = [cell.strip() for cell in line[1:-1].split("|")] if line[:1] == "|" else []
+        if cells and "runs" in heads:
+            counts = [int(n) for n in re.findall(r"\d+", cells[heads.index("runs")])]
+            assert FEW in line or min(counts, default=runs) >= runs, line
+        heads = heads or cells if cells else []
+
+
+@pytest.mark.parametrize("pattern", KEPT)
+def test_kept_outcomes_are_what_their_runs_give(pattern: str) -> None:
+    kept = KEPT[pattern]
+    assert f"<!-- begin outcomes_{pattern}: " in MEASURED[pattern]  # test_docs.py compares the part
+    for one in kept.outcomes:
+        assert one.runs >= kept.seeds >= 20
+        if one.joined is not None:
+            again = getattr(outcome, f"{one.joined.kind}_of")(*one.joined.samples)
+            assert again.value == pytest.approx(one.joined.value)
+            # Another scipy may draw other resamples.
+            assert again.interval == pytest.approx(one.joined.interval, rel=0.1), one.what
+
+
+@pytest.mark.parametrize(
+    "page", ["missions.md", *sorted(f"tutorial/{path.name}" for path in DOCS.glob("tutorial/*.md"))]
+)
+def test_a_lesson_with_few_seeds_says_so(page: str) -> None:
+    text = (DOCS / page).read_text()
+    assert FEW in text.lower() or all(int(seeds) >= 20 for seeds in SEEDS.findall(text))
