@@ -14,7 +14,7 @@ import click
 
 from swarmd.cli.options import EXISTING, CommonOptions, common_options
 from swarmd.cli.output import need_terminal, signals_end, warn
-from swarmd.cli.web import WebOptions, check_web, serve, web_options
+from swarmd.cli.web import HOST, WebOptions, check_web, serve, web_options
 from swarmd.plugins import need, pattern_names
 
 if TYPE_CHECKING:
@@ -35,7 +35,8 @@ FOXGLOVE_PORT = 8765
     is_flag=False,
     flag_value=FOXGLOVE_PORT,
     metavar="[PORT]",
-    help=f"Serve Foxglove on this port of loopback [{FOXGLOVE_PORT}]; 0: any.",
+    help=f"Serve Foxglove on this port of loopback [{FOXGLOVE_PORT}]; 0: any. The printed address"
+    " has a secret.",
 )
 @web_options
 @common_options
@@ -58,7 +59,12 @@ def view(
         if files or web:
             what = "--web" if web else f"{files[0]}: Foxglove opens recordings by itself"
             raise click.UsageError(f"--foxglove shows a living swarm, alone; without {what}")
-        need("foxglove", extra="foxglove")
+        if page.bind != HOST:
+            raise click.UsageError(
+                f"--bind {page.bind}: Foxglove is served on {HOST} alone; from another computer:"
+                " ssh -L"
+            )
+        need("foxglove", "websockets", extra="foxglove")
         _serve_foxglove(options, foxglove)
         return
     if not web:
@@ -109,12 +115,12 @@ def _serve_foxglove(options: CommonOptions, port: int) -> None:
 
     with (
         _live(options, "", with_patterns=False) as (source, _, _),
-        FoxgloveServer(source, "127.0.0.1", port) as server,
+        FoxgloveServer(source, HOST, port) as server,
         signals_end(),
         suppress(KeyboardInterrupt),
     ):
         click.echo(f"foxglove: {server.address}")
-        warn("whoever has this address can read the swarm: the words after the port are a secret")
+        warn("the address has a secret: whoever knows it can read what Foxglove shows")
         warn("Ctrl-C ends it")
         while True:
             server.publish()

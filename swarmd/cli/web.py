@@ -26,15 +26,13 @@ if TYPE_CHECKING:
     from swarmd.view.server import Commander, ViewServer
     from swarmd.view.source import Source
 
-PORT = 8080
+HOST, PORT = "127.0.0.1", 8080
 _START_TIME = 10.0  # s
 ENDED = "The server has ended."
 R = TypeVar("R")
 
 _OPTIONS = (
-    click.option(
-        "--bind", default="127.0.0.1", metavar="ADDRESS", help="Where to listen [127.0.0.1]."
-    ),
+    click.option("--bind", default=HOST, metavar="ADDRESS", help=f"Where to listen [{HOST}]."),
     click.option("--port", type=click.IntRange(0, 65535), default=PORT, help="0: any [8080]."),
     click.option(
         "--token",

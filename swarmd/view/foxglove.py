@@ -1,24 +1,23 @@
 """A living swarm for Foxglove, by its WebSocket protocol: what `view --web` shows, read only.
 
-The SDK of Foxglove owns the server and its threads. `FoxgloveServer.publish` makes messages on the
-caller's thread, of a channel only while a client subscribes to it.
+The messages are those of Foxglove's SDK. `FoxgloveServer.publish` makes them on the caller's
+thread, of a channel only while a client subscribes to it.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Mapping
 from typing import Any, Self
 
-import foxglove
 import numpy as np
-from foxglove import channels, messages
+from foxglove import messages
 
-from swarmd.core.errors import NetworkError
 from swarmd.core.values import Array
 from swarmd.texts.state_colours import colour_of
-from swarmd.view.foxglove_gate import FoxgloveGate, hidden_host
+from swarmd.view.foxglove_socket import Channel, FoxgloveSocket, protobuf_channel
 from swarmd.view.source import ShownRobot, Source, json_of
 
 PERIOD = 0.1
@@ -56,27 +55,16 @@ class FoxgloveServer:
     def __init__(self, source: Source, host: str, port: int) -> None:
         """Listen, on any free port for 0. NetworkError if the address cannot be had."""
         self._source = source
-        self._context = context = foxglove.Context()
-        self._places = channels.FrameTransformsChannel("/tf", context=context)
-        self._scene = channels.SceneUpdateChannel("/robots", context=context)
-        self._events = channels.LogChannel("/events", context=context)
-        self._statuses: dict[str, foxglove.Channel] = {}
-        self._scans: dict[str, channels.PointCloudChannel] = {}
+        self._places = protobuf_channel("/tf", messages.FrameTransforms)
+        self._scene = protobuf_channel("/robots", messages.SceneUpdate)
+        self._events = protobuf_channel("/events", messages.Log)
+        self._statuses: dict[str, Channel] = {}
+        self._scans: dict[str, Channel] = {}
         self._count = 0
         self._shown: set[tuple[float, str]] = set()
-        name, hidden = f"swarm {source.swarm}", hidden_host()
-        try:
-            self._server = foxglove.start_server(
-                name=name, host=hidden, port=0, context=self._context
-            )
-        except (OSError, RuntimeError) as error:
-            raise NetworkError(f"{hidden} cannot be listened at: {error}") from error
-        try:
-            self._gate = FoxgloveGate(host, port, (hidden, self._server.port))
-        except NetworkError:
-            self._server.stop()
-            raise
-        self.address = f"ws://{host}:{self._gate.port}/{self._gate.secret}"
+        self._socket = FoxgloveSocket(f"swarm {source.swarm}", host, port)
+        self._socket.add([self._places, self._scene, self._events])
+        self.address = self._socket.address
 
     def __enter__(self) -> Self:
         return self
@@ -86,66 +74,64 @@ class FoxgloveServer:
 
     def close(self) -> None:
         """End the server and its connections."""
-        self._gate.close()
-        self._server.stop()
+        self._socket.close()
 
     def publish(self) -> None:
         """Hand the present state to the clients; called each PERIOD."""
         is_status_due = self._count % _STATUS_EVERY == 0
-        is_drawn = self._scene.has_sinks() or self._places.has_sinks()
+        is_drawn = self._scene.is_read or self._places.is_read
         rows = self._source.rows() if is_status_due or is_drawn else {}
         robots = self._source.robots
         for robot in robots:
             if robot.name not in self._statuses:
                 self._add(robot.name)
-        self._source.select([name for name, one in self._scans.items() if one.has_sinks()])
+        self._source.select([name for name, one in self._scans.items() if one.is_read])
         _, frame = self._source.frame()
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
-        if self._places.has_sinks():
+        if self._places.is_read:
             now = time.time()
             stamps = {name: _heard(row, now) for name, row in rows.items() if _is_absent(row)}
             transforms = [
                 _transform(robot, place, stamps.get(robot.name, stamp)) for robot, place in placed
             ]
-            self._places.log(messages.FrameTransforms(transforms=transforms))
-        if self._scene.has_sinks():
+            frames = messages.FrameTransforms(transforms=transforms)
+            self._socket.send(self._places, frames.encode())
+        if self._scene.is_read:
             entities = [_entity(robot, rows.get(robot.name, {}), stamp) for robot, _ in placed]
-            self._scene.log(messages.SceneUpdate(entities=entities))
+            self._socket.send(self._scene, messages.SceneUpdate(entities=entities).encode())
         for name, channel in self._scans.items():
-            points = self._source.scan(name) if channel.has_sinks() else None
+            points = self._source.scan(name) if channel.is_read else None
             if points is not None:
-                channel.log(_cloud(name, points, stamp))
+                self._socket.send(channel, _cloud(name, points, stamp).encode())
         if is_status_due:
             for name, statuses in self._statuses.items():
-                if statuses.has_sinks() and name in rows:
-                    statuses.log(json_of(rows[name]).encode())
+                if statuses.is_read and name in rows:
+                    self._socket.send(statuses, json_of(rows[name]).encode())
         self._publish_events()
         self._count += 1
 
     def _publish_events(self) -> None:
-        if not self._events.has_sinks():
+        if not self._events.is_read:
             return
         marks = self._source.marks()
         new = [mark for mark in marks if mark[:2] not in self._shown]
         self._shown = {mark[:2] for mark in marks}
         ago = time.time() - time.monotonic()
         for at, text, names in new[-_MAX_NEW_LINES:]:
-            self._events.log(
-                messages.Log(
-                    timestamp=messages.Timestamp.from_epoch_secs(at + ago),
-                    level=messages.LogLevel.Info,
-                    message=text,
-                    name=", ".join(names),
-                )
+            line = messages.Log(
+                timestamp=messages.Timestamp.from_epoch_secs(at + ago),
+                level=messages.LogLevel.Info,
+                message=text,
+                name=", ".join(names),
             )
+            self._socket.send(self._events, line.encode())
 
     def _add(self, name: str) -> None:
-        context = self._context
-        self._statuses[name] = foxglove.Channel(
-            f"/{name}/status", schema=_STATUS_SCHEMA, message_encoding="json", context=context
-        )
-        self._scans[name] = channels.PointCloudChannel(f"/{name}/scan", context=context)
+        title, schema = _STATUS_SCHEMA["title"], json.dumps(_STATUS_SCHEMA)
+        self._statuses[name] = Channel(f"/{name}/status", "json", title, "jsonschema", schema)
+        self._scans[name] = protobuf_channel(f"/{name}/scan", messages.PointCloud)
+        self._socket.add([self._statuses[name], self._scans[name]])
 
 
 def _is_absent(row: Mapping[str, Any]) -> bool:

@@ -13,7 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, cast
 from urllib.parse import urlsplit
 
+import foxglove
 import pytest
+from foxglove import channels, messages
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
@@ -21,7 +23,8 @@ from websockets.typing import Origin, Subprotocol
 from swarmd.core.errors import NetworkError
 from swarmd.core.messages import LoggedEvent, State
 from swarmd.network.operator.operator import Operator
-from swarmd.view.foxglove import FoxgloveServer, _entity, _heard
+from swarmd.view.foxglove import _STATUS_SCHEMA, FoxgloveServer, _entity, _heard
+from swarmd.view.foxglove_socket import MAX_BACKLOG, Channel, FoxgloveSocket, protobuf_channel
 from swarmd.view.live import PLAIN, LiveSource
 from swarmd.view.source import ShownRobot
 from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
@@ -81,8 +84,9 @@ class Client:
 
 
 @contextlib.contextmanager
-def client(address: str) -> Iterator[Client]:
-    with connect(address, subprotocols=[PROTOCOL], open_timeout=CAP) as socket:
+def client(address: str, close_timeout: float = CAP) -> Iterator[Client]:
+    words: dict[str, Any] = {"open_timeout": CAP, "close_timeout": close_timeout}
+    with connect(address, subprotocols=[PROTOCOL], **words) as socket:
         yield Client(socket)
 
 
@@ -201,27 +205,99 @@ def test_without_the_secret_no_page_and_no_program_connects(origin: str | None, 
                 assert json.loads(other.recv(timeout=CAP))["op"] == "serverInfo"
 
 
-def test_what_sends_no_request_is_let_go_and_disturbs_no_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("swarmd.view.foxglove_gate.HEAD_TIMEOUT", 0.2)
+def test_junk_and_silent_connections_keep_no_client_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("swarmd.view.server.MAX_WAITING", 2)
+    junk = (b"\x16\x03\x01" * 9000, b"GET /\r\n\r\n", b"\r\n\r\n", b"GET /\xff HTTP/1.1\r\n\r\n")
+    with FedSwarm(1) as swarm, contextlib.ExitStack() as stack:
+        source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
+        server = stack.enter_context(FoxgloveServer(source, "127.0.0.1", 0))
+        place = urlsplit(server.address)
+        address = (str(place.hostname), int(place.port or 0))
+        opened = [stack.enter_context(socket.create_connection(address, CAP)) for _ in range(4)]
+        for content in junk:
+            with (
+                socket.create_connection(address, CAP) as raw,
+                contextlib.suppress(ConnectionError),
+            ):
+                raw.sendall(content)
+                while raw.recv(4096):
+                    pass
+        with client(server.address) as reader:
+            assert json.loads(reader.socket.recv(timeout=CAP))["op"] == "serverInfo"
+            with contextlib.suppress(ConnectionError):
+                assert opened[0].recv(1) == b""
+
+
+def test_a_client_that_reads_nothing_delays_no_other_and_no_end() -> None:
     with FedSwarm(1) as swarm:
         source = LiveSource(cast("Operator", FedOperator(swarm)), PATTERNS)
-        with FoxgloveServer(source, "127.0.0.1", 0) as server:
-            place = urlsplit(server.address)
-            address = (str(place.hostname), int(place.port or 0))
-            for junk in (b"", b"\x16\x03\x01" * 9000, b"GET /\r\n\r\n", b"\r\n\r\n"):
-                with socket.create_connection(address, CAP) as raw:
-                    raw.settimeout(CAP)
-                    with contextlib.suppress(ConnectionError):
-                        raw.sendall(junk)
-                        while raw.recv(4096):
-                            pass
-            with client(server.address) as reader:
-                assert json.loads(reader.socket.recv(timeout=CAP))["op"] == "serverInfo"
+        server = FoxgloveServer(source, "127.0.0.1", 0)
+        channel, payload = server._scene, bytes(2**18)
+        with (
+            client(server.address, close_timeout=0.1) as slow,
+            client(server.address) as reader,
+            contextlib.closing(server),
+        ):
+            for one in (slow, reader):
+                one.await_topics("/robots")
+                one.subscribe("/robots")
+            wait_until(lambda: len(channel.subscriptions) == 2, "both subscribe")
+            for _ in range(150):
+                server._socket.send(channel, payload)
+                while reader.read() is None:
+                    pass
+            waiting = [one.transport.get_write_buffer_size() for one in channel.subscriptions]
+            assert max(waiting) <= MAX_BACKLOG + 2 * len(payload)
 
 
-@pytest.mark.parametrize("words", [("--web",), ("view.py",)])
+def test_the_protocol_is_that_of_the_sdk() -> None:
+    """The same channels and messages by the server of the SDK and by ours."""
+    log = messages.Log(message="cable")
+    context = foxglove.Context()
+    theirs = channels.LogChannel("/events", context=context)
+    json_theirs = foxglove.Channel(
+        "/r1/status", schema=_STATUS_SCHEMA, message_encoding="json", context=context
+    )
+    sdk = foxglove.start_server(name="swarm x", host="127.0.0.1", port=0, context=context)
+    ours = FoxgloveSocket("swarm x", "127.0.0.1", 0)
+    status = Channel(
+        "/r1/status", "json", "swarmd.RobotRow", "jsonschema", json.dumps(_STATUS_SCHEMA)
+    )
+    events = protobuf_channel("/events", messages.Log)
+    try:
+        ours.add([events, status])
+        found = []
+        for address in (f"ws://127.0.0.1:{sdk.port}", ours.address):
+            with client(address) as reader:
+                head = json.loads(reader.socket.recv(timeout=CAP))
+                del head["sessionId"], head["metadata"]
+                reader.await_topics("/events", "/r1/status")
+                about = {
+                    topic: {key: value for key, value in one.items() if key != "id"}
+                    for topic, one in reader.channels.items()
+                }
+                reader.subscribe("/events", "/r1/status")
+
+                def publish() -> None:
+                    theirs.log(log)
+                    json_theirs.log(b"{}")
+                    ours.send(events, log.encode())
+                    ours.send(status, b"{}")
+
+                found.append((head, about, reader.first_of("/events", "/r1/status", step=publish)))
+                ids = [one["id"] for one in reader.channels.values()]
+                words = {"op": "unsubscribe", "subscriptionIds": ids}
+                reader.socket.send(json.dumps(words))
+                for nonsense in ("[]", "{", "[" * 9999, '{"op": 1}', '{"op": "x"}', b"\x01"):
+                    reader.socket.send(nonsense)
+        assert found[0] == found[1]
+        wait_until(lambda: not events.is_read and not status.is_read, "no subscription is left")
+    finally:
+        ours.close()
+        sdk.stop()
+
+
+@pytest.mark.parametrize("words", [("--web",), ("view.py",), ("--bind", "0.0.0.0")])
 def test_it_is_shown_alone(words: tuple[str, ...], tmp_path: Any) -> None:
     (tmp_path / "view.py").touch()
     given = [str(tmp_path / one) if one.endswith(".py") else one for one in words]
