@@ -8,7 +8,7 @@ import zenoh
 
 
 def main() -> None:
-    """Ask until each robot that is found has answered twice at most, and print the answers."""
+    """Ask three times, and print the answer of each robot."""
     swarm = sys.argv[1]
     verb = "estop" if "estop" in sys.argv else "stop"
     request = {"verb": verb, "id": uuid.uuid4().hex, "operator": "stop.py"}
@@ -20,8 +20,9 @@ def main() -> None:
         for _ in range(3):  # a robot that is found after the first question gets the next one
             key = f"swarm/{swarm}/*/control/{verb}/anyone"
             for reply in session.get(key, target=zenoh.QueryTarget.ALL, payload=payload):
-                answer = msgpack.unpackb(reply.ok.payload.to_bytes()[1:])
-                if answer["robot"] not in answered:
+                sample = reply.ok  # None: a robot is gone, or refuses the payload
+                answer = msgpack.unpackb(sample.payload.to_bytes()[1:]) if sample else {}
+                if answer and answer["robot"] not in answered:
                     answered.add(answer["robot"])
                     print(answer["robot"], answer["code"], answer["text"])
 
