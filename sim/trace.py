@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
+from zipfile import ZipFile
 
 import numpy as np
 from msgspec.structs import astuple
@@ -24,6 +25,11 @@ ARENA = -1
 """The index of walls, fixed boxes and poles in a contact."""
 
 VERSION = 4
+MAX_RATIO = 100
+"""Bytes of all arrays to those of their file: a run has a ratio of 9 to 35, of robots that never
+move 400. A file of others may be made to unpack to a thousand times its size."""
+MAX_SPARE = 64 * 2**20
+"""Bytes beyond this ratio."""
 WORD = "U24"
 """The type of states, reasons and reported texts in arrays."""
 
@@ -138,7 +144,12 @@ class Trace:
             kept |= {f"{kind}/{name}": values for name, values in arrays[kind].items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as partial, partial.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, head=np.array(json.dumps(head)), **kept)
+            kept["head"] = np.array(json.dumps(head))
+            np.savez_compressed(file, allow_pickle=False, **kept)
+            file.flush()
+            if _unpacked_size(partial) > _most_unpacked(partial):
+                file.seek(0)
+                np.savez(file, allow_pickle=False, **kept)
 
 
 def poses_at(t: Array, poses: Array, time: float) -> Array:
@@ -168,9 +179,24 @@ def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
     return tuple(names), found
 
 
+def _most_unpacked(path: Path) -> int:
+    return MAX_RATIO * path.stat().st_size + MAX_SPARE
+
+
+def _unpacked_size(path: Path) -> int:
+    """The bytes of all members of an archive; zipfile reads no more of any than its head states."""
+    with ZipFile(path) as archive:
+        return sum(member.file_size for member in archive.infolist())
+
+
 def load_trace(path: Path) -> Trace:
-    """The trace in a file; ConfigError if it is unreadable or not a trace."""
+    """The trace in a file; ConfigError if it is unreadable, too large or not a trace."""
     try:
+        if (size := _unpacked_size(path)) > (most := _most_unpacked(path)):
+            raise ConfigError(
+                f"{path}: unpacks to {size} bytes; expected {most} or less, {MAX_RATIO} times its"
+                " size and 64 MiB"
+            )
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         head = json.loads(str(arrays.pop("head")))

@@ -11,6 +11,7 @@ import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from email.parser import HeaderParser
 from importlib.metadata import EntryPoints
 from pathlib import PurePosixPath
@@ -101,6 +102,7 @@ def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
             raise PluginError(f"{label} would hide a module of that name: {info.filename}")
         if path.parts[0].endswith(".data"):
             raise PluginError(f"{label} has files outside its packages: {info.filename}")
+        _read(archive, info, label)
     return files
 
 
@@ -123,8 +125,10 @@ def _text(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> str:
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, label: str) -> bytes:
-    with archive.open(info) as file:
-        content = file.read(info.file_size + 1)  # a head may claim less than there is
+    larger = copy(info)  # an import reads all that there is, and zipfile what the head states
+    larger.file_size += 1
+    with archive.open(larger) as file:
+        content = file.read()
     if len(content) != info.file_size:
         raise PluginError(f"{label}: {info.filename} has not the size that its head states")
     return content

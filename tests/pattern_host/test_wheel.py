@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
+import zlib
 from collections.abc import Mapping
 from random import Random
 
@@ -59,6 +61,20 @@ SPOILT = {
 def test_wheels_that_may_do_harm_or_name_no_pattern_are_refused(files: Mapping[str, str]) -> None:
     with pytest.raises(PluginError, match=r"^own\.whl"):
         inspect_wheel(made({**GOOD, **files}), "own.whl")
+
+
+@pytest.mark.parametrize("checked", [1, 2])
+def test_a_file_with_more_than_its_head_states_is_refused(checked: int) -> None:
+    """An import would unpack all of it, whatever the head says."""
+    size, content = 2**20, io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in {**GOOD, "own_code/large.py": " " * size}.items():
+            archive.writestr(name, text)
+    sizes, less = struct.pack("<I", size), struct.pack("<I", 1)
+    whole, part = (struct.pack("<I", zlib.crc32(b" " * count)) for count in (size, checked))
+    data = content.getvalue().replace(sizes, less).replace(whole, part)
+    with pytest.raises(PluginError, match=r"^own\.whl.*own_code/large\.py"):
+        inspect_wheel(data, "own.whl")
 
 
 def test_damaged_wheels_are_refused_in_one_line() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+import zipfile
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
+from swarmd.sim import trace as module
 from swarmd.sim.trace import ARENA, VERSION, Trace, TraceBuilder, load_trace
 
 IDS = ("a", "b")
@@ -96,6 +99,34 @@ def test_a_file_that_is_no_trace_is_one_clear_error(tmp_path: Path, content: byt
         load_trace(path)
     with pytest.raises(ConfigError, match=r"missing\.npz"):
         load_trace(tmp_path / "missing.npz")
+
+
+def test_a_file_that_unpacks_to_more_than_its_size_allows_is_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for number in range(20):
+            archive.writestr(f"report/{number}.npy", bytes(2**23))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match=r"run\.npz: unpacks to 167772160 bytes; expected"):
+            load_trace(path)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 2**23
+
+
+def test_a_trace_in_which_nothing_changes_is_saved_as_it_can_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MAX_SPARE", 0)
+    recorder = TraceBuilder(IDS, [load_platform("burger")] * 2, {})
+    for k in range(3000):
+        recorder.add(0.1 * k, np.zeros((2, 3)), np.zeros((2, 3)))
+    trace, path = recorder.trace(), tmp_path / "run.npz"
+    state = np.full(trace.pose.shape[:2], "idle", dtype=module.WORD)
+    replace(trace, state=state).save(path)
+    assert load_trace(path).duration == trace.duration
 
 
 def test_arrays_that_do_not_fit_together_are_one_clear_error(tmp_path: Path) -> None:
