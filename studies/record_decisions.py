@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
+from swarmd.protection.barrier import Barrier
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.modes import Arbiter, make_arbiter
+from swarmd.protection.modes import is_barrier, make_arbiter
 from swarmd.sim.lockstep.lockstep import Lockstep
 from tests.support import decision_corpus as corpus
 
@@ -49,10 +50,15 @@ FURTHEST = 4.0  # m: returns beyond constrain no robot
 class Recording:
     """An arbiter that notes what it is given."""
 
-    def __init__(self, arbiter: Arbiter) -> None:
+    def __init__(self, arbiter: Barrier) -> None:
         self.mode, self.clearance = arbiter.mode, arbiter.clearance
         self.events: list[corpus.Event] = []
         self._arbiter = arbiter
+
+    @property
+    def min_gap(self) -> float | None:
+        """That of the last scan."""
+        return self._arbiter.min_gap
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Note the scan."""
@@ -77,7 +83,7 @@ def stream_of(scene: Scene, seed: int) -> corpus.Stream:
     for shell, platform in zip(run.shells, run.world.platforms, strict=True):
         assert shell is not None
         protection = shell.robot._protection
-        if protection._arbiter.mode == "barrier":
+        if is_barrier(protection._arbiter):
             recording = Recording(protection._arbiter)
             protection._arbiter = recording
             recordings.append((platform, recording))

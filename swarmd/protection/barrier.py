@@ -1660,14 +1660,15 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_sides(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
-        """Two rows for each point of the chunk whose cap is 0: obstacles that are passed sideways.
+        """Two rows for each point of the chunk whose cap is or may soon be 0, to pass it sideways.
 
         A robot that slides along a face does not close on it, as long as the face stands still. Two
         robots that slide towards the same place each pass what they saw there last, until their
         corners meet: a moving obstacle may no longer be where it was seen. So the corners that are
         foremost 60 degrees to either side of the obstacle may approach only so fast that two such
         robots do not touch before both have a new scan. The creep speed is always allowed. Moving
-        away stays free.
+        away stays free. With a reserve, the robot brakes before the cap of an obstacle that
+        approaches is 0: else it was still at 0.09 m/s when the obstacle had slid to its corner.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -1680,7 +1681,16 @@ class Barrier:
         lever: cython.p_double = self._at_highest
         ax: cython.p_double = self._edge_x
         ay: cython.p_double = self._edge_y
-        while count > 0 and not (cap[count - 1] <= 0.0):
+        others: cython.double = self._others if self._is_passive else 0.0
+        slowing: cython.double = self._braking_linear
+        turning: cython.double = self._braking_angular
+        early: cython.double = 0.0  # m by which an obstacle approaches while the robot brakes
+        if self._side_reserve > 0.0:
+            early = others * self._limit / slowing
+        left: cython.p_double = self._foot_x  # m until the cap is 0
+        for j in range(count):
+            left[j] = gap[j] - self._at_free[j] - others * (self._at_age[j] + _tick)
+        while count > 0 and not (cap[count - 1] <= 0.0 or left[count - 1] < early):
             count -= 1
         for side in range(2):
             turn: cython.double = _side_sin if side == 0 else -_side_sin
@@ -1704,13 +1714,17 @@ class Barrier:
             row_cap: cython.p_double = _first(self._row_cap, at + count)
             row_gap: cython.p_double = _first(self._row_gap, at + count)
             for j in range(count):
-                if cap[j] <= 0.0:
-                    rest: cython.double = 0.5 * (gap[j] - (self._at_free[j] + self._at_hidden[j]))
+                if cap[j] <= 0.0 or left[j] < early:
+                    until: cython.double = left[j] / others if 0.0 < left[j] < early else 0.0
+                    rest: cython.double = gap[j] - others * until
+                    rest = 0.5 * (rest - (self._at_free[j] + self._at_hidden[j]))
                     rest /= self._at_age[j] + _tick
-                    rest -= self._side_reserve
+                    rest = _maximum(rest - self._side_reserve, CREEP_SPEED)
                     linear: cython.double = ax[j] * self._along_x + ay[j] * self._along_y
+                    if until > _tick:
+                        rest += _braking(linear, lever[j], slowing, turning) * (until - _tick)
                     row_x[at], row_y[at] = linear * self._limit, lever[j] * self._angular_limit
-                    row_cap[at] = _maximum(rest, CREEP_SPEED)
+                    row_cap[at] = rest
                     row_gap[at], self._source[at] = gap[j] - self._at_radius[j], first + j
                     at += 1
             self._rows = at

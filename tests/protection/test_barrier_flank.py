@@ -60,3 +60,22 @@ def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(seed: int, first: 
     sims = [HomingSim("waffle_pi", seed, begin=0.8, phase=0.01 * phase) for phase in phases]
     faults = [sim.fault(4.0) or 0.0 for sim in sims]
     assert max(faults) <= NO_FAULT, faults
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("x", "y", "yaw", "velocity"),
+    [(0.256, 1.061, -2.239, (0.084, -0.391)), *part([], [(0.14, 1.133, 1.15, (0.171, -0.361))])],
+)
+def test_body_that_slides_to_a_corner_does_not_meet_a_waffle_pi_that_brakes(
+    x: float, y: float, yaw: float, velocity: tuple[float, float], side: float
+) -> None:
+    """It comes from the side, straight and at `others_speed`, while the robot drives ahead."""
+    platform = under_barrier(load_platform("waffle_pi"), unseen_extent=0.0)
+    outline = (platform.footprint * (1.0, side))[:: int(side)]
+    body = Shape(outline, Pose(x, side * y, side * yaw), (velocity[0], side * velocity[1]))
+    for phase in np.arange(0.0, 0.2, 0.02).tolist():
+        sim = FilterSim(platform, [body], phase=phase, noise=0.01, rolling=True)
+        touch = sim.run(Twist(0.26), 2.5).touch
+        assert touch is not None
+        assert touch.speed <= NO_FAULT, phase
