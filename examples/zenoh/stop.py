@@ -9,8 +9,7 @@ import zenoh
 
 def main() -> None:
     """Ask three times, and print the answer of each robot."""
-    swarm = sys.argv[1]
-    verb = "estop" if "estop" in sys.argv else "stop"
+    swarm, verb = sys.argv[1], "estop" if "estop" in sys.argv else "stop"
     request = {"verb": verb, "id": uuid.uuid4().hex, "operator": "stop.py"}
     payload = b"\x01" + msgpack.packb(request)  # the version of the format, and MessagePack
     config = zenoh.Config()
