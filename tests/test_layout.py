@@ -262,6 +262,40 @@ def kernels_by_line(path: Path) -> dict[int, list[str]]:
     return {line: names for line, names in found.items() if names}
 
 
+def test_python_uses_kernels_as_cython_permits() -> None:
+    """A function of one argument takes no keyword, and a subclass replaces no method of C.
+
+    The directive `always_allow_keywords` is False; the interpreted form permits both.
+    """
+    trees = [tree_of(ROOT / path) for path in kernel_mutants.TESTS]
+    classes = {node.name: node for t in trees for node in t.body if isinstance(node, ast.ClassDef)}
+    functions = [node for t in trees for node in ast.walk(t) if isinstance(node, ast.FunctionDef)]
+    arguments = [(f.name, [arg.arg for arg in f.args.args if arg.arg != "self"]) for f in functions]
+    keywords = {f"{name}({args[0]}=" for name, args in arguments if len(args) == 1}
+    found = []
+    for path in sources(*CODE):
+        text, names = path.read_text(), classes.keys()
+        found += [f"{name_of(path)}: {call}" for call in re.findall(r"\b\w+\(\w+=", text)
+                  if call in keywords]  # fmt: skip
+        for node in ast.walk(tree_of(path)) if any(f"({name})" in text for name in names) else ():
+            for base in map(ast.unparse, node.bases) if isinstance(node, ast.ClassDef) else ():
+                found += [
+                    f"{name_of(path)}: {base}.{name}"
+                    for name in methods_of(node) & methods_of(classes.get(base), "cython.cfunc")
+                ]
+    assert found == []
+
+
+def methods_of(node: ast.AST | None, decorator: str = "") -> set[str]:
+    """The methods of a class, or those with a decorator."""
+    return {
+        method.name
+        for method in getattr(node, "body", ())
+        if isinstance(method, ast.FunctionDef)
+        and (not decorator or decorator in map(ast.unparse, method.decorator_list))
+    }
+
+
 def test_every_package_has_an_init_that_only_reexports() -> None:
     missing = [
         p for p in SETUPTOOLS["packages"] if not (ROOT / _folder(p) / "__init__.py").exists()

@@ -14,26 +14,15 @@ from studies.kernel_mutants import TESTS
 from swarmd.core.kernels import describe_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
+WITHOUT = "not integration and not evidence and not compiled_only"
 
 
 @pytest.mark.skipif(describe_kernels() != "compiled", reason="the kernels are not compiled")
-@pytest.mark.timeout(900)  # of each test in there: 180 s
-@pytest.mark.parametrize("folder", sorted({*chain(*TESTS.values())}))
-def test_interpreted(folder: str) -> None:
-    """Each in a process of its own, since modules keep the form that they have loaded."""
-    command = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:xdist",
-    ]
-    command += ["-m", "not integration and not evidence and not compiled_only", folder]
+@pytest.mark.timeout(1200)  # of all; each test in there has its own
+def test_tests_of_kernels_pass_interpreted() -> None:
+    """In another process, since modules keep the form that they have loaded."""
+    command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider"]
+    command += ["-m", WITHOUT, *sorted({*chain(*TESTS.values())})]
     environ = {**os.environ, "SWARMD_COMPILED": "0"}
     done = subprocess.run(command, cwd=ROOT, env=environ, capture_output=True, text=True)
-    print(done.stdout)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
