@@ -63,6 +63,9 @@ LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
     ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
+# What others import from a kernel's file beside constants, alike in both forms: records of plain
+# values, and a function of a text.
+ALIKE = {"Surroundings", "Track", "axis_of"}
 
 
 def sources(*folders: str) -> list[Path]:
@@ -95,6 +98,17 @@ def imports(path: Path) -> list[tuple[int, str]]:
             found.append((node.lineno, "." * node.level + (node.module or "")))
             found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
     return found
+
+
+def lines_for_types(path: Path) -> set[int]:
+    """The lines of `if TYPE_CHECKING`, without its `else`."""
+    return {
+        line
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in node.body
+        for line in range(inner.lineno, (inner.end_lineno or inner.lineno) + 1)
+    }
 
 
 def is_within(module: str, package: str) -> bool:
@@ -225,6 +239,67 @@ def test_every_kernel_is_built_looked_for_and_mutated() -> None:
     )
     assert set(built.values()) == set(kernel_mutants.TESTS) == files
     assert tuple(built) == kernels.KERNELS
+
+
+def test_kernels_are_loaded_and_not_imported() -> None:
+    """An import gives the interpreted form, which is not the one that robots run.
+
+    Tests state why they want it: `interpreted` of tests/support/kernel_forms.py.
+    """
+    found = []
+    for path in sources(*CODE, *_TESTS, *_MEASURES, "examples"):
+        lines = kernels_by_line(path)
+        for_types = lines_for_types(path) if lines else set()
+        found += [f"{name_of(path)}:{n} imports {lines[n]}" for n in lines.keys() - for_types]
+    assert found == []
+
+
+def kernels_by_line(path: Path) -> dict[int, list[str]]:
+    """The lines that import a kernel, or a part of one that has two forms, and its name."""
+    by_line: dict[int, list[str]] = {}
+    for line, name in imports(path):
+        by_line.setdefault(line, []).append(name)
+    found = {}
+    for line, names in by_line.items():
+        parts = [name.rpartition(".") for name in names]
+        parts = [part for part in parts if part[0] in kernels.KERNELS]
+        forms = ["".join(p) for p in parts if not p[2].isupper() and p[2] not in ALIKE]
+        found[line] = forms if parts else [name for name in names if name in kernels.KERNELS]
+    return {line: names for line, names in found.items() if names}
+
+
+def test_python_uses_kernels_as_cython_permits() -> None:
+    """A function of one argument takes no keyword, and a subclass replaces no method of C.
+
+    The directive `always_allow_keywords` is False; the interpreted form permits both.
+    """
+    trees = [tree_of(ROOT / path) for path in kernel_mutants.TESTS]
+    classes = {node.name: node for t in trees for node in t.body if isinstance(node, ast.ClassDef)}
+    functions = [node for t in trees for node in ast.walk(t) if isinstance(node, ast.FunctionDef)]
+    arguments = [(f.name, [arg.arg for arg in f.args.args if arg.arg != "self"]) for f in functions]
+    keywords = {f"{name}({args[0]}=" for name, args in arguments if len(args) == 1}
+    found = []
+    for path in sources(*CODE):
+        text, names = path.read_text(), classes.keys()
+        found += [f"{name_of(path)}: {call}" for call in re.findall(r"\b\w+\(\w+=", text)
+                  if call in keywords]  # fmt: skip
+        for node in ast.walk(tree_of(path)) if any(f"({name})" in text for name in names) else ():
+            for base in map(ast.unparse, node.bases) if isinstance(node, ast.ClassDef) else ():
+                found += [
+                    f"{name_of(path)}: {base}.{name}"
+                    for name in methods_of(node) & methods_of(classes.get(base), "cython.cfunc")
+                ]
+    assert found == []
+
+
+def methods_of(node: ast.AST | None, decorator: str = "") -> set[str]:
+    """The methods of a class, or those with a decorator."""
+    return {
+        method.name
+        for method in getattr(node, "body", ())
+        if isinstance(method, ast.FunctionDef)
+        and (not decorator or decorator in map(ast.unparse, method.decorator_list))
+    }
 
 
 def test_every_package_has_an_init_that_only_reexports() -> None:

@@ -341,8 +341,9 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     rows = np.array((*stop.cruise, *stop.steps))
     periods, ways = rows[:, 1] - rows[:, 0], stop.sign * rows[:, 2]
     first = rows[0, 0] - _LONGEST_DELAY
-    kept = [one for k, one in enumerate(commands[:-1]) if first < commands[k + 1][0] != one[0]]
-    stamps, levels = np.array((*kept, commands[-1])).T
+    last = len(commands) - 1
+    kept = [one for k, one in enumerate(commands[:last]) if first < commands[k + 1][0] != one[0]]
+    stamps, levels = np.array((*kept, commands[last])).T
     levels = np.maximum(stop.sign * levels, 0.0)
     count = len(stop.cruise)
     seen = float(ways[:count].sum() / periods[:count].sum())
@@ -562,15 +563,16 @@ class AssumptionMonitor:
 
         `delay` in s: how old its rays may be. What the robot moved meanwhile counts as its own.
         """
-        scans = self._scans
-        if gap is None or gap > _NEAR or (scans and not 0.0 < stamp - scans[-1][0] < _MAX_GAP_TIME):
+        scans, seen = self._scans, self._approaches
+        is_late = scans and not 0.0 < stamp - scans[len(scans) - 1][0] < _MAX_GAP_TIME
+        if gap is None or gap > _NEAR or is_late:
             scans.clear()
         if gap is None or gap > _NEAR:
             return ""
         scans.append((stamp, gap, self._moved_until(self._stamp - delay), self._moved))
         while stamp - scans[0][0] > _APPROACH:
             scans.popleft()
-        is_apart = not self._approaches or stamp - self._approaches[-1][0] >= _APART
+        is_apart = not seen or stamp - seen[len(seen) - 1][0] >= _APART
         if len(scans) < _MIN_SCANS or stamp - scans[0][0] < _MIN_APPROACH or not is_apart:
             return ""
         assumed = self._settings.others_speed
@@ -603,7 +605,8 @@ class AssumptionMonitor:
         if float(np.abs(off).max()) > _STEADY:
             return 0.0, 0.0
         noise = max(math.sqrt(float(off @ off) / (len(gaps) - 2)), _RANGE_NOISE)
-        own = float(moved[-1] - begun[0]) / float(times[-1] - times[0])
+        last = len(times) - 1
+        own = float(moved[last] - begun[0]) / float(times[last] - times[0])
         return -slope - own, noise / math.sqrt(float(times @ times))
 
     def _moved_until(self, at: float) -> float:

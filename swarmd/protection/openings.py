@@ -421,7 +421,7 @@ class Openings:
                 left.append(one)
         if len(left) > _MOST:  # those that were seen once go first
             left.sort(key=lambda one: (one is kept, one.hits >= SIGHTINGS, one.seen_at))
-            del left[:-_MOST]
+            del left[: len(left) - _MOST]
         self._known = left
 
     @cython.cfunc

@@ -16,13 +16,13 @@ from msgspec import structs
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, TouchZone, Twist
-from swarmd.protection import arbiter as interpreted
 from swarmd.protection.decision import Decision, DecisionContext, ModeDecision, Permit, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.protection import Protection
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
+from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.platforms import with_mode
 
 WAFFLE, BURGER = load_platform("waffle_pi"), load_platform("burger")
@@ -206,12 +206,14 @@ def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.Monke
     assert len(judged) == 5
 
 
+@compares_forms
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("avoidance", ["none", "orca"])
 def test_compiled_and_interpreted_code_decide_the_same(mode: Mode, avoidance: str) -> None:
     platform = with_mode(WAFFLE, mode)
     platform = replace(platform, protection={**platform.protection, "avoidance": avoidance})
-    draw, ones = Random(3), (Protection(platform), interpreted.Protection(platform))
+    draw = Random(3)
+    ones = [kernel.Protection(platform) for kernel in both_forms("swarmd.protection.arbiter")]
     now, pose, twist = 10.0, Pose(), ZERO
     requested: Twist | None = None
     permit, seen = Permit(), set[tuple[Reason | None, bool, bool]]()

@@ -6,29 +6,38 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
-from swarmd.protection import assumption_monitor
-from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor, axis_of
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part
 from tests.support.filter_sim import FilterSim, box, under_barrier
+from tests.support.kernel_forms import both_forms, compares_forms, interpreted, long_run
 from tests.support.restless_bases import RestlessBases, noisy
 
+if TYPE_CHECKING:
+    from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor, axis_of
+else:
+    kernel = load_kernel("swarmd.protection.assumption_monitor")
+    AssumptionMonitor, axis_of, MIN_SHARE = (
+        kernel.AssumptionMonitor,
+        kernel.axis_of,
+        kernel.MIN_SHARE,
+    )
+
+KERNEL = "swarmd.protection.assumption_monitor"
 BURGER = under_barrier(load_platform("burger"))
 TOP = BURGER.limits.linear
 SLIDES = replace(BURGER, limits=replace(BURGER.limits, lateral=TOP))
 """A Burger that also moves sideways."""
 Command = Callable[[float], Twist]
-FORMS = assumption_monitor, load_kernel("swarmd.protection.assumption_monitor")
 
 
 def to_and_fro(time: float) -> Twist:
@@ -151,6 +160,7 @@ def test_restless_robots_with_brakes_as_declared_raise_no_alarm(noise: float) ->
     assert bases.run(12000.0) == []
 
 
+@long_run
 @pytest.mark.parametrize(
     ("name", "lag"),
     part(
@@ -165,6 +175,7 @@ def test_noisy_odometry_and_slightly_weak_brakes_raise_no_alarm(name: str, lag: 
     assert bases.run(360.0) == []
 
 
+@long_run
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_restless_robots_with_weak_brakes_are_noticed_within_two_minutes(noise: float) -> None:
     bases = RestlessBases(BURGER, 12, brakes=0.7, noise=noisy(noise))
@@ -185,6 +196,7 @@ def shares_brakes() -> Platform:
     )
 
 
+@long_run
 @pytest.mark.parametrize("platform", [SLIDES, shares_brakes()], ids=["slides", "shares brakes"])
 @pytest.mark.parametrize(("brakes", "noise", "lag"), [(1.0, 2.0, 0.0), (0.9, 2.5, 0.25)])
 @pytest.mark.parametrize("seconds", part([200.0], [6000.0]))
@@ -196,6 +208,7 @@ def test_restless_bases_that_move_sideways_raise_no_alarm(
     assert bases.run(seconds) == []
 
 
+@long_run
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_restless_bases_with_weak_brakes_sideways_are_noticed(noise: float) -> None:
     bases = RestlessBases(SLIDES, 6, sideways=0.7, noise=noisy(noise), styles=("shuttle",))
@@ -204,6 +217,7 @@ def test_restless_bases_with_weak_brakes_sideways_are_noticed(noise: float) -> N
     assert all(0.5 < monitor.speed_share < 0.75 for monitor in bases.monitors)
 
 
+@long_run
 @pytest.mark.parametrize(
     ("platform", "weak"),
     [(BURGER, {"brakes": 0.6}), (SLIDES, {"sideways": 0.6, "styles": ("shuttle",)})],
@@ -305,11 +319,10 @@ def approach(
     return [text for text in events if text]
 
 
-@pytest.mark.parametrize("kernel", FORMS, ids=["interpreted", "compiled"])
 @pytest.mark.parametrize("own", [0.0, 0.2])
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
-def test_two_fast_approaches_reduce_the_speed(kernel: Any, own: float, rate: float) -> None:
-    monitor = kernel.AssumptionMonitor(BURGER)
+def test_two_fast_approaches_reduce_the_speed(own: float, rate: float) -> None:
+    monitor = AssumptionMonitor(BURGER)
     assert len(approach(monitor, 0.6, 0.0, own, rate)) == 1
     assert monitor.speed_share == 1.0
     events = approach(monitor, 0.6, 20.0, own, rate)
@@ -381,6 +394,7 @@ def test_protection_scales_the_safe_command_and_nothing_else() -> None:
     assert sim.run(Twist(), 1.0).decisions[-1][1].safe == Twist()
 
 
+@long_run
 def test_weak_brakes_lead_to_no_fault_once_they_are_measured() -> None:
     """A front comes at others_speed; the base brakes with half of what is assumed."""
     platform = under_barrier(BURGER, unseen_extent=0.0)
@@ -400,7 +414,8 @@ def test_other_modes_assume_nothing() -> None:
 
 
 def test_both_axes_are_judged_also_if_they_fail_at_once() -> None:
-    monitor = AssumptionMonitor(BURGER)
+    kernel = interpreted(KERNEL, because="its axes are fields of C, and take no other class")
+    monitor = kernel.AssumptionMonitor(BURGER)
 
     class Weak:
         """A brake that finds a violation in each stop."""
@@ -420,17 +435,18 @@ def test_both_axes_are_judged_also_if_they_fail_at_once() -> None:
             return True
 
     axes = Weak("linear"), Weak("angular")
-    monitor._linear, monitor._angular = axes  # type: ignore[assignment]
+    monitor._linear, monitor._angular = axes
     events = [monitor.on_command(Twist(0.1, 0.2))]
     events += [monitor.on_odometry(Odometry(n, Pose(0.1 * n), Twist())) for n in (0.0, 1.0)]
     assert [len(one.calls) for one in axes] == [2, 2]
     assert [("linear" in text, "angular" in text) for text in events if text] == [(True, True)] * 2
 
 
+@compares_forms
 @pytest.mark.parametrize("axis", ["linear", "lateral"])
 def test_compiled_and_interpreted_code_measure_the_same(axis: str) -> None:
-    rng, kernel = np.random.default_rng(3), load_kernel("swarmd.protection.assumption_monitor")
-    ones = AssumptionMonitor(SLIDES), kernel.AssumptionMonitor(SLIDES)
+    rng = np.random.default_rng(3)
+    ones = [kernel.AssumptionMonitor(SLIDES) for kernel in both_forms(KERNEL)]
     moved = speed = wanted = 0.0
     events = list[list[list[str]]]()
     for step in range(4000):

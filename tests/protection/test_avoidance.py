@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -14,15 +15,25 @@ from numpy.typing import NDArray
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
-from swarmd.protection import velocity_obstacles as interpreted
 from swarmd.protection.avoidance import Avoidance
 from swarmd.protection.decision import Permit
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
-from swarmd.protection.velocity_obstacles import Line, excess, most_violated, nearest
 from swarmd.settings.settings import load_platform
 from tests.support.examples import examples
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
+from tests.support.kernel_forms import both_forms, compares_forms, long_run
+
+if TYPE_CHECKING:
+    from swarmd.protection.velocity_obstacles import Line, excess, most_violated, nearest
+else:
+    kernel = load_kernel("swarmd.protection.velocity_obstacles")
+    Line, excess, most_violated, nearest = (
+        kernel.Line,
+        kernel.excess,
+        kernel.most_violated,
+        kernel.nearest,
+    )
 
 AVOIDING = under_barrier(load_platform("burger"))
 BURGER = replace(AVOIDING, protection={**AVOIDING.protection, "avoidance": "none"})
@@ -152,9 +163,7 @@ def test_the_velocity_is_the_nearest_that_keeps_all_lines(
     assert math.hypot(x - wanted[0], y - wanted[1]) <= best + 1e-6
 
 
-compiled = load_kernel("swarmd.protection.velocity_obstacles")
-
-
+@compares_forms
 @settings(max_examples=examples(200))
 @given(
     st.lists(st.tuples(UNIT, UNIT, UNIT, UNIT, st.floats(0.05, 0.6)), max_size=8),
@@ -167,7 +176,7 @@ def test_compiled_and_interpreted_code_give_the_same_lines_and_velocities(
     wanted: tuple[float, float],
 ) -> None:
     walls, found = np.array(places).reshape(-1, 2), []
-    for module in (interpreted, compiled):
+    for module in both_forms("swarmd.protection.velocity_obstacles"):
         lines = module.wall_lines(walls, 0.1, *wanted, 0.12, 0.5, 0.8)
         fixed = len(lines)
         tracks = tuple(Track(7, *disc, 0.05) for disc in discs)
@@ -207,6 +216,7 @@ def test_a_decision_says_what_is_avoided_and_keeps_the_margin() -> None:
     assert ride.min_gap > 0.05
 
 
+@long_run
 def test_a_decision_says_that_the_robot_drives_to_an_opening_and_passes_it() -> None:
     walls = [box(0.1, 2.0, Pose(0.8, side * 1.18)) for side in (1.0, -1.0)]
     walls.append(box(0.1, 6.0, Pose(3.0)))  # what is seen through the door
@@ -216,6 +226,7 @@ def test_a_decision_says_that_the_robot_drives_to_an_opening_and_passes_it() -> 
     assert avoided[0].text.startswith("drives to an opening, 0.")
 
 
+@long_run
 @pytest.mark.parametrize(("is_alone", "least", "most"), [(True, 0.0, 0.1), (False, 4.0, 5.0)])
 def test_a_robot_beside_an_object_recovers_later(is_alone: bool, least: float, most: float) -> None:
     begin = []

@@ -10,6 +10,9 @@ from msgspec.structs import replace
 from swarmd.core.values import Pose, Scan, Twist
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
+from tests.support.kernel_forms import long_run
+
+pytestmark = long_run
 
 BURGER = under_barrier(load_platform("burger"))
 WALLS = tuple(

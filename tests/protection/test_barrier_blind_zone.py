@@ -16,6 +16,7 @@ from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import reciprocal_cap
 from tests.support.examples import part
 from tests.support.filter_sim import FilterSim, Shape, box, decided, pole, under_barrier
+from tests.support.kernel_forms import long_run
 
 BURGER, JACKAL = under_barrier(load_platform("burger")), under_barrier(load_platform("jackal"))
 BLIND = JACKAL.scan.range_min
@@ -121,6 +122,7 @@ def test_approached_obstacle_is_remembered_when_it_vanishes() -> None:
     assert sim.run(Twist(-0.5), 4.0).poses[-1].x < run.poses[-1].x - 0.04
 
 
+@long_run
 def test_hidden_obstacle_is_remembered_when_the_pose_of_odometry_jumps(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -136,6 +138,7 @@ def test_hidden_obstacle_is_remembered_when_the_pose_of_odometry_jumps(
     assert sim.run(AHEAD, 4.0).poses[-1].x == pytest.approx(stopped.x, abs=1e-6)
 
 
+@long_run
 @pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, 2.0])
 @pytest.mark.parametrize("speed", part([0.6], [0.1]))
 def test_robot_does_not_turn_into_a_wide_near_face(bearing: float, speed: float) -> None:
@@ -150,6 +153,7 @@ def test_robot_does_not_turn_into_a_wide_near_face(bearing: float, speed: float)
     assert sim.run(Twist(0.3, 1.0), 4.0).touch is None
 
 
+@long_run
 def test_lost_near_returns_of_an_lds_do_not_count_as_free() -> None:
     """A zero means too near or no return: a box approaches until the lidar no longer sees it."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)

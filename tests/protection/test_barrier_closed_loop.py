@@ -31,6 +31,9 @@ from tests.support.filter_sim import (
     separation,
     under_barrier,
 )
+from tests.support.kernel_forms import long_run
+
+pytestmark = long_run
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MARGIN = 0.03

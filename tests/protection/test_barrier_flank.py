@@ -12,6 +12,9 @@ from swarmd.settings.platforms import load_platform
 from tests.support.examples import part
 from tests.support.filter_sim import FilterSim, Shape, pole, under_barrier
 from tests.support.homing import HomingSim
+from tests.support.kernel_forms import long_run
+
+pytestmark = long_run
 
 NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
 STEP, BEGIN = 0.1, 0.8  # s

@@ -8,6 +8,9 @@ import pytest
 from msgspec.structs import replace
 
 from tests.support.homing import HomingSim
+from tests.support.kernel_forms import long_run
+
+pytestmark = long_run
 
 NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
 TRANSPORT = 0.1  # s

@@ -15,6 +15,9 @@ from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
+from tests.support.kernel_forms import long_run
+
+pytestmark = long_run
 
 NO_FAULT = 0.02
 KINDS = ("burger", "waffle_pi", "jackal")

@@ -39,6 +39,7 @@ from tests.support.filter_sim import (
     round_corners,
     under_barrier,
 )
+from tests.support.kernel_forms import long_run
 
 TICK = 0.05
 NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
@@ -235,6 +236,7 @@ def unseen(radius: float, x: float, **motion: object) -> Shape:
     return Shape(round_corners(radius), Pose(x), seen=nowhere, **motion)  # type: ignore[arg-type]
 
 
+@long_run
 @pytest.mark.parametrize("platform", [BURGER, JACKAL], ids=lambda platform: platform.name)
 @pytest.mark.parametrize(
     ("place", "place_age"), [((0.0, 5.0), 0.1), ((2.0, 0.0), 0.4), ((-50.0, 0.0), 0.4)]
@@ -248,6 +250,7 @@ def test_place_in_a_shared_frame_hides_no_peer_that_is_sensed(
     assert touched_at(sim.run(Twist(platform.limits.linear), 12.0)) <= NO_FAULT
 
 
+@long_run
 @pytest.mark.parametrize("speed", [-1.2, 0.0])
 @pytest.mark.parametrize("linear", part([2.0], [0.5]))
 @pytest.mark.parametrize("source", ["sensed", "located"])

@@ -9,14 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Pose, Scan
-from swarmd.protection import blind_zone
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import reordered, scan_from
+from tests.support.kernel_forms import both_forms, compares_forms
 
-PATHS = blind_zone, load_kernel("swarmd.protection.blind_zone")
+pytestmark = compares_forms
+
+FORMS = both_forms("swarmd.protection.blind_zone")
 JACKAL = load_platform("jackal")
 GEOMETRY = ScanGeometry(JACKAL.scan)
 PERIOD = 0.1
@@ -30,7 +31,7 @@ class Memory:
 
     def __init__(self) -> None:
         self._paths = [
-            module.BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD) for module in PATHS
+            kernel.BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD) for kernel in FORMS
         ]
 
     def update(

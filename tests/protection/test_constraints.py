@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from hypothesis import strategies as st
 from msgspec import structs
 
 from swarmd.core.clock import TICK
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED, Barrier, linear_limit, touch_directions
+from swarmd.protection.barrier import CREEP_SPEED
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext
@@ -34,6 +36,15 @@ from tests.support.barrier_parts import (
     with_outline,
 )
 from tests.support.filter_sim import decided, under_barrier
+from tests.support.kernel_forms import interpreted
+
+KERNEL = "swarmd.protection.barrier"
+if TYPE_CHECKING:
+    from swarmd.protection.barrier import Barrier, linear_limit, touch_directions
+else:
+    Barrier = interpreted(KERNEL, because="a method of C is replaced, fields are read").Barrier
+    kernel = load_kernel(KERNEL)
+    linear_limit, touch_directions = kernel.linear_limit, kernel.touch_directions
 
 
 @pytest.mark.parametrize(

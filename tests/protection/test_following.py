@@ -6,19 +6,27 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
+from typing import TYPE_CHECKING
 
 import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, Permit
-from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW, FollowingMonitor, _Axis
+from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW
 from swarmd.protection.protection import Protection
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
 from tests.support.examples import part
+from tests.support.kernel_forms import both_forms, compares_forms, interpreted
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
+
+KERNEL = "swarmd.protection.following"
+if TYPE_CHECKING:
+    from swarmd.protection.following import FollowingMonitor
+else:
+    FollowingMonitor = load_kernel(KERNEL).FollowingMonitor
 
 BURGER = load_platform("burger")
 Motion = Callable[[float], Twist]
@@ -223,7 +231,8 @@ def test_every_platform_is_watched(name: str) -> None:
 
 
 def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_change() -> None:
-    axis, draw = _Axis(0.05, 0.25, "m/s"), Random(1)
+    kernel = interpreted(KERNEL, because="methods and fields of C are used")
+    axis, draw = kernel._Axis(0.05, 0.25, "m/s"), Random(1)
     given, slow, stamp = [(0.0, 0.0)], 0.0, 0.0
     axis.reset(0.0, stamp)
     for _ in range(2000):
@@ -241,9 +250,9 @@ def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_chang
         assert axis._slow == pytest.approx(slow, abs=1e-9)
 
 
+@compares_forms
 def test_compiled_and_interpreted_code_say_the_same() -> None:
-    draw, kernel = Random(2), load_kernel("swarmd.protection.following")
-    ones = FollowingMonitor(BURGER), kernel.FollowingMonitor(BURGER)
+    draw, ones = Random(2), [kernel.FollowingMonitor(BURGER) for kernel in both_forms(KERNEL)]
     stamp, pose, texts = 0.0, Pose(), list[list[str]]()
     for _ in range(4000):
         stamp += draw.choice((0.05, 0.05, 0.05, 0.0, 0.2, 0.4))

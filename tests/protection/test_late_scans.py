@@ -14,6 +14,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import FilterRun, FilterSim, box, under_barrier
+from tests.support.kernel_forms import long_run
 
 NAMES = ("burger", "waffle_pi")
 NO_FAULT = 0.02  # m/s
@@ -40,6 +41,7 @@ def met(name: str, late: Callable[[int], float], *, measures: bool = True) -> Fi
     return sim.run(lambda time: Twist(top if time > BEGIN else 0.0), BEGIN + 8.0)
 
 
+@long_run
 @pytest.mark.parametrize("late", [0.1, 0.2, 0.35])
 @pytest.mark.parametrize("name", NAMES)
 def test_late_scans_lead_to_no_fault_once_the_delay_is_measured(name: str, late: float) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,11 +11,14 @@ from hypothesis import strategies as st
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Pose, Scan
-from swarmd.protection import openings as interpreted
 from tests.support.examples import examples
+from tests.support.kernel_forms import both_forms, compares_forms
 
-compiled = load_kernel("swarmd.protection.openings")
-needs_compiled = pytest.mark.skipif(compiled is interpreted, reason="the kernels are not compiled")
+if TYPE_CHECKING:
+    from swarmd.protection.openings import Openings
+else:
+    Openings = load_kernel("swarmd.protection.openings").Openings
+
 BEARINGS = np.radians(np.arange(-180.0, 180.0))
 HALF, BODY = 0.18, 0.09  # m, of a door in the middle of a wall at x = 0, and of a robot
 NEAR = Pose(-0.8, 0.1, 0.2)
@@ -33,7 +38,7 @@ def scan(pose: Pose, noise: float = 0.0, lost: float = 0.0, seed: int = 0) -> Sc
     return Scan(0, 0.0, ranges, BEARINGS, 0.1, 3.5)
 
 
-def known(openings: interpreted.Openings) -> list[tuple[float, ...]]:
+def known(openings: Openings) -> list[tuple[float, ...]]:
     return [
         (one.x, one.y, one.angle, one.half, *one.ends(1.0), *one.walls, one.hits, one.seen_at)
         for one in openings
@@ -41,7 +46,7 @@ def known(openings: interpreted.Openings) -> list[tuple[float, ...]]:
 
 
 def test_a_door_is_measured() -> None:
-    openings = interpreted.Openings(BODY)
+    openings = Openings(BODY)
     openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, (), None)
     ((x, y, angle, half, first, last, left, right, hits, at),) = known(openings)
     assert (x, y) == pytest.approx((0.0, 0.0), abs=0.02)  # a ray is 1.4 cm from the next one
@@ -58,13 +63,13 @@ def test_a_door_is_measured() -> None:
     ids=["too narrow", "between two moving objects"],
 )
 def test_other_gaps_are_no_openings(body: float, tracks: tuple[tuple[float, ...], ...]) -> None:
-    openings = interpreted.Openings(body)
+    openings = Openings(body)
     openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, tracks, None)
     assert known(openings) == []
 
 
 def test_an_opening_that_is_not_seen_again_is_forgotten_unless_it_is_kept() -> None:
-    openings = interpreted.Openings(BODY)
+    openings = Openings(BODY)
     openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, (), None)
     (one,) = openings
     nothing = scan(Pose(-5.0))
@@ -74,7 +79,7 @@ def test_an_opening_that_is_not_seen_again_is_forgotten_unless_it_is_kept() -> N
     assert list(openings) == []
 
 
-@needs_compiled
+@compares_forms
 @given(
     st.lists(st.tuples(MOVES, MOVES, MOVES), min_size=1, max_size=5),
     st.floats(0.0, 0.03),
@@ -88,7 +93,7 @@ def test_any_scans_give_the_same_compiled_and_interpreted(
     lost: float,
     tracks: list[tuple[float, float, float]],
 ) -> None:
-    both = compiled.Openings(BODY), interpreted.Openings(BODY)
+    both = [kernel.Openings(BODY) for kernel in both_forms("swarmd.protection.openings")]
     for seed, (dx, dy, turn) in enumerate(moves):
         pose = Pose(NEAR.x + dx, NEAR.y + dy, NEAR.yaw + turn)
         for one in both:

@@ -16,6 +16,7 @@ from swarmd.protection.decision import DecisionContext, Permit
 from swarmd.protection.recovery import NO_OTHERS, Clearance, Others, Recovery
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
+from tests.support.kernel_forms import long_run
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MAY = Permit(may_recover=True)
@@ -134,6 +135,7 @@ def nook() -> list[Shape]:
     return [box(0.1, 4.0, Pose(0.9)), box(4.0, 0.1, Pose(0.0, 0.5))]
 
 
+@long_run
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
 def test_recovery_keeps_the_margin(platform: Platform) -> None:
     run = FilterSim(still(platform), nook()).run(AHEAD, 25.0, MAY)
@@ -149,6 +151,7 @@ def test_robot_without_permit_stays_blocked() -> None:
     assert run.decisions[-1][1].reason is Reason.PROTECTION
 
 
+@long_run
 def test_recovery_leads_around_a_pole() -> None:
     sim = FilterSim(BURGER, [pole(0.1, Pose(0.8, 0.01))])
     run = sim.run(toward(sim, 3.0), 40.0, MAY)

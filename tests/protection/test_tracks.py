@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-import pickle
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -13,8 +13,14 @@ from msgspec.structs import astuple
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext, ToldObstacle
-from swarmd.protection.tracks import Surroundings, Tracker
+from swarmd.protection.tracks import Surroundings
 from swarmd.settings.platforms import load_platform
+from tests.support.kernel_forms import both_forms, compares_forms
+
+if TYPE_CHECKING:
+    from swarmd.protection.tracks import Tracker
+else:
+    Tracker = load_kernel("swarmd.protection.tracks").Tracker
 
 BURGER = load_platform("burger")
 BEARINGS = BURGER.scan.bearings
@@ -215,18 +221,19 @@ def test_an_object_that_is_told_no_longer_is_forgotten() -> None:
     assert watch.run(2.0).tracks == ()
 
 
+@compares_forms
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 @pytest.mark.parametrize("own", [Twist(0.2), Twist(0.05, 0.8)], ids=["drives", "turns"])
 def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: float) -> None:
     found = []
-    for kind in (Tracker, load_kernel("swarmd.protection.tracks").Tracker):
+    for kernel in both_forms("swarmd.protection.tracks"):
         discs: list[tuple[Way, float]] = [
             (crossing, 0.1),
             (lambda t: (0.6, 0.5 - 0.1 * t), 0.15),
             (lambda t: (1.2, 0.05 * t), 0.1),
             (lambda t: (-0.7, -0.4), 0.2),
         ]
-        watch = Watch(discs, own=own, noise=0.01, lost=lost, kind=kind)
+        watch = Watch(discs, own=own, noise=0.01, lost=lost, kind=kernel.Tracker)
         watch.told = lambda t: (-0.9, 0.3 * t - 0.5)
         some = [watch.run(0.1) for _ in range(40)]
         found.append(
@@ -235,8 +242,3 @@ def test_compiled_and_interpreted_code_find_the_same_tracks(own: Twist, lost: fl
     assert found[0] == found[1]
     assert max(len(tracks) for tracks, _ in found[0]) >= 4
     assert all(walls for _, walls in found[0][3:])
-
-
-def test_a_tracker_without_a_scan_can_be_pickled() -> None:
-    tracker = Tracker(load_platform("waffle_pi"))
-    assert isinstance(pickle.loads(pickle.dumps(tracker)), Tracker)

@@ -14,8 +14,8 @@ from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
 from swarmd.core.verbs import StopRequest
 from swarmd.patterns.drive import Drive
-from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.robot.latches import MAX_HELD
+from tests.support.kernel_forms import interpreted
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, idle, standing_state, started
 
@@ -596,7 +596,8 @@ FOUND = "braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00"
 def slowed() -> RobotHarness:
     """An idle robot whose monitor has found weak brakes."""
     harness = idle()
-    monitor = AssumptionMonitor(harness.robot.platform)  # interpreted: its parts can be reached
+    kernel = interpreted("swarmd.protection.assumption_monitor", because="a field of C is set")
+    monitor = kernel.AssumptionMonitor(harness.robot.platform)
     harness.robot._protection._monitor = monitor
     monitor._linear.braking, monitor._linear.evidence = 0.56, FOUND
     monitor._reduce()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from random import Random
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,29 +16,31 @@ from swarmd.core.events import (
     ScanInput,
 )
 from swarmd.core.host_messages import Loaded, Step, Stepped
-from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
-from swarmd.robot import tick
 from swarmd.robot.actions import Actions
 from swarmd.robot.pattern_run import Loading, Wish
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import Disc, scan_of
+from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.robot_harness import acted
+
+if TYPE_CHECKING:
+    from swarmd.robot.tick import PatternRun
 
 PLATFORM = load_platform("waffle_pi")
 AXES = ("linear", "angular", "lateral")
-KERNEL = load_kernel("swarmd.robot.tick")
+FORMS = both_forms("swarmd.robot.tick")
 
 
-def said(run: tick.PatternRun, now: float) -> tuple[object, ...]:
+def said(run: PatternRun, now: float) -> tuple[object, ...]:
     return run.next_deadline(now), run.is_expired(now), run.is_restarting, run.restarts
 
 
-def do(run: tick.PatternRun, chance: Random, now: float) -> object:
+def do(run: PatternRun, chance: Random, now: float) -> object:
     """One event of a run, chosen at random, and what it gives."""
     match chance.randrange(9):
         case 0:
@@ -59,8 +61,9 @@ def do(run: tick.PatternRun, chance: Random, now: float) -> object:
     return None
 
 
+@compares_forms
 def test_a_run_is_the_same_compiled_and_interpreted() -> None:
-    runs, now = (tick.PatternRun(), KERNEL.PatternRun()), 10.0
+    runs, now = [kernel.PatternRun() for kernel in FORMS], 10.0
     steps = 0
     for seed in range(4000):
         now += Random(seed).choice((0.0, 0.01, 0.1, 0.5))
@@ -71,18 +74,20 @@ def test_a_run_is_the_same_compiled_and_interpreted() -> None:
     assert steps > 100
 
 
+@compares_forms
 def test_attributes_begin_as_the_same_values_compiled_and_interpreted() -> None:
     """A host reads a bool of the wire where it expects one, and no number."""
     for name in ("PatternRun", "InputTimes", "DutyCycle"):
-        one, other = (getattr(module, name)() for module in (tick, KERNEL))
+        one, other = (getattr(kernel, name)() for kernel in FORMS)
         words = [word for word in dir(one) if not word.startswith("__")]
         words = [word for word in words if not callable(getattr(other, word, print))]
         begun = [[repr(getattr(each, word)) for word in words] for each in (one, other)]
         assert begun[0] == begun[1]
 
 
+@compares_forms
 def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
-    times, found = (tick.InputTimes(), KERNEL.InputTimes()), set[Reason | None]()
+    times, found = [kernel.InputTimes() for kernel in FORMS], set[Reason | None]()
     chance = Random(1)
     for _ in range(4000):
         values: dict[str, Any] = {
@@ -142,9 +147,9 @@ def test_many_robots_tick_as_one_does() -> None:
                 follow(robot, acted(robot, ScanInput(scan), now), now)
         odometry = Odometry(now, Pose(0.002 * number), Twist(0.04))
         one.step(OdometryInput(odometry), now)
-        KERNEL.odometry_many([None, other], [None, odometry], now)
+        FORMS[1].odometry_many([None, other], [None, odometry], now)
         single = acted(one, TICK_INPUT, now)
-        several = KERNEL.tick_many([other], [2], commands, now)
+        several = FORMS[1].tick_many([other], [2], commands, now)
         twist = follow(one, single, now)
         if several:
             commands[2] = tuple(getattr(follow(other, several[0][1], now), name) for name in AXES)

@@ -13,6 +13,7 @@ from swarmd.core.codec import encode
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.sensing.measured_sweep import AT_ONCE, MeasuredSweep, Order
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanDelay
+from tests.support.kernel_forms import long_run
 from tests.support.turning_lidar import Lidar, Room, TurningLidar, swinging, wandering
 
 REVERSED = Lidar(Order(-1.0, 0.2), claim=0.2)  # a driver that reverses the rays of rplidar
@@ -59,6 +60,7 @@ def test_returns_of_a_turning_robot_are_where_they_are_once_the_order_is_known(
     assert max(after) < ERROR
 
 
+@long_run
 @pytest.mark.parametrize("seed", range(16))
 def test_random_lidars_on_random_ways_are_never_deskewed_in_another_order(seed: int) -> None:
     rng = np.random.default_rng(seed)

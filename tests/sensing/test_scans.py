@@ -13,15 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
-from swarmd.sensing import scans as interpreted
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.examples import examples
+from tests.support.kernel_forms import both_forms, compares_forms
 
-compiled = load_kernel("swarmd.sensing.scans")
-needs_compiled = pytest.mark.skipif(compiled is interpreted, reason="the kernels are not compiled")
-PATHS = [interpreted, pytest.param(compiled, marks=needs_compiled)]
+FORMS = both_forms("swarmd.sensing.scans")
+KERNEL = FORMS[1]
 # What an implementation with numpy gave, which does not exist any more.
 RECORDED = dict(np.load(Path(__file__).with_name("recorded_scans.npz")))
 
@@ -90,22 +88,20 @@ def recorded(kind: str) -> list[dict[str, Array]]:
     return list(cases.values())
 
 
-@pytest.mark.parametrize("module", PATHS)
-def test_features_are_as_recorded(module: Any) -> None:
+def test_features_are_as_recorded() -> None:
     for case in recorded("features"):
         ranges, bearings = case["scan"].astype(np.float64)
         range_min, range_max, within, count = case["how"].tolist()
         scan = Scan(0, 0.0, ranges, bearings, range_min, range_max)
-        found = [module.nearest(scan, 0.0, math.pi), module.nearest(scan, 0.5, 1.0)]
+        found = [KERNEL.nearest(scan, 0.0, math.pi), KERNEL.nearest(scan, 0.5, 1.0)]
         assert_same([case["nearest"]], [np.array([one or (math.nan,) * 2 for one in found])])
-        assert_same([case["closest"]], [module.closest_points(scan, within, int(count))])
-        objects = module.clusters(scan, within, 0.06, math.radians(10.0))
+        assert_same([case["closest"]], [KERNEL.closest_points(scan, within, int(count))])
+        objects = KERNEL.clusters(scan, within, 0.06, math.radians(10.0))
         objects = np.empty((5, 0)) if objects is None else objects
         assert_same(case["clusters"], [np.asarray(values, np.float64) for values in objects])
 
 
-@pytest.mark.parametrize("module", PATHS)
-def test_malformed_scan_or_count_is_refused_and_ends_no_process(module: Any) -> None:
+def test_malformed_scan_or_count_is_refused_and_ends_no_process() -> None:
     bearings = SPECS[0].bearings
     n = len(bearings)
 
@@ -126,22 +122,21 @@ def test_malformed_scan_or_count_is_refused_and_ends_no_process(module: Any) -> 
     for text, scans in malformed.items():
         for one in scans:
             with pytest.raises(ValueError, match=text):
-                module.nearest(one, 0.0, math.pi)
+                KERNEL.nearest(one, 0.0, math.pi)
             with pytest.raises(ValueError, match=text):
-                module.clusters(one, 2.0, 0.06, 0.2)
+                KERNEL.clusters(one, 2.0, 0.06, 0.2)
             with pytest.raises(ValueError, match=text):
-                module.closest_points(one, 2.0, 24)
+                KERNEL.closest_points(one, 2.0, 24)
     for count in (0, -1):
         with pytest.raises(ValueError, match="at least 1 sector"):
-            module.closest_points(scan(np.ones(n), bearings), 2.0, count)
+            KERNEL.closest_points(scan(np.ones(n), bearings), 2.0, count)
 
 
-@pytest.mark.parametrize("module", PATHS)
-def test_conditioning_is_as_recorded(module: Any) -> None:
+def test_conditioning_is_as_recorded() -> None:
     for case in recorded("memory"):
         platform, zero, guesses_near = case["spec"].tolist()
         spec = replace(load_platform(platform).scan, zero=zero)
-        memory = module.RayMemory(spec, guesses_near=guesses_near == "True")
+        memory = KERNEL.RayMemory(spec, guesses_near=guesses_near == "True")
         for raw, at, expected in zip(case["raw"], case["at"], case["ranges"], strict=True):
             yaw, now, known_at, is_valid = at.tolist()
             got = memory.condition(raw, spec.bearings, yaw, now)
@@ -151,18 +146,17 @@ def test_conditioning_is_as_recorded(module: Any) -> None:
                 np.testing.assert_array_equal(got.astype(np.float32), expected)
 
 
-@pytest.mark.parametrize("module", PATHS)
-def test_moved_rays_are_as_recorded(module: Any) -> None:
+def test_moved_rays_are_as_recorded() -> None:
     for case in recorded("motion"):
         ranges, bearings, ages = case["rays"].astype(np.float64)
         path, limits = case["path"], case["limits"]
-        assert_same(case["moved"], moved(module, (ranges, bearings, ages), path, limits))
+        assert_same(case["moved"], moved(KERNEL, (ranges, bearings, ages), path, limits))
         way, sector = case["way"], case["sector"]
-        inside = in_sector(module, (ranges, bearings, ages), 5, way, sector, limits)
+        inside = in_sector(KERNEL, (ranges, bearings, ages), 5, way, sector, limits)
         assert_same(case["inside"], inside)
 
 
-@needs_compiled
+@compares_forms
 @given(
     layouts(),
     st.sampled_from(SPECS),
@@ -189,8 +183,7 @@ def test_any_scans_of_a_turning_robot_give_the_same_compiled_and_interpreted(
 ) -> None:
     """Now and then the bearings are others."""
     spec, now, yaw = replace(spec, zero=zero), 0.0, 0.0
-    both = interpreted, compiled
-    pair = [module.RayMemory(spec, guesses_near=guesses_near) for module in both]
+    pair = [module.RayMemory(spec, guesses_near=guesses_near) for module in FORMS]
     for seed, calm, passed, turned in steps:
         now += passed
         yaw = turned if math.isnan(turned) or math.isnan(yaw) else yaw + turned
@@ -202,43 +195,41 @@ def test_any_scans_of_a_turning_robot_give_the_same_compiled_and_interpreted(
         assert_same(*(None if one is None else [one] for one in (expected, got)))
         scan = Scan(0, 0.0, raw, bearings, spec.range_min, spec.range_max)
         bearing, within = float(rng.uniform(-7.0, 7.0)), float(rng.choice((0.0, 0.5, 1.0, 3.0)))
-        near = [module.nearest(scan, bearing, 1.0) for module in both]
+        near = [module.nearest(scan, bearing, 1.0) for module in FORMS]
         assert near[0] == near[1]
         count = int(rng.integers(1, 100))
-        assert_same(*([module.closest_points(scan, within, count)] for module in both))
-        assert_same(*(module.clusters(scan, within, 0.06, 0.2) for module in both))
-        assert_same(*([module.unit_vectors(bearings)] for module in both))
+        assert_same(*([module.closest_points(scan, within, count)] for module in FORMS))
+        assert_same(*(module.clusters(scan, within, 0.06, 0.2) for module in FORMS))
+        assert_same(*([module.unit_vectors(bearings)] for module in FORMS))
         rays = raw, bearings, rng.uniform(0.0, 0.3, len(raw))
         path = rng.normal(0.0, 0.1, (5, 4))
         path[:, 0] = np.linspace(0.0, 0.25, 5)
-        assert_same(*(moved(module, rays, path, LIMITS) for module in both))
+        assert_same(*(moved(module, rays, path, LIMITS) for module in FORMS))
         way, sector = rng.normal(0.0, 0.1, 3), np.array((rng.uniform(-4.0, 4.0), 1.0, 0.8))
-        inside = (in_sector(module, rays, len(raw) // 4, way, sector, LIMITS) for module in both)
+        inside = (in_sector(module, rays, len(raw) // 4, way, sector, LIMITS) for module in FORMS)
         assert_same(*inside)
 
 
-@pytest.mark.parametrize("module", PATHS)
-def test_two_rays_in_one_direction_keep_a_memory_each(module: Any) -> None:
+def test_two_rays_in_one_direction_keep_a_memory_each() -> None:
     """The bearings come in another array that holds the same."""
     spec = replace(load_platform("burger").scan, zero="no_return")
     bearings = np.tile(spec.bearings, 2)
     first = np.linspace(1.0, 2.0, 720)
     is_known = np.arange(720) % 9 > 0
-    memory = module.RayMemory(spec, guesses_near=False)
+    memory = KERNEL.RayMemory(spec, guesses_near=False)
     assert memory.condition(first, bearings.copy(), 0.0, 1.0).tolist() == first.tolist()
     got = memory.condition(np.where(is_known, 1.5, np.nan), bearings.copy(), 0.0, 1.0)
     assert got.tolist() == np.where(is_known, 1.5, first).tolist()
 
 
-@pytest.mark.parametrize("module", PATHS)
 @pytest.mark.parametrize("unevenness", [0.0, 0.3])
 @pytest.mark.parametrize("turned", [0.3, -1.0])
 def test_lost_rays_have_the_range_that_was_measured_nearest_to_their_direction(
-    module: Any, unevenness: float, turned: float
+    unevenness: float, turned: float
 ) -> None:
     grid = np.arange(360) * math.tau / 360
     bearings = grid + unevenness * np.sin(grid)
-    memory = module.RayMemory(replace(load_platform("burger").scan, bearings=grid),
+    memory = KERNEL.RayMemory(replace(load_platform("burger").scan, bearings=grid),
                               guesses_near=False)  # fmt: skip
     first, is_lost = np.linspace(1.0, 2.0, 360), np.arange(360) % 9 == 0
     memory.condition(first, bearings, 0.0, 1.0)
@@ -290,7 +281,7 @@ def sensed(module: Any, spec: ScanSpec, seed: int, bearings: Array) -> list[Any]
     return kept
 
 
-@needs_compiled
+@compares_forms
 @given(layouts(), st.sampled_from(SPECS), st.sampled_from(ZEROS), st.booleans(), SEEDS)
 @settings(max_examples=examples(24), deadline=None)
 def test_any_drive_gives_the_same_compiled_and_interpreted(
@@ -299,7 +290,7 @@ def test_any_drive_gives_the_same_compiled_and_interpreted(
     sweep = None if measures_sweep else spec.sweep
     spec = replace(spec, zero=zero, sweep=sweep, measures_sweep=measures_sweep, max_gap=7.0)
     bearings = odd if seed % 3 == 0 else spec.bearings
-    expected, got = (sensed(module, spec, seed, bearings) for module in (interpreted, compiled))
+    expected, got = (sensed(module, spec, seed, bearings) for module in FORMS)
     assert repr(got) == repr(expected)
 
 

@@ -1,7 +1,6 @@
 """Parts of mode `barrier`, each asked alone.
 
-They are those of the interpreted file, which is the source of the compiled one:
-tests/protection/test_barrier_compiled.py holds both together.
+tests/protection/test_barrier_compiled.py holds both forms together.
 """
 
 from __future__ import annotations
@@ -13,12 +12,15 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Twist
-from swarmd.protection import barrier
 from swarmd.settings.platforms import load_platform
+from tests.support import kernel_forms
 from tests.support.filter_sim import under_barrier
 
 Point = tuple[float, float]
 BURGER = load_platform("burger")
+barrier = kernel_forms.interpreted(
+    "swarmd.protection.barrier", because="each part is a function or field of C"
+)
 
 
 def interpreted(platform: Platform = BURGER, **settings: object) -> Any:

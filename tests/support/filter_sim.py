@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import (
     ZERO,
     Array,
@@ -27,7 +26,6 @@ from swarmd.core.values import (
     TouchZone,
     Twist,
 )
-from swarmd.protection import barrier
 from swarmd.protection.decision import (
     NO_PERMIT,
     Decision,
@@ -39,11 +37,12 @@ from swarmd.protection.decision import (
 from swarmd.protection.protection import Protection
 from swarmd.robot.sensors import Sensors
 from swarmd.testing.scans import trembling
+from tests.support.kernel_forms import both_forms
 
 DT = 0.01
 TICK = 0.05
 HERE = Pose()
-IS_COMPILED = load_kernel("swarmd.protection.barrier") is not barrier
+FORMS = both_forms("swarmd.protection.barrier")
 RequestedCommand = Twist | Callable[[float], Twist]
 
 
@@ -70,9 +69,9 @@ def decided(
     decides compiled and interpreted, and alike.
     """
     protections, begin = [Protection(platform)], 10.0
-    if platform.protection["mode"] == "barrier" and IS_COMPILED:
+    if platform.protection["mode"] == "barrier" and FORMS[0] is not FORMS[1]:
         protections.append(Protection(platform))
-        protections[1]._arbiter = barrier.Barrier(platform)
+        protections[1]._arbiter = FORMS[0].Barrier(platform)
     first = Odometry(begin, HERE, ZERO)
     later = Odometry(begin + age, HERE, ZERO)
     decisions: list[Decision] = []

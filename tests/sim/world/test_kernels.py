@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.sim.world import ray_caster
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.lidar import RangeSensors, Visibility
@@ -22,9 +20,9 @@ from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Actuation, LidarNoise, Realism
 from swarmd.sim.world.world import World
 from tests.support.examples import examples
+from tests.support.kernel_forms import compares_forms
 
-if load_kernel("swarmd.sim.world.ray_caster") is ray_caster:
-    pytest.skip("the kernels are not compiled", allow_module_level=True)
+pytestmark = compares_forms
 
 REALISMS = (IDEAL, REALISTIC, Realism(actuation=Actuation(delay=0.05, angular_acceleration=0.5)))
 ROOM = parse_arena("8x7,box/a:0:0:0.3:0.3:0:1,box:2:2:1:0.1:20,pole:-2:2:0.1,segment:-3:-2:-1:-2")
