@@ -235,8 +235,8 @@ def run_cli(
 def _not_text(words: Sequence[str]) -> str:
     """The fault of the first word that is not UTF-8; empty without one, and for a stop.
 
-    No answer, manifest or message to a process can hold the name of such a file. A stop sends
-    nothing of its line but robots' names, which its own check refuses.
+    No answer, manifest or message to a process can hold the name of such a file. A stop reads no
+    file that it names to robots: it checks their names, and cleans its reason.
     """
     if any(word in verbs.VERBS and verbs.VERBS[word].is_datagram for word in words):
         return ""

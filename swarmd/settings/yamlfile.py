@@ -166,7 +166,8 @@ class _StrictLoader(_Loader):  # type: ignore[misc]  # a base chosen at run time
         for key_node, _ in node.value:
             key, mark = self.construct_object(key_node, deep=True), key_node.start_mark
             if not isinstance(key, str):
-                text = key_node.value if isinstance(key_node, yaml.ScalarNode) else brief(key)
+                is_plain = isinstance(key_node, yaml.ScalarNode) and key is not None
+                text = key_node.value if is_plain else brief(key)
                 raise yaml.MarkedYAMLError(
                     problem=f"key {text} is not text; put it in quotes", problem_mark=mark
                 )

@@ -46,6 +46,7 @@ def test_reads_values_by_type(file: Path, text: str, data: object) -> None:
         ("a: &x 1\nb: *x", "x.yaml:1: & and * are not read here; write the value out"),
         ("a: &x [*x]", "x.yaml:1: & and * are not read here; write the value out"),
         ("true: 1", "x.yaml:1: key true is not text; put it in quotes"),
+        ("~: 1", "x.yaml:1: key None is not text; put it in quotes"),
         ("1: 1", "x.yaml:1: key 1 is not text; put it in quotes"),
         ("[a]: 1", "x.yaml:1: key ['a'] is not text; put it in quotes"),
         ("a:\n - b: ]", "x.yaml:2: "),

@@ -142,7 +142,7 @@ def test_any_run_has_a_value_and_one_for_each_instant(name: str, instants: int) 
         ("share_in:ring:0:0:1", "'ring'"),
         ("share_in:disc:0:0:-1", "not positive"),
         ("share_in:disc:0:zero:1", "'zero'"),
-        ("share_in:disc:0:inf:1", "not finite"),
+        ("share_in:disc:0:inf:1", "no number"),
         ("share_caught:prey", "0 values, not 1"),
         ("share_caught", "no group"),
         ("network_area:1", "1 values, not 2"),
