@@ -13,6 +13,9 @@ the stop is older                      refused (`overtaken`): the run and the lo
 newer than the run, older than a load  refused; the run ends, the load goes on
 =====================================  ==========================================================
 
+The age of a stop lacks the time on its way. So a stop may seem later than it was, never earlier: in
+doubt it acts.
+
 Reload replaces a pattern's code. The new code is first tried in a process of its own, for this
 robot and with the parameters in force. Until the trial ends nothing else changes; a stop, or a
 trial that fails, leaves everything as it is.

@@ -16,19 +16,55 @@ nothing, so that each part of a history is a history.
 
 from __future__ import annotations
 
+import logging
+import math
 import random
-from collections.abc import Callable, Sequence
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
+from swarmd.core.errors import CoreFault
 from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants
 from tests.histories.operators import Command, VirtualOperator
-from tests.histories.swarm import DELAY, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
+from tests.histories.swarm import DELAY, DISK_TIME, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
 
 OPERATORS = ("anna", "bob")
 STEPS = 12
 LONGEST_COMMAND = 90.0  # s
 BOOT_TIME = 2.0  # s until all robots are ready
+
+
+class _Errors(logging.Handler):
+    """Keeps the error that a log has a traceback of."""
+
+    error: BaseException | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if record.exc_info and record.levelno >= logging.ERROR:
+            self.error = self.error or record.exc_info[1]
+
+
+@contextmanager
+def _no_exception() -> Iterator[None]:
+    """Rule 11, in this block."""
+    errors, logger = _Errors(), logging.getLogger("swarmd")
+    logger.addHandler(errors)
+    try:
+        yield
+        if errors.error is not None:
+            raise errors.error
+    except BrokenRuleError:
+        raise
+    except (Exception, CoreFault) as error:
+        cause = error.__cause__ if isinstance(error, CoreFault) else error
+        if isinstance(cause, BrokenRuleError):  # within a request
+            raise cause from None
+        text = "".join(traceback.format_exception(cause or error))
+        raise BrokenRuleError(11, text) from error
+    finally:
+        logger.removeHandler(errors)
 
 
 @dataclass(frozen=True)
@@ -66,23 +102,27 @@ class History:
             name: VirtualOperator(self.swarm, name, number)
             for number, name in enumerate(OPERATORS, 1)
         }
-        for number in range(count):
-            self.swarm.boot(f"r{number + 1}")
-        self.swarm.advance(BOOT_TIME)
+        with _no_exception():
+            for number in range(count):
+                self.swarm.boot(f"r{number + 1}")
+            self.swarm.advance(BOOT_TIME)
 
     def carry_out(self, one: HistoryStep) -> None:
         """Wait, then let the step happen."""
-        self.swarm.advance(one.gap)
-        getattr(self, one.name)(**one.args)
+        with _no_exception():
+            self.swarm.advance(one.gap)
+            getattr(self, one.name)(**one.args)
 
     def end(self) -> None:
         """Heal all and start all, wait, and check rule 4."""
         self.heal()
-        for robot in self.swarm.robots.values():
-            robot.thaw() if robot.is_frozen else None
-            robot.start() if not robot.is_up else None
-        self.await_commands()
-        self.swarm.advance(HEAL_TIME)
+        with _no_exception():
+            for robot in self.swarm.robots.values():
+                robot.disk_time = DISK_TIME
+                robot.thaw() if robot.is_frozen else None
+                robot.start() if not robot.is_up else None
+            self.await_commands()
+            self.swarm.advance(HEAL_TIME)
         self.judge.check_healed()
 
     def await_commands(self) -> None:
@@ -134,10 +174,16 @@ class History:
         if daemon is not None and daemon.is_up and not daemon.is_frozen:
             daemon.leave()
 
-    def freeze(self, robot: str) -> None:
+    def freeze(self, robot: str, seconds: float = math.inf) -> None:
         daemon = self.swarm.robots.get(robot)
         if daemon is not None and daemon.is_up and not daemon.is_frozen:
-            daemon.freeze()
+            daemon.freeze(seconds)
+
+    def slow_disk(self, robot: str, seconds: float) -> None:
+        """Each write takes this long from now on."""
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None:
+            daemon.disk_time = seconds
 
     def thaw(self, robot: str) -> None:
         daemon = self.swarm.robots.get(robot)
@@ -209,10 +255,12 @@ def draw(seed: int, steps: int = STEPS) -> tuple[int, Steps]:
     robots = tuple(f"r{number + 1}" for number in range(count))
     kinds, weights = zip(*_KINDS, strict=True)
     drawn = [_first(chance)]
-    for make in chance.choices(kinds, weights, k=steps):
+    while len(drawn) <= steps:
+        (make,) = chance.choices(kinds, weights)
         gap = round(chance.choice((0.05, 0.3, 1.0, 2.0, 4.0)) * chance.uniform(0.5, 1.5), 2)
-        drawn.append(replace(make(chance, robots), gap=gap))
-    return count, tuple(drawn)
+        first, *more = made if isinstance(made := make(chance, robots), tuple) else (made,)
+        drawn += replace(first, gap=gap), *more
+    return count, tuple(drawn[: steps + 1])
 
 
 def _first(chance: random.Random) -> HistoryStep:
@@ -316,7 +364,78 @@ def _wall(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     return step(0.0, "wall", robot=node, shift=shift)
 
 
-_KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], HistoryStep], float], ...] = (
+def _slow_disk(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    seconds = chance.choice((0.3, 2.0, 5.0))
+    return step(0.0, "slow_disk", robot=chance.choice(robots), seconds=seconds)
+
+
+# Several steps, of which each has its gap: what an even choice of single ones makes rarely
+
+
+def _after(chance: random.Random, shortest: float, longest: float, one: HistoryStep) -> HistoryStep:
+    return replace(one, gap=round(chance.uniform(shortest, longest), 2))
+
+
+def _both(chance: random.Random) -> tuple[str, str]:
+    """The two operators, in any order."""
+    one, other = chance.sample(OPERATORS, 2)
+    return one, other
+
+
+def _withdrawn(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """A run that is to begin at a time, and the other operator's stop before, at or after it."""
+    one, other = _both(chance)
+    end = step(0.0, chance.choice(("stop", "stop", "estop", "goal", "run")), by=other)
+    start = step(0.0, "run", by=one, ahead=chance.choice((2.0, 4.0)))
+    return start, _after(chance, 0.5, 7.0, end)
+
+
+def _burst(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """Commands of both operators within half a second."""
+    makes = (_run, _run, _command("stop"), _command("estop"), _command("reset"), _goal, _undo)
+    pair = _both(chance)
+    return tuple(
+        _after(chance, 0.0, 0.25, replace(one, args=one.args | {"by": pair[number % 2]}))
+        for number, one in enumerate(make(chance, robots) for make in chance.choices(makes, k=3))
+    )
+
+
+def _undo_chain(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    return tuple(
+        _after(chance, 0.05, 4.0, step(0.0, "undo", by=_by(chance)))
+        for _ in range(chance.randint(2, 4))
+    )
+
+
+def _cut_lease(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """An operator renews a run's lease, and some robots do not hear it for a while."""
+    by, deaf = _by(chance), _some(chance, robots) or robots
+    run = step(0.0, "run", by=by, lease=2.0, here=8.0)
+    cut = step(0.0, "cut", senders=(by,), receivers=deaf)
+    return run, _after(chance, 1.5, 5.0, cut), _after(chance, 0.5, 4.0, step(0.0, "heal"))
+
+
+def _push_with_split(chance: random.Random, robots: tuple[str, ...]) -> Steps:
+    """Code that reaches a part of the robots, which run it, and the others once the split heals."""
+    by = _by(chance)
+    steps = [
+        _split(chance, robots),
+        step(0.0, "push", by=by),
+        step(0.0, "run", by=by, pattern="pushed", on_join="run", valid=60.0),
+    ]
+    chance.shuffle(steps)
+    steps.append(chance.choice((step(0.0, "heal"), step(0.0, "push", by=by))))
+    return tuple(_after(chance, 0.3, 4.0, one) for one in steps)
+
+
+def _freeze(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    """For less and more than a stall, a lease and the life of a relayed stop's first intervals."""
+    seconds = chance.choice((0.2, 1.0, 2.9, 3.1, 8.0))
+    return step(0.0, "freeze", robot=chance.choice(robots), seconds=seconds)
+
+
+_Made = HistoryStep | Steps
+_KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], ...] = (
     (_run, 5.0),
     (_command("stop"), 3.0),
     (_command("estop"), 2.5),
@@ -337,6 +456,13 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], HistoryStep], flo
     (_heal, 2.5),
     (_disturb, 0.8),
     (_wall, 0.2),
+    (_slow_disk, 0.5),
+    (_freeze, 0.8),
+    (_withdrawn, 0.6),
+    (_burst, 1.0),
+    (_undo_chain, 0.4),
+    (_cut_lease, 0.4),
+    (_push_with_split, 0.4),
 )
 
 

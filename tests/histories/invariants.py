@@ -24,6 +24,14 @@
 7. *What is over is not handed on*: a robot relays no stop beyond its minute, no emergency stop that
    it has reset, and no stop of all that is older than the run of all whose goal it holds.
 8. *No storms*: a robot sends at most MAX_SENT datagrams within a second.
+9. *Goals never go back*: the order of the goal that a robot holds, and of its own one, never falls
+   within one life.
+10. *A robot commands its base in `running` alone*: zero in each other state.
+11. *No exception*: no code of a robot, a peer or an operator raises one, or logs one as an error.
+
+The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
+later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. Rules 5
+and 7 count this time (`_unseen_age`).
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
 robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
@@ -32,6 +40,7 @@ robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from swarmd.core.goal import Goal, GoalState
 from swarmd.core.messages import Code, Reason, Reply, State
@@ -48,7 +57,7 @@ from swarmd.core.verbs import (
 from swarmd.network.datagram import Datagram, Stop
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_relay import LIFETIME
-from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
+from tests.histories.swarm import MOST_DELAY, Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
 LATE = 25.0  # s for which an operator repeats a stop
@@ -78,6 +87,7 @@ class _Memory:
     was_running: bool = False
     runs: Cause | None = None
     goal: Goal | None = None
+    order: tuple[Any, Any] = (None, None)  # of the goal held and of the own one
     lives: int = 1
     since: float = 0.0
     sent: int = 0
@@ -95,12 +105,18 @@ class Invariants:
         """A robot has lost its disk."""
         self._robots.pop(robot, None)
 
+    def forget_stops(self, robot: str) -> None:
+        """A robot has ended before what it obeyed was on its disk."""
+        if (known := self._robots.get(robot)) is not None:
+            known.stopped = known.obeyed = known.stopped_all = known.reset = -1.0
+
     # Steps
 
     def on_event(self, daemon: VirtualDaemon) -> None:
-        """Rules 1, 3, 5 and 6."""
+        """Rules 1, 3, 5, 6 and 9."""
         known = self._of(daemon)
         robot = daemon.robot
+        self._check_order(daemon, known)
         held = frozenset(robot.latches)
         if held != known.held:
             self._check_latches(daemon, known, held)
@@ -115,6 +131,11 @@ class Invariants:
         elif known.was_running and not is_running:
             self._check_end(daemon)
         known.was_running, known.state = is_running, robot.state
+
+    def on_twist(self, daemon: VirtualDaemon) -> None:
+        """Rule 10."""
+        if not daemon.robot.is_running:
+            raise BrokenRuleError(10, f"{daemon.name} is {daemon.robot.state} and moves its base")
 
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
         """Rules 1 and 2."""
@@ -135,7 +156,7 @@ class Invariants:
             is_ended = known.was_running and isinstance(request, StopRequest)
             is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
             late = 0.0 if cause is None else self._wanted(cause) - issued
-            if is_ended and late > AGE_SHIFT:
+            if is_ended and late > AGE_SHIFT + self._unseen_age(daemon.hops.get(request.id, 0)):
                 raise BrokenRuleError(
                     5,
                     f"the run of {daemon.name} is ended by a stop that was issued"
@@ -179,7 +200,8 @@ class Invariants:
         if body.verb != "stop" or body.targets is not None or held is None:
             return
         is_run_of_all = held.goal.pattern and not held.goal.targets and held.issued is not None
-        if is_run_of_all and self._issued[held.goal.id] > issued + AGE_SHIFT:
+        shift = AGE_SHIFT + self._unseen_age(body.hops - 1)
+        if is_run_of_all and self._issued[held.goal.id] > issued + shift:
             raise BrokenRuleError(
                 7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
             )
@@ -246,6 +268,18 @@ class Invariants:
         """When an operator asked for a run: of a robot that joins, when the goal was set."""
         return self._issued[cause.goal_id if cause.request is None else cause.request.id]
 
+    def _unseen_age(self, hops: int) -> float:
+        """The longest time for which a stop that `hops` robots handed on was on its way, in s."""
+        return (hops + 1) * MOST_DELAY * self._swarm.slowest
+
+    def _check_order(self, daemon: VirtualDaemon, known: _Memory) -> None:
+        robot = daemon.robot
+        order = tuple(one and one.order for one in (robot.goal, robot.goals.own))
+        for before, now in zip(known.order, order, strict=True):
+            if before is not None and (now is None or now < before):
+                raise BrokenRuleError(9, f"{daemon.name} goes back from goal {before} to {now}")
+        known.order = order[0], order[1]
+
     def _check_end(self, daemon: VirtualDaemon) -> None:
         reason = daemon.robot.status(self._swarm.now).reason
         if reason is None:
@@ -266,7 +300,8 @@ class Invariants:
         if before is None or goal.pattern is not None or is_found:
             return
         late = self._issued[before.id] - self._issued[goal.id]
-        if late > AGE_SHIFT and not isinstance(found, GoalRequest):
+        shift = AGE_SHIFT + self._unseen_age(daemon.hops.get(goal.id, 0))
+        if late > shift and not isinstance(found, GoalRequest):
             raise BrokenRuleError(
                 5,
                 f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
@@ -336,4 +371,5 @@ class Invariants:
         if known.lives != daemon.lives:
             known.lives = daemon.lives
             known.was_running, known.runs, known.goal = False, None, None
+            known.order = (None, None)
         return known

@@ -15,7 +15,8 @@ import heapq
 import itertools
 import math
 import random
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, Protocol
@@ -23,6 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 from msgspec.structs import replace as struct_replace
 
+from swarmd.core.errors import CodecError, CoreFault
 from swarmd.core.events import (
     TICK_INPUT,
     DriverInput,
@@ -64,6 +66,7 @@ from swarmd.core.verbs import (
     RosterRequest,
 )
 from swarmd.daemon.audit import Audit
+from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.requests import RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
@@ -82,6 +85,7 @@ from tests.support.fake_services import FakeServices
 
 LEASE, SETTLE = 3.0, 1.0  # of profile field
 DELAY = 0.005  # s
+MOST_DELAY = 1.2  # of a datagram, as a share of the delay
 JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.4  # s
 LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
 SCAN_PERIOD = 0.5
@@ -104,6 +108,12 @@ class Judge(Protocol):
     def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
         """A robot sends a datagram."""
 
+    def on_twist(self, daemon: VirtualDaemon) -> None:
+        """A robot sends its base a command that is not zero."""
+
+    def forget_stops(self, robot: str) -> None:
+        """A robot has ended before what it obeyed was on its disk; it has acked none of that."""
+
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """A robot is about to be handed the goal of a peer."""
 
@@ -125,6 +135,23 @@ class Cause:
     at: float
     request: Request | None = None
     goal_id: str = ""
+
+
+class StrictDrops(DropCounter):
+    """Hides no error of a handler: a broken rule, or a fault of the daemon."""
+
+    @contextmanager
+    def refusing(
+        self, kind: str, refuse: Callable[[Code, str], object] | None = None
+    ) -> Iterator[None]:
+        """As that of a daemon, but for errors, which pass as CoreFault."""
+        with super().refusing(kind, refuse):
+            try:
+                yield
+            except CodecError:
+                raise
+            except Exception as error:
+                raise CoreFault from error
 
 
 class VirtualQuery:
@@ -151,6 +178,7 @@ class VirtualSwarm:
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()
         self.loss, self.delay = 0.0, DELAY
+        self.slowest = DELAY  # of all delays so far
         self.wall = 1.8e9  # s; the wall clocks differ by robot and may jump
         self.judge: Judge | None = None
         self.issued: dict[str, float] = {}  # when stops, goals and requests were made, by id
@@ -214,12 +242,13 @@ class VirtualSwarm:
             receivers = [one for one in self.nodes.values() if one is not sender]
         else:
             receivers = [self._by_address[to]] if to in self._by_address else []
+        self.slowest = max(self.slowest, self.delay)
         for one in receivers:
             if not one.is_listening or not self.reaches(sender.name, one.name):
                 continue
             if self.loss and self.random.random() < self.loss:
                 continue
-            when = self.now + self.delay * (1.0 + 0.2 * self.random.random())
+            when = self.now + self.delay * (1.0 + (MOST_DELAY - 1.0) * self.random.random())
             self.at(when, partial(one.receive, body, sender))
 
     def name_of(self, address: Address) -> str:
@@ -268,11 +297,14 @@ class VirtualDaemon(Node):
         self.lives = 0
         self.wall = swarm.random.choice((0.0, -1.7e9, 3600.0))  # s beside the true time
         self.join_tick = JOIN_TICK  # s; a busy computer has a longer one
+        self.disk_time = DISK_TIME  # s that a write takes
         self.twist = ZERO
         self.cause: Cause | None = None  # of the pattern that runs
         self.event: object = None  # the request or the goal that is handed to the robot now
+        self.hops: dict[str, int] = {}  # of the stops that were carried out, the greatest
         self._waiting: list[Callable[[], object]] = []
         self._due = math.inf
+        self._unwritten: GoalRecord | None = None  # what the write under way is to leave
 
     # Life
 
@@ -297,6 +329,7 @@ class VirtualDaemon(Node):
         self.instance = instance
         self.is_up, self.is_frozen, self.is_settled = True, False, False
         self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
+        self.hops = {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
@@ -334,7 +367,7 @@ class VirtualDaemon(Node):
             self._on_request,
             audit,
             FakeServices(),
-            drops=DropCounter(),
+            drops=StrictDrops(),
         )
         self._observe()
         self._tick_at(now)
@@ -347,6 +380,9 @@ class VirtualDaemon(Node):
 
     def kill(self) -> None:
         """The daemon ends at once: what is not on the disk is lost."""
+        if self._unwritten is not None and self.swarm.judge is not None:
+            self.swarm.judge.forget_stops(self.name)
+        self._unwritten = None
         self.is_up = self.is_frozen = False
         self.twist = ZERO
 
@@ -355,12 +391,21 @@ class VirtualDaemon(Node):
         self._step(LeaveInput())
         if self.peer.owns_id:
             self._send(self.peer.leave_beacon(self._summary()), None)
+        if self._unwritten is not None:
+            self._store(replace(self.disk, goals=self._unwritten))
+            self._unwritten = None
         self.kill()
 
-    def freeze(self) -> None:
+    def freeze(self, seconds: float = math.inf) -> None:
         """The daemon stalls; what is sent to it waits in its sockets, and its base stands."""
         self.is_frozen = True
         self.twist = ZERO
+        if seconds < math.inf:
+            life = self.lives
+            self.swarm.at(
+                self.swarm.now + seconds,
+                lambda: self.thaw() if self.is_frozen and life == self.lives else None,
+            )
 
     def thaw(self) -> None:
         """The daemon continues: what waited comes at once, a batch in each turn of its loop."""
@@ -436,6 +481,7 @@ class VirtualDaemon(Node):
             body, source, now, self._summary(), author=author, waited=waited
         )
         for stop, sender in effects.stops:
+            self.hops[stop.id] = max(stop.hops, self.hops.get(stop.id, 0))
             shown = struct_replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
             self.server.stop(shown, str(sender), partial(self._ack, stop, sender))
         for stop, sender in effects.replayed:
@@ -557,13 +603,16 @@ class VirtualDaemon(Node):
     def _carry_out(self, actions: Actions) -> None:
         """As `Daemon._carry_out`."""
         self.twist = actions.twist
+        if not self.twist.is_zero and self.swarm.judge is not None:
+            self.swarm.judge.on_twist(self)
         if actions.is_quiet:
             return
         if actions.goals is not None:
-            goals, life = actions.goals, self.lives
-            self.swarm.at(self.swarm.now + DISK_TIME, lambda: self._write_goals(goals, life))
+            self._write_soon(actions.goals)
         if actions.latches is not None:
             self._store(replace(self.disk, latches=actions.latches))
+            if self.disk_time > DISK_TIME:  # latches are written on the loop
+                self.freeze(self.disk_time)
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._command(command)
@@ -574,12 +623,43 @@ class VirtualDaemon(Node):
                     pending.request, ForgetRequest | RecordRequest | RosterRequest | PushRequest
                 ):
                     self.swarm.judge.on_reply(self, pending.request, reply)
-            self.server.reply(reply)
+            robot = self.robot
+            if self._unwritten is None or robot.is_running or robot.latches:
+                self.server.reply(reply)
+            else:
+                self._reply_once_stored(reply, self.swarm.now + STORE_TIME, self.lives)
         self._observe()
 
-    def _write_goals(self, goals: GoalRecord, life: int) -> None:
-        if self.is_up and life == self.lives:
+    def _write_soon(self, goals: GoalRecord) -> None:
+        """As `RecordWriter`: one write at a time, then the newest record."""
+        is_writing, self._unwritten = self._unwritten is not None, goals
+        if not is_writing:
+            self._write_goals(goals)
+
+    def _write_goals(self, goals: GoalRecord) -> None:
+        life = self.lives
+
+        def end() -> None:
+            newest = self._unwritten
+            if not self.is_up or life != self.lives or newest is None:
+                return
             self._store(replace(self.disk, goals=goals))
+            self._unwritten = None if newest is goals else newest
+            if newest is not goals:
+                self._write_goals(newest)
+
+        self.swarm.at(self.swarm.now + self.disk_time, end)
+
+    def _reply_once_stored(self, reply: Reply, until: float, life: int) -> None:
+        """As `Daemon._answer`."""
+        if not self.is_up or life != self.lives:
+            return
+        is_stored = self._unwritten is None
+        if is_stored or self.swarm.now >= until:
+            self.take(lambda: self.server.reply(reply, is_stored=is_stored))
+            return
+        again = partial(self._reply_once_stored, reply, until, life)
+        self.swarm.at(self.swarm.now + DISK_TIME, again)
 
     def _observe(self) -> None:
         """Find the cause of the pattern that runs, and let the judge look."""

@@ -5,17 +5,22 @@ A history that fails is shrunk and printed as the `replay` that repeats it.
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from swarmd.core.events import Input, decode_input, encode_input
+from swarmd.core.events import Input, RequestInput, decode_input, encode_input
+from swarmd.core.goal import HeldGoal
+from swarmd.core.values import Twist
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from tests.histories import swarm
 from tests.histories.history import draw, fault_of, replay, script, shrink, step
+from tests.histories.invariants import BrokenRuleError, Invariants
 
 BLOCK = 50
 IN_SUITE, IN_EVIDENCE = range(0, 100, BLOCK), range(100, 10200, BLOCK)
@@ -89,6 +94,51 @@ def test_the_bytes_of_inputs_repeat_each_robot(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(swarm, "Robot", RecordedRobot)
     for seed in range(8):
         check(seed)
+
+
+class FaultyRobot(Robot):
+    """A robot that breaks the rule `broken`."""
+
+    broken = 0
+
+    @property
+    def goal(self) -> HeldGoal | None:
+        """The goal that it holds."""
+        return None if self.broken == 9 and not self.is_running else super().goal
+
+    def step(self, input: Input, now: float) -> Actions | None:
+        """As `Robot.step`, with a fault."""
+        actions = super().step(input, now)
+        if self.broken == 10 and actions is not None and not self.is_running:
+            return replace(actions, twist=Twist(0.1))
+        if self.broken == 11 and isinstance(input, RequestInput):
+            raise ValueError
+        elif self.broken == 12 and isinstance(input, RequestInput):
+            logging.getLogger("swarmd.robot").error("it failed", exc_info=ValueError())
+        return actions
+
+
+@pytest.mark.parametrize(
+    ("broken", "rule"),
+    [(0, None), (9, 9), (10, 10), (11, 11), pytest.param(12, 11, id="logged")],
+)
+def test_a_fault_breaks_its_rule(
+    monkeypatch: pytest.MonkeyPatch, broken: int, rule: int | None
+) -> None:
+    monkeypatch.setattr(FaultyRobot, "broken", broken)
+    monkeypatch.setattr(swarm, "Robot", FaultyRobot)
+    fault = fault_of(2, [step(0.0, "run", by="anna"), step(2.0, "stop", by="bob")])
+    assert (None if fault is None else fault.rule) == rule
+
+
+def test_a_rule_that_breaks_within_a_request_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*args: Any) -> None:
+        raise BrokenRuleError(2, "a robot lies")
+
+    monkeypatch.setattr(Invariants, "on_reply", broken)
+    fault = fault_of(2, [step(0.0, "goal", by="anna")])
+    assert fault is not None
+    assert fault.rule == 2
 
 
 def test_a_failing_history_is_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from swarmd.core.messages import State
@@ -172,6 +174,30 @@ def test_the_age_of_a_goal_counts_from_its_request() -> None:
         assert held is not None
         assert held.issued is not None
         assert abs(held.issued - swarm.issued[held.goal.id]) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("after", "is_running"),
+    [(0.2, True), (0.63, False), (1.3, False)],
+    ids=["1 s before the run", "0.57 s before", "0.1 s after"],
+)
+def test_a_stop_that_may_be_later_than_a_run_ends_it(after: float, is_running: bool) -> None:
+    """The run is asked for 1.2 s after it is typed; the time on its way makes the stop later."""
+    run = step(0.0, "run", by="anna")
+    history = replay(
+        2,
+        [
+            run,
+            step(4.0, "disturb", delay=0.5),
+            step(0.0, "cut", senders=("bob",), receivers=("r1", "r2")),
+            replace(run, gap=0.5),
+            step(after, "stop", by="bob"),
+            step(2.8, "split", groups=()),
+            step(6.0, "heal"),
+        ],
+    )
+    for one in history.swarm.robots.values():
+        assert one.robot.is_running == is_running
 
 
 def test_a_robot_of_a_secured_swarm_that_restarts_after_a_stop_causes_no_storm() -> None:
