@@ -23,6 +23,8 @@ HOLDS = (
     Reason.INVALID_SCAN,
     Reason.STALE_SCAN,
     Reason.FROZEN_SCAN,
+    Reason.FROZEN_STAMP,
+    Reason.CLOCK_SET,
     Reason.STALE_ODOMETRY,
     Reason.COMMAND_EXPIRED,
     Reason.DRIVER_LOST,

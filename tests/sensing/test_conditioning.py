@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from hypothesis.extra.numpy import arrays
 from msgspec import structs
 from numpy.typing import NDArray
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.sensing import scans as interpreted
 from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.sensing.scans import PACKET_RAYS
 
+FORMS = (interpreted, load_kernel("swarmd.sensing.scans"))
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
 SPEC = ScanSpec(BEARINGS, 5.0, 0.12, 3.5, is_noisy=False)
 NOISY = replace(SPEC, is_noisy=True)
@@ -280,6 +284,30 @@ def test_same_sequence_or_stamp_is_frozen(same: str) -> None:
     conditioner.take(first, None, 0.0)
     again = structs.replace(first, stamp=0.4) if same == "seq" else structs.replace(first, seq=2)
     assert conditioner.take(again, None, 0.2) is Reason.FROZEN_SCAN
+
+
+@pytest.mark.parametrize("scans", FORMS)
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize(
+    ("stamps", "wanted"),
+    [
+        ([1.0, 1.0, 1.0, 1.0], [None, *[Reason.FROZEN_STAMP] * 3]),
+        ([0.0, 0.0, 1.0, 0.0, 0.0],
+         [None, Reason.FROZEN_STAMP, None, Reason.CLOCK_SET, Reason.FROZEN_STAMP]),
+        ([9.0, 4.0, 4.2, 4.4, 4.6], [None, *[Reason.CLOCK_SET] * 3, None]),
+    ],
+    ids=["standing", "zeros", "set back"],
+)  # fmt: skip
+def test_scans_that_differ_are_rejected_for_their_stamps(
+    stamps: list[float], wanted: list[Reason | None], noisy: bool, scans: Any
+) -> None:
+    conditioner = scans.ScanConditioner(NOISY if noisy else SPEC)
+    found = []
+    for n, stamp in enumerate(stamps):
+        scan = structs.replace(raw_scan(1.0 + 0.01 * n, n), stamp=stamp)
+        taken = conditioner.take(scan, DRIVING, 0.2 * n)
+        found.append(None if isinstance(taken, Scan) else taken)
+    assert found == wanted
 
 
 def test_repeated_scan_keeps_the_age_of_the_first() -> None:
