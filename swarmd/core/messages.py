@@ -74,7 +74,8 @@ class Reason(StrEnum):
     BASE_CONFLICT = "two_bases"
     HAZARD = "hazard"  # the base reports one, or its hazards are not heard: core/hazard.py
     FROZEN_SCAN = "frozen_scan"
-    SAME_STAMPS = "same_stamps"  # of scans that differ
+    FROZEN_STAMP = "frozen_stamp"  # of scans that differ
+    CLOCK_SET = "clock_set"  # stamps jumped, so that scans are rejected or seem late
     LATE_SCAN = "late_scan"
     STALE_ODOMETRY = "stale_odometry"
     COMMAND_EXPIRED = "command_expired"

@@ -112,6 +112,7 @@ class Sensors(InputTimes):
             return False
         self.scan_delay.on_scan(scan, now)
         self._added, self._is_late = self.scan_delay.added, self.scan_delay.is_late
+        self._is_clock_set = self._is_late and self.scan_delay.is_clock_set
         self._scan_at = self._conditioner.known_at
         self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
         self._scan_times.append(now)

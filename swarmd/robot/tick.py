@@ -341,6 +341,7 @@ class InputTimes:
     _odometry_at = cython.declare(cython.double, visibility="public")
     _added = cython.declare(cython.double, visibility="public")
     _is_late = cython.declare(cython.bint, visibility="public")
+    _is_clock_set = cython.declare(cython.bint, visibility="public")
     _stale_after = cython.declare(cython.double, visibility="public")
     _max_delay = cython.declare(cython.double, visibility="public")
     _needs_odometry = cython.declare(cython.bint, visibility="public")
@@ -444,7 +445,7 @@ class InputTimes:
             return self._problem or Reason.NO_SCAN
         age: cython.double = now - self._scan_at
         if self._is_late and self._added > self.permitted_delay and age <= self._stale_after:
-            return Reason.LATE_SCAN
+            return Reason.CLOCK_SET if self._is_clock_set else Reason.LATE_SCAN
         if age > self._longest_age():
             return self._problem or Reason.STALE_SCAN
         if self._ring is not None:

@@ -1457,9 +1457,9 @@ class ScanConditioner:
     `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
     rays, a stamp that is not finite, an impossible age of a ray, fewer than half of the rays known,
     an unknown sector wider than `max_gap`, such a sector without rays (unless the sensor never has
-    rays there), or no return at all after a scan with many far returns. SAME_STAMPS: the
-    stamp stands still while the sequence rises, and the ranges change as far as is known.
-    FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans.
+    rays there), or no return at all after a scan with many far returns. FROZEN_SCAN: stamp or
+    sequence does not rise, or a noisy sensor sends bit-identical scans. FROZEN_STAMP: the stamp is
+    that of the scan before, whose ranges differ. CLOCK_SET: the stamp is below an earlier one.
 
     `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
     sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
@@ -1474,6 +1474,7 @@ class ScanConditioner:
     _ages: object
     _blind: BlindSectors
     _rays: RayMemory
+    _last_given: object
     _last_seq: object
     _last_stamp: cython.double
     _newest_seq: object
@@ -1514,10 +1515,9 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         if n != len(self._bearings) or not self._has_ages(scan.ages, n):
             return Reason.INVALID_SCAN
-        is_same_stamp: cython.bint = stamp == self._last_stamp and scan.seq > self._last_seq
-        if not self._is_newer(scan.seq, stamp):
-            is_new = is_same_stamp and np.array(given, np.float64).tobytes() not in self._recent
-            return Reason.SAME_STAMPS if is_new else Reason.FROZEN_SCAN
+        reason = self._not_newer(scan.seq, stamp, given)
+        if reason is not None:
+            return reason
         ranges = np.array(given, np.float64)
         out: cython.double[::1] = _view(ranges)
         if self._is_noisy and self._repeats(ranges, out, odometry):
@@ -1565,19 +1565,26 @@ class ScanConditioner:
         return ages is None or len(ages) == n
 
     @cython.cfunc
-    def _is_newer(self, seq, stamp: cython.double) -> cython.bint:
-        """True if the scan is newer than every scan before, or the sensor has restarted.
+    def _not_newer(self, seq, stamp: cython.double, given):
+        """Why the scan is not newer than each before; None if it is, or the sensor has restarted.
 
         A restart shows in consecutive scans whose numbers and stamps rise again.
         """
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
+        stands: cython.bint = stamp == self._last_stamp
+        is_other: cython.bint = seq > self._newest_seq  # else no new message
+        before, self._last_given = self._last_given, given
         self._last_seq, self._last_stamp = seq, stamp
         if not (stamp > self._newest_stamp and seq > self._newest_seq):
             self._in_order = self._in_order + 1 if is_next else 0
             if self._in_order < _RESTART_SCANS:
-                return False
+                if is_other and stands and given.tobytes() != before.tobytes():
+                    return Reason.FROZEN_STAMP
+                if is_other and not stands and stamp < self._newest_stamp:
+                    return Reason.CLOCK_SET
+                return Reason.FROZEN_SCAN
         self._in_order, self._newest_seq, self._newest_stamp = 0, seq, stamp
-        return True
+        return None
 
     @cython.cfunc
     def _repeats(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
@@ -2092,13 +2099,15 @@ class ScanDelay:
     age of the last scan by its stamp; 0 within TOLERANCE of the declared one. `is_late`: it exceeds
     the platform's `max_scan_delay`, until it falls below 0.8 of that. `restarts` counts how often
     stamps jumped, so that the clock of odometry or scan was set: stamps then count anew, and what
-    was added before is not taken back until they tell the delay again. `sweep`: None if the
-    platform tells how the sensor measures its rays.
+    was added before is not taken back until they tell the delay again. `is_clock_set`: scans that
+    are late now were in time when stamps jumped last. `sweep`: None if the platform tells how the
+    sensor measures its rays.
     """
 
     added = cython.declare(cython.double, visibility="readonly")
     is_late = cython.declare(cython.bint, visibility="readonly")
     restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    is_clock_set = cython.declare(cython.bint, visibility="readonly")
     sweep = cython.declare(object, visibility="readonly")
     _latency: cython.double
     _bound: cython.double
@@ -2148,6 +2157,7 @@ class ScanDelay:
                 added = max(added, upper)
         self.added = added if added > _TOLERANCE else 0.0
         self.is_late = self.added > (_CLEARS * self._bound if self.is_late else self._bound)
+        self.is_clock_set = self.is_clock_set and (self.is_late or self._stamps.is_restarting)
 
     @cython.cfunc
     def _swept(self, scan, now: cython.double, offset: cython.double):
@@ -2168,6 +2178,7 @@ class ScanDelay:
     def _restart(self):
         self.restarts += 1
         self._added_before = self.added
+        self.is_clock_set = self.is_clock_set or not self.is_late
         self._turns.forget_headings()
         if self.sweep is not None:
             self.sweep.forget_scans()

@@ -33,14 +33,17 @@ SENTENCES = {
     Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",
     Reason.FROZEN_SCAN: "its scans repeat{detail}; check the lidar",
-    Reason.SAME_STAMPS: "the stamps of its scans stand still{detail}; let the lidar's driver stamp"
-    " each scan",
+    Reason.FROZEN_STAMP: "its scans come with a stamp that stands still{detail}; check the clock"
+    " and the driver that stamp them{driver}",
+    Reason.CLOCK_SET: "the clock that stamps its scans or odometry was set{detail}{driver}; let the"
+    " clocks of its computers agree before a run, or start again what stamps them",
     Reason.SCAN_CONFLICT: "more than one node publishes its scan{detail}{driver}; end all but one",
     Reason.BASE_CONFLICT: "its driver reaches more than one base{detail}{driver}; end all but one",
     Reason.HAZARD: "a hazard of its base{detail}; look at the robot",
     Reason.LATE_SCAN: "its scans arrive {late} later than the platform's scan.latency; shorten the"
     " way of the scans, or correct the platform: `swarmctl calibrate {robot}` measures it",
-    Reason.STALE_ODOMETRY: "its odometry is too old{detail}; check the driver{driver}",
+    Reason.STALE_ODOMETRY: "its odometry is too old, or its stamp stands still{detail}; check the"
+    " driver{driver}",
     Reason.COMMAND_EXPIRED: "the pattern sends no commands{detail}; its host is restarted soon",
     Reason.DRIVER_LOST: "its base does not answer{driver}; check the driver",
     Reason.INCOMPATIBLE_PEER: "{peer}{detail}",
@@ -56,12 +59,13 @@ _LASTING_HOLDS = {
     Reason.INVALID_SCAN: "too many rays were missing in its scans",
     Reason.STALE_SCAN: "scans stopped arriving",
     Reason.FROZEN_SCAN: "its scans repeated",
-    Reason.SAME_STAMPS: "the stamps of its scans stood still",
+    Reason.FROZEN_STAMP: "the stamps of its scans stood still",
+    Reason.CLOCK_SET: "the clock that stamps its scans or odometry was set",
     Reason.SCAN_CONFLICT: "more than one node published its scan",
     Reason.BASE_CONFLICT: "its driver reached more than one base",
     Reason.HAZARD: "its base reported a hazard, or its hazards were not heard",
     Reason.LATE_SCAN: "its scans arrived too late",
-    Reason.STALE_ODOMETRY: "odometry stopped arriving",
+    Reason.STALE_ODOMETRY: "odometry stopped arriving, or its stamp stood still",
     Reason.COMMAND_EXPIRED: "the pattern stopped sending commands",
     Reason.DRIVER_LOST: "its base did not answer",
     Reason.INCOMPATIBLE_PEER: "it did not see a peer, or a peer was faster than it assumes",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -254,6 +255,36 @@ def test_invalid_scans_stop_the_robot(fault: str) -> None:
     assert harness.status.reason is reason
     assert harness.twist.is_zero
     harness.advance(1.6)
+    assert standing_state(harness) == (State.STOPPED, reason)
+
+
+@pytest.mark.parametrize(
+    ("topic", "clock", "reason"),
+    [
+        ("scan", lambda now: 0.0, Reason.FROZEN_STAMP),
+        ("scan", lambda now: now - 5.0, Reason.CLOCK_SET),
+        ("scan", lambda now: now - 3.0, Reason.CLOCK_SET),
+        ("odometry", lambda now: now + 30.0, Reason.CLOCK_SET),
+    ],
+)
+def test_stamps_that_stand_still_and_a_clock_that_was_set_are_reasons_of_their_own(
+    topic: str, clock: Callable[[float], float], reason: Reason
+) -> None:
+    harness = started()
+
+    def scans(seq: int, now: float) -> Scan:
+        scan = empty_scan(harness.platform, seq, clock(now) if topic == "scan" else now)
+        return structs.replace(scan, ranges=np.full(len(scan.ranges), 2.0 + 1e-4 * seq))
+
+    harness.advance(6.0)  # the delay of the scans is known
+    held, harness.scans = set[Reason | None](), scans
+    for tick in range(80):
+        if topic == "odometry":
+            harness.odometry = None
+            harness.step(OdometryInput(Odometry(clock(harness.now), Pose(0.01 * tick), Twist())))
+        harness.advance(0.05)
+        held.add(harness.status.reason)
+    assert held - {None, Reason.NO_REQUESTED_COMMAND} == {reason}
     assert standing_state(harness) == (State.STOPPED, reason)
 
 

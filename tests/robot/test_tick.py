@@ -98,6 +98,7 @@ def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
             "_odometry_at": chance.choice((-np.inf, 9.4, 9.5, 9.9)),
             "_added": chance.choice((0.0, 0.1, 0.25)),
             "_is_late": chance.random() < 0.2,
+            "_is_clock_set": chance.random() < 0.5,
             "_stale_after": 0.7,
             "_max_delay": 0.2,
             "_needs_odometry": chance.random() < 0.8,
@@ -112,7 +113,7 @@ def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
             answers.append((one.hold(10.0), one.hold_due_at(), one.stale_at(), one.context(10.0)))
         assert answers[0] == answers[1]
         found.add(answers[0][0])
-    assert len(found) == 9
+    assert len(found) == 10
 
 
 def running_robot() -> tuple[Robot, float]:

@@ -14,11 +14,14 @@ from hypothesis.extra.numpy import arrays
 from msgspec import structs
 from numpy.typing import NDArray
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.sensing import scans as interpreted
 from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.sensing.scans import PACKET_RAYS
 
+FORMS = (interpreted, load_kernel("swarmd.sensing.scans"))
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
 SPEC = ScanSpec(BEARINGS, 5.0, 0.12, 3.5, is_noisy=False)
 NOISY = replace(SPEC, is_noisy=True)
@@ -279,9 +282,9 @@ def test_any_garbage_gives_a_clean_scan_or_a_reason(ranges: Array, n: int) -> No
     [
         ({"stamp": 0.4}, False, Reason.FROZEN_SCAN),
         ({"seq": 2}, True, Reason.FROZEN_SCAN),  # the last message again
-        ({"seq": 2}, False, Reason.SAME_STAMPS),
-        ({"seq": 2, "ranges": raw_scan(1.1, 1).ranges}, True, Reason.SAME_STAMPS),
-        ({"seq": 2, "stamp": 0.0, "ranges": raw_scan(1.1, 1).ranges}, True, Reason.FROZEN_SCAN),
+        ({"seq": 2}, False, Reason.FROZEN_SCAN),
+        ({"seq": 2, "ranges": raw_scan(1.1, 1).ranges}, True, Reason.FROZEN_STAMP),
+        ({"seq": 2, "stamp": 0.0, "ranges": raw_scan(1.1, 1).ranges}, True, Reason.CLOCK_SET),
     ],
 )
 def test_same_sequence_or_stamp_holds(
@@ -297,7 +300,31 @@ def test_stamps_of_zero_have_a_reason_of_their_own() -> None:
     conditioner = ScanConditioner(NOISY)
     scans = [structs.replace(raw_scan(1.0 + 0.1 * n, n), stamp=0.0) for n in range(1, 6)]
     found = [conditioner.take(scan, None, 0.2 * n) for n, scan in enumerate(scans)]
-    assert found[1:] == [Reason.SAME_STAMPS] * 4
+    assert found[1:] == [Reason.FROZEN_STAMP] * 4
+
+
+@pytest.mark.parametrize("scans", FORMS)
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize(
+    ("stamps", "wanted"),
+    [
+        ([1.0, 1.0, 1.0, 1.0], [None, *[Reason.FROZEN_STAMP] * 3]),
+        ([0.0, 0.0, 1.0, 0.0, 0.0],
+         [None, Reason.FROZEN_STAMP, None, Reason.CLOCK_SET, Reason.FROZEN_STAMP]),
+        ([9.0, 4.0, 4.2, 4.4, 4.6], [None, *[Reason.CLOCK_SET] * 3, None]),
+    ],
+    ids=["standing", "zeros", "set back"],
+)  # fmt: skip
+def test_scans_that_differ_are_rejected_for_their_stamps(
+    stamps: list[float], wanted: list[Reason | None], noisy: bool, scans: Any
+) -> None:
+    conditioner = scans.ScanConditioner(NOISY if noisy else SPEC)
+    found = []
+    for n, stamp in enumerate(stamps):
+        scan = structs.replace(raw_scan(1.0 + 0.01 * n, n), stamp=stamp)
+        taken = conditioner.take(scan, DRIVING, 0.2 * n)
+        found.append(None if isinstance(taken, Scan) else taken)
+    assert found == wanted
 
 
 def test_repeated_scan_keeps_the_age_of_the_first() -> None:

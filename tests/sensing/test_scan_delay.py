@@ -223,6 +223,31 @@ def test_late_scans_are_late_while_a_clock_is_set(jump: float) -> None:
     assert all(rig.run(0.1).is_late for _ in range(60))
 
 
+@pytest.mark.parametrize(
+    ("odometry", "scans", "is_for_good"),
+    [(0.0, -5.0, False), (0.0, -3.0, True), (-5.0, -5.0, False), (30.0, 0.0, False)],
+)
+def test_scans_that_seem_late_because_a_clock_was_set_name_it(
+    odometry: float, scans: float, is_for_good: bool
+) -> None:
+    rig = Rig(lambda seq: SPEC.latency)
+    rig.run(6.0)
+    rig.odometry_clock, rig.scan_clock = odometry, scans
+    seen = {(rig.run(0.1).is_late, rig.delays.is_clock_set) for _ in range(60)}
+    assert (True, False) not in seen
+    assert rig.delays.is_late is is_for_good
+    rig.scan_clock = odometry
+    assert not rig.run(6.0).is_late
+    assert not rig.delays.is_clock_set
+
+
+def test_scans_that_were_late_before_a_clock_was_set_stay_late() -> None:
+    rig = Rig(lambda seq: SPEC.latency + BOUND + 0.05)
+    rig.run(6.0)
+    rig.odometry_clock = rig.scan_clock = -5.0
+    assert not any(rig.run(0.1).is_clock_set for _ in range(60))
+
+
 @pytest.mark.parametrize("late", [0.0, 0.1, 0.25])
 @pytest.mark.parametrize("scale", [1.0, 0.95, 1.06])
 def test_turns_tell_the_delay_where_clocks_differ(late: float, scale: float) -> None:
