@@ -8,15 +8,18 @@ are rounded, so that the file is small.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
-from swarmd.protection.barrier import Barrier
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter
 from swarmd.sim.lockstep.lockstep import Lockstep
 from tests.support import decision_corpus as corpus
+
+if TYPE_CHECKING:
+    from swarmd.protection.barrier import Barrier
 
 SCENES = (
     Scene("ram", "burger"),

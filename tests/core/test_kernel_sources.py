@@ -25,6 +25,7 @@ REASONS = tomllib.loads(Path(__file__).with_name("kernel_sources.toml").read_tex
 
 DIRECTIVES = {
     *("wraparound", "cdivision", "boundscheck", "initializedcheck", "always_allow_keywords"),
+    "nonecheck",  # True, as in Python
     *("language_level", "binding", "auto_pickle", "emit_code_comments"),  # of which none needs one
 }
 """The directives that the rules know."""
