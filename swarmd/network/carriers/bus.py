@@ -113,6 +113,9 @@ class ZenohBus:
     Samples and queries with a wild or foreign key are dropped and counted in `dropped`, by kind.
     """
 
+    programs: Programs | None = None
+    """From `meet_programs` on."""
+
     def __init__(
         self, session: zenoh.Session, *, swarm: str, robot: str, drops: DropCounter
     ) -> None:
@@ -138,7 +141,6 @@ class ZenohBus:
             on_change = Callback(partial(self._on_viewers, name), indirect=False)
             publisher.declare_matching_listener(on_change)
         self._is_closed = False
-        self.programs: Programs | None = None
 
     def meet_programs(self, is_robot: Callable[[str], bool], *, takes_messages: bool) -> None:
         """Hold the liveliness token of this robot, and hear Zenoh programs; see `Programs`."""

@@ -151,7 +151,7 @@ def test_without_protection_the_same_actions_touch_a_wall_and_cost_it() -> None:
 
 def test_the_reward_of_a_metric_adds_up_to_its_change() -> None:
     env = make(seed=1, reward={"mean_distance_to_centroid_end": -2.0})
-    given = steps(env, (0.7, 0.3))
+    given = steps(env, (0.7, 0.2))
     total = sum(rewards["tb3-02"] for _, rewards, *_ in given[1:])
     away = distance_to_centroid(env.trace())
     assert abs(away[-1] - away[0]) > 0.05
