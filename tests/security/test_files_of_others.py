@@ -40,10 +40,10 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.view.trace_source import source_of
 from tests.pattern_host.test_wheel import ABOUT, GOOD
 from tests.pattern_host.test_wheel import made as wheel_of
-from tests.replay.test_replay import Story
 from tests.security.test_bundle import bundle_of
 from tests.sim.conftest import MAIN, MOODY, write_duo
 from tests.support.processes import has_landlock
+from tests.support.recorded_stories import Story
 from tests.support.swarmctl import Finished, swarmctl
 
 
