@@ -18,6 +18,7 @@ import pytest
 from hypothesis import Phase, settings
 from xdist.workermanage import WorkerController
 
+from swarmd.core.kernels import describe_kernels
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
@@ -60,6 +61,10 @@ def pytest_configure(config: pytest.Config) -> None:
         if signal.getsignal(number) is signal.SIG_IGN:
             usual = signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL
             signal.signal(number, usual)
+
+
+def pytest_report_header() -> str:
+    return f"kernels: {describe_kernels()}"
 
 
 def pytest_unconfigure() -> None:

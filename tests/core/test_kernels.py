@@ -19,6 +19,12 @@ from swarmd.core.messages import Status
 from tests.support.fake_daemon import light_status
 
 
+def test_all_kernels_of_this_suite_have_one_form() -> None:
+    """A kernel that is older than its source would be interpreted among compiled ones."""
+    without_compiler = "interpreted (SWARMD_COMPILED=0)", "interpreted (not compiled)"
+    assert describe_kernels() in ("compiled", *without_compiler), "run `make kernels`"
+
+
 def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWARMD_COMPILED", "0")
     assert [kernels._compiled(name) for name in KERNELS] == [None] * len(KERNELS)

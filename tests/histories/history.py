@@ -190,6 +190,11 @@ class History:
         if daemon is not None and daemon.is_frozen:
             daemon.thaw()
 
+    def ram(self, robot: str) -> None:
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None and daemon.is_up:
+            daemon.ram()
+
     def start(self, robot: str, disk: str = "kept", age: float = 10.0) -> None:
         """A daemon starts, after a kill if it is up; `disk`: kept, empty, or `age` s old."""
         daemon = self.swarm.robots.get(robot)
@@ -449,6 +454,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_robot("leave"), 0.4),
     (_robot("freeze"), 1.5),
     (_robot("thaw"), 1.5),
+    (_robot("ram"), 1.0),
     (_start, 2.5),
     (_boot, 0.8),
     (_split, 2.0),

@@ -15,6 +15,7 @@ from msgspec.structs import replace
 
 from swarmd.core.events import Input, RequestInput, decode_input, encode_input
 from swarmd.core.goal import HeldGoal
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.values import Twist
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -32,7 +33,8 @@ def check(seed: int) -> None:
     fault = fault_of(count, steps, seed)
     if fault is not None:
         count, steps = shrink(count, steps, fault.rule, seed)
-        pytest.fail(f"seed {seed}: {fault}\n{script(count, steps, seed)}", pytrace=False)
+        form = f"seed {seed}, kernels {describe_kernels()}"
+        pytest.fail(f"{form}: {fault}\n{script(count, steps, seed)}", pytrace=False)
 
 
 @pytest.mark.parametrize(

@@ -203,3 +203,17 @@ def test_a_stop_that_may_be_later_than_a_run_ends_it(after: float, is_running: b
 def test_a_robot_of_a_secured_swarm_that_restarts_after_a_stop_causes_no_storm() -> None:
     """Its peers hand the stop on, which it has heard in its earlier life."""
     replay(4, [step(0.0, "stop", by="anna"), step(4.0, "start", robot="r1")], seed=2)
+
+
+def test_a_robot_that_something_fast_comes_to_twice_goes_on_with_its_run() -> None:
+    history = replay(
+        2,
+        [
+            step(0.0, "run", by="anna"),
+            step(1.0, "ram", robot="r1"),
+            step(8.0, "heal"),
+        ],
+    )
+    robot = history.swarm.robots["r1"].robot
+    assert robot.status(history.swarm.now).findings[0].startswith("2 things came at")
+    assert robot.is_running
