@@ -79,12 +79,14 @@ def survey(paths: Sequence[Path]) -> Recordings:
         found = read_file(path)
         if found.fault:
             faults.append(f"{path}: {found.fault}; what is whole is merged")
-        foreign = {one.topic: one.kind for one in found.messages if not is_known(one.kind)}
-        faults += [
-            f"{path}: {topic!r} has messages of type {kind!r}, which are left out"
-            for topic, kind in foreign.items()
-        ]
         known = [one for one in found.messages if is_known(one.kind)]
+        foreign = {one.topic: one.kind for one in found.messages if not is_known(one.kind)}
+        if foreign:
+            topic, kind = next(iter(foreign.items()))
+            faults.append(
+                f"{path}: {len(foreign)} topics of types that recordings do not have are left out:"
+                f" {topic[:80]!r} ({kind[:80]!r}){' and others' if len(foreign) > 1 else ''}"
+            )
         if not known:
             continue
         source = _source(found, sources)
@@ -172,13 +174,8 @@ def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]
             if alignment is not None:
                 time = alignment.to_reference(clock_of(found.about, at))
                 at = wall + round((time - 1e-9 * boot) * 1e9)
-            yield (
-                min(max(at, 0), MAX_TIME),
-                f"/{robot}{one.topic}",
-                one.kind,
-                one.sequence,
-                one.payload,
-            )
+            at = min(max(at, 0), MAX_TIME)
+            yield at, f"/{robot}{one.topic}", one.kind, one.sequence, one.payload
 
 
 def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:

@@ -103,7 +103,7 @@ def message_on(topic: str, kind: str, payload: bytes) -> Any:
     """The message on a topic of a recording; CodecError if it is malformed or of another type."""
     wanted = _TYPES.get(topic.removeprefix("/"), "no such topic")
     if kind != wanted:
-        raise CodecError(f"{topic} has messages of type {kind!r}; expected {wanted}")
+        raise CodecError(f"a message of type {kind[:80]!r}; expected {wanted}")
     return deserialize(kind, payload)
 
 

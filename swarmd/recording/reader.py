@@ -161,7 +161,7 @@ class _Reader:
     def _take_chunk(self, body: memoryview) -> bool:
         compression = _string(body, 28)[0]
         if compression not in _COMPRESSIONS:
-            self._note(f"chunks are compressed by {compression!r}; expected none, lz4 or zstd")
+            self._note(f"chunks are compressed by {compression[:40]!r}; expected none, lz4 or zstd")
             return True
         records = self._chunk_data(body)
         if records is None:

@@ -272,7 +272,10 @@ def repeat(
     check_beginning(recorded, where, fault)
     if fault and not platform:
         notes.append(f"{fault}; what the robot learned before is not repeated")
-    found = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
+    try:
+        found = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error}") from error
     if not found.safe.count:
         raise ConfigError(f"{where}: no decision follows a memory; nothing can be compared")
     return head, replace(found, notes=(*filter(None, notes), *found.notes))

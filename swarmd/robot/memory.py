@@ -119,6 +119,8 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
         content = packed.decompress(data, most)
         if not packed.eof:
             raise ValueError(f"it is cut off, or has more than {most} bytes")
+        if content[:1] == b"\x80":  # as a pickle begins
+            raise ValueError(f"it has format 1; expected {FORMAT}")
         memory = msgspec.msgpack.decode(content, type=_Memory)
         if memory.format != FORMAT:
             raise ValueError(f"it has format {memory.format}; expected {FORMAT}")

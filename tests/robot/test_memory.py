@@ -114,7 +114,6 @@ DOUBLED = [[LIST, [0]], *([TUPLE, [[n], [n]]] for n in range(60))]
     [
         b"",
         b"no memory",
-        zlib.compress(pickle.dumps([1, 2])),  # as format 1
         zlib.compress(msgspec.msgpack.encode([1, [], [], b""])),
         packed(),
         packed([LIST, [1, 2]]),
@@ -182,6 +181,12 @@ def test_other_bytes_are_refused_at_once_and_run_nothing(
     assert capsys.readouterr().out == ""
     assert not any(tmp_path.iterdir())
     assert recall(good, settings).status(harness.now) == harness.robot.status(harness.now)
+
+
+def test_a_memory_of_an_older_format_is_named(harness: RobotHarness) -> None:
+    data = zlib.compress(pickle.dumps([1, 2], pickle.HIGHEST_PROTOCOL))
+    with pytest.raises(CodecError, match="format 1; expected 2"):
+        recall(data, harness.robot._lifecycle.identity.settings)
 
 
 def test_a_memory_that_was_cut_off_is_refused(harness: RobotHarness) -> None:
