@@ -139,15 +139,15 @@ def test_list_vote_and_stop_need_the_name_of_the_swarm_alone(voting: Swarm) -> N
         heard.update({robot: int(report["heard"]) for robot, report in reports.items()})
         return all(count >= len(ROBOTS) for count in heard.values())  # both others, and a program
 
+    def is_listed() -> bool:
+        return (voting.ctl("members", "-o", "json").json or {}).get("programs") == ["teacher"]
+
     with subprocess.Popen(
         [sys.executable, str(EXAMPLES / "vote.py"), voting.name, "teacher", "2", str(CAP)]
     ) as program:
         try:
             wait_until(is_counted, f"all robots hear the program: {heard}")
-            wait_until(
-                lambda: (voting.ctl("members", "-o", "json").json or {}).get("programs") == ["teacher"],
-                "members lists the program",
-            )
+            wait_until(is_listed, "members lists the program")
         finally:
             program.kill()
     assert voting.ctl("members", "-o", "json").json["missing"] == []
