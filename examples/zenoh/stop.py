@@ -10,11 +10,11 @@ import zenoh
 SWARM, VERB = sys.argv[1], "estop" if "estop" in sys.argv else "stop"
 REQUEST = {"verb": VERB, "id": uuid.uuid4().hex, "operator": "stop.py"}
 PAYLOAD = b"\x01" + msgpack.packb(REQUEST)  # the version of the format, and MessagePack
-
-names, answered = set(), set()
-start = time.monotonic()
+names: set[str] = set()
+answered: set[str] = set()
 with zenoh.open(zenoh.Config()) as session:
     # Scouting finds robots one by one: ask for 1 s, and for 5 s while a name lacks an answer.
+    start = time.monotonic()
     while (age := time.monotonic() - start) < 1 or (age < 5 and (not names or names - answered)):
         replies = session.liveliness().get(f"swarm/{SWARM}/*")
         names |= {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok}
