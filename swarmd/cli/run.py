@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from contextlib import ExitStack
 
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.canary import canaries_of, read_canary
+from swarmd.cli.canary import read_canary
 from swarmd.cli.options import CommonOptions, Duration, common_options
 from swarmd.cli.send import asking
 from swarmd.cli.targets import takes_targets
 from swarmd.client.canary import CANARY_TIME
-from swarmd.client.runs import (
-    check_run,
-    goal_targets,
-    make_goal,
-    run_with_canary,
-    start,
-    start_at,
-)
+from swarmd.client.runs import ON_JOIN, Run, carry_out, goal_targets
 from swarmd.client.targets import Targets
-from swarmd.core.errors import ConfigError
-from swarmd.core.keys import is_id
 from swarmd.core.verbs import MAX_AHEAD
 from swarmd.texts.assignments import read_assignments
-from swarmd.texts.values import seconds
 
 
 class _Ahead(Duration):
@@ -77,7 +67,7 @@ class _Ahead(Duration):
 )
 @click.option(
     "--on-join",
-    type=click.Choice(["offer", "run"]),
+    type=click.Choice(ON_JOIN),
     help="What robots do that join later: wait for `resume`, or run it [offer].",
 )
 @click.option("--valid", type=Duration(), help="How long robots that join run it, such as 5m.")
@@ -102,52 +92,29 @@ def run(
     `applied` when the pattern is loaded and will be stepped. A robot that changed since swarmctl
     looked at it refuses: check `swarmctl members` and repeat the request.
     """
-    if not is_id(pattern):
-        raise click.UsageError(f"{pattern!r} is no pattern name; see `swarmctl patterns`")
-    fields: dict[str, Any] = {
-        "pattern": pattern,
-        "params": read_assignments(params),
-        "seconds": duration,
-        "conditions": until,
-        "on_join": on_join or "offer",
-        "valid": valid,
-        "lease": lease,
-    }
-    _check(
-        until,
+    wanted = Run(
+        pattern=pattern,
+        params=read_assignments(params),
+        seconds=duration,
+        conditions=until,
         on_join=on_join or "offer",
         valid=valid,
         lease=lease,
         at=at,
-        canary=canary,
+        canary=read_canary(canary),
         canary_time=canary_time,
     )
-    read_canary(canary)
-    with asking(options, targets, needs_status=canary is not None) as asked:
-        targeted = asked.targeted
-        goal = make_goal(targeted, goal_targets(targets, asked.names), **fields)
-        if canary is not None:
-            first = canaries_of(canary, asked.names)
-            asked.report(*run_with_canary(targeted, goal, first, canary_time or CANARY_TIME))
-        elif lease is not None:
+    wanted.check(_option)
+    with asking(options, targets, needs_status=canary is not None) as asked, ExitStack() as opened:
+        of_goal = goal_targets(targets, asked.names)
+        if lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
-            run_while_here(asked, goal, lease)
-        elif at is not None:
-            if (wait := targeted.time_left) is not None and wait <= at:
-                raise click.UsageError(f"--timeout is too short for a start in {seconds(at)}")
-            asked.report(*start_at(targeted, goal, at))
-        else:
-            asked.report(start(targeted, goal))
+            run_while_here(asked, wanted, of_goal)
+        started = carry_out(wanted, asked.targeted, of_goal, opened, _option)
+        asked.report(started.outcome, started.notes)
 
 
-def _check(conditions: tuple[str, ...], **values: Any) -> None:
-    """Errors of conditions and options that cannot be, before a robot is asked."""
-    if conditions:
-        from swarmd.kit.conditions import parse_conditions
-
-        parse_conditions(conditions)
-    try:
-        check_run(**values, option=lambda name: f"--{name.replace('_', '-')}")
-    except ConfigError as error:
-        raise click.UsageError(str(error)) from error
+def _option(name: str) -> str:
+    """The option that gives a field of `Run`."""
+    return "--for" if name == "seconds" else f"--{name.replace('_', '-')}"

@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from swarmd.cli.output import signals_end, warn
 from swarmd.cli.send import Asked, report
-from swarmd.client.run_lease import LeaseKeeper, follow_runs
-from swarmd.client.runs import start
+from swarmd.client.run_lease import follow_runs
+from swarmd.client.runs import Run, carry_out
 from swarmd.client.stops import stop_names
 from swarmd.texts.values import seconds
 
 if TYPE_CHECKING:
-    from swarmd.core.goal import Goal
     from swarmd.network.operator.outcome import Outcome
 
 SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
 
 
-def run_while_here(asked: Asked, goal: Goal, lease: float) -> NoReturn:
-    """Run a goal on all targets until all runs have ended, or a signal; then stop them.
+def run_while_here(asked: Asked, run: Run, targets: tuple[str, ...]) -> NoReturn:
+    """Carry a run with a lease out until all robots have ended it, or a signal; then stop them.
 
-    The goal's `lease`, in s, is renewed until then.
+    `targets`: those of its goal.
     """
-    options, operator = asked.options, asked.operator
-    keeper = LeaseKeeper(operator, goal.id, lease, asked.names)
-    ended: Outcome | None = None
-    with signals_end():
+    lease, ended = run.lease or 0.0, None
+    with signals_end(), ExitStack() as opened:
         try:
-            keeper.start()
-            outcome = asked.show(start(asked.targeted, goal))
+            started = carry_out(run, asked.targeted, targets, opened)
+            outcome = asked.show(started.outcome)
             if not outcome.applied:
                 report_again(outcome)
             warn(
@@ -39,13 +37,11 @@ def run_while_here(asked: Asked, goal: Goal, lease: float) -> NoReturn:
                 " Ctrl-C stops them"
             )
             running = {name: outcome.replies[name].epoch for name in outcome.applied}
-            follow_runs(asked.targeted.session, goal, lease + SILENCE, running)
+            follow_runs(asked.targeted.session, started.goal, lease + SILENCE, running)
         except (KeyboardInterrupt, SystemExit):
-            ended = stop_names(operator, asked.names)
-        finally:
-            keeper.close()
+            ended = stop_names(asked.operator, asked.names)
     if ended is not None:
-        report(options, ended)
+        report(asked.options, ended)
     report_again(outcome)
 
 

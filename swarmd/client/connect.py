@@ -21,9 +21,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, get_args
 
+from swarmd.client.arguments import check_time, check_words
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import OperatorPool
-from swarmd.client.swarm import Places, Swarm, Tell, check_time, check_words
+from swarmd.client.swarm import Places, Swarm, Tell
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.network.settings import Profile
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import TYPE_CHECKING, Any, NoReturn
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
+from msgspec import Struct
 from msgspec.structs import replace
 
+from swarmd.client.arguments import check_time
 from swarmd.client.stops import stop_names, stop_on_interrupt
 from swarmd.core.clock import TICK, boottime
-from swarmd.core.errors import ConfigError, RequestError, SwarmError
+from swarmd.core.errors import ConfigError, RequestError, SwarmError, unknown
+from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, GoalRequest, RunRequest
 from swarmd.network.exit_codes import FAILED, PARTIAL
@@ -24,43 +28,118 @@ if TYPE_CHECKING:
     from swarmd.core.messages import Epoch
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
+    from swarmd.texts.assignments import Value
 
+ON_JOIN = ("offer", "run")
 MIN_LEASE, MAX_LEASE = 1.0, 3600.0  # s
 
 
-def check_run(
-    *,
-    on_join: str,
-    valid: float | None,
-    lease: float | None,
-    at: float | None,
-    canary: object,
-    canary_time: float | None,
-    option: Callable[[str], str] = str,
-) -> None:
-    """ConfigError for values that do not go together, before a robot is asked.
+class Run(Struct, frozen=True, kw_only=True):
+    """A run as `swarmctl run`, `Swarm.run` and the page describe it, before robots are known.
 
-    `option`: how the user writes the name of a value.
+    Times are in s. `check` before robots are asked; `carry_out` starts it.
     """
-    if on_join == "run" and valid is None:
-        raise ConfigError(
-            f"{option('on_join')} run needs {option('valid')}: how long robots that join may start"
-            " by themselves"
+
+    pattern: str
+    params: Mapping[str, Value] = {}
+    seconds: float | None = None  # until the run ends
+    conditions: tuple[str, ...] = ()  # as of `--until`: the first that is met ends the run
+    on_join: str = "offer"  # or "run": robots that join within `valid` run it
+    valid: float | None = None
+    lease: float | None = None  # robots stop after so long without a renewal
+    at: float | None = None  # from now: all robots start at one moment
+    canary: int | str | None = None  # a robot, or so many, that run alone at first
+    canary_time: float | None = None  # for which they run alone; None: CANARY_TIME
+
+    def check(self, option: Callable[[str], str] = str) -> None:
+        """ConfigError for values that cannot be or do not go together; `option` spells a name."""
+        if not isinstance(self.pattern, str) or not is_id(self.pattern):
+            raise ConfigError(f"{self.pattern!r} is no pattern name; expected a-z, 0-9, _ and -")
+        if self.on_join not in ON_JOIN:
+            raise ConfigError(unknown(option("on_join"), str(self.on_join), ON_JOIN))
+        for name in ("seconds", "at", "lease", "valid", "canary_time"):
+            check_time(option(name), getattr(self, name))
+        if self.conditions:
+            from swarmd.kit.conditions import parse_conditions
+
+            parse_conditions(self.conditions)
+        self._check_together(option)
+
+    def _check_together(self, option: Callable[[str], str]) -> None:
+        if self.on_join == "run" and self.valid is None:
+            raise ConfigError(
+                f"{option('on_join')} run needs {option('valid')}: how long robots that join may"
+                " start by themselves"
+            )
+        if self.valid is not None and self.on_join != "run":
+            add = f"add {option('on_join')} run"
+            raise ConfigError(f"{option('valid')} is how long robots that join run it: {add}")
+        if self.lease is not None and not MIN_LEASE <= self.lease <= MAX_LEASE:
+            raise ConfigError(
+                f"{option('lease')}: expected at least {MIN_LEASE:.0f}s, at most {MAX_LEASE:.0f}s"
+            )
+        if self.at is not None and not 0.0 < self.at <= MAX_AHEAD:
+            raise ConfigError(f"{option('at')}: expected at most {MAX_AHEAD:.0f} s from now on")
+        if self.canary is None and self.canary_time is not None:
+            raise ConfigError(f"{option('canary_time')}: expected {option('canary')}, too")
+        if sum(value is not None for value in (self.at, self.canary, self.lease)) > 1:
+            names = f"{option('at')}, {option('canary')} and {option('lease')}"
+            raise ConfigError(f"{names} do not go together; take one of them")
+
+    def goal(self, targeted: TargetedView, targets: Collection[str]) -> Goal:
+        """The goal that it sets: greater than all that the look has shown. See `next_goal`."""
+        return next_goal(
+            targeted.operator,
+            targeted.view,
+            targets=tuple(targets),
+            pattern=self.pattern,
+            params=self.params,
+            seconds=self.seconds,
+            conditions=self.conditions,
+            on_join=self.on_join,
+            valid=self.valid,
+            lease=self.lease,
         )
-    if valid is not None and on_join != "run":
-        add = f"add {option('on_join')} run"
-        raise ConfigError(f"{option('valid')} is how long robots that join run it: {add}")
-    if lease is not None and not MIN_LEASE <= lease <= MAX_LEASE:
-        raise ConfigError(
-            f"{option('lease')}: expected at least {MIN_LEASE:.0f}s, at most {MAX_LEASE:.0f}s"
-        )
-    if at is not None and not 0.0 < at <= MAX_AHEAD:
-        raise ConfigError(f"{option('at')}: expected at most {MAX_AHEAD:.0f} s from now on")
-    if canary is None and canary_time is not None:
-        raise ConfigError(f"{option('canary_time')}: expected {option('canary')}, too")
-    if sum(one is not None for one in (at, canary, lease)) > 1:
-        names = f"{option('at')}, {option('canary')} and {option('lease')}"
-        raise ConfigError(f"{names} do not go together; take one of them")
+
+
+class Started(NamedTuple):
+    """How a run began: its goal, the answers of robots, and more of it for JSON."""
+
+    goal: Goal
+    outcome: Outcome
+    notes: Mapping[str, Any] = {}
+
+
+def carry_out(
+    run: Run,
+    targeted: TargetedView,
+    targets: Collection[str],
+    opened: ExitStack,
+    option: Callable[[str], str] = str,
+) -> Started:
+    """Start a checked run on the robots of `targeted`; `targets` are those of its goal.
+
+    A lease is renewed until `opened` is closed. ConfigError, RequestError and SwarmError as
+    `choose_canaries`, `start_at` and `run_with_canary`.
+    """
+    first: tuple[str, ...] = ()
+    if run.canary is not None:
+        from swarmd.client.canary import choose_canaries
+
+        first = choose_canaries(run.canary, targeted.names, option("canary"))
+    goal = run.goal(targeted, targets)
+    if first:
+        return Started(goal, *run_with_canary(targeted, goal, first, run.canary_time))
+    if run.at is not None:
+        return Started(goal, *start_at(targeted, goal, run.at))
+    if run.lease is not None:
+        from swarmd.client.run_lease import LeaseKeeper
+
+        keeper = LeaseKeeper(targeted.operator, goal.id, run.lease, targeted.names)
+        keeper.start()
+        opened.callback(keeper.close)
+    epochs = targeted.view.epochs(targeted.names)
+    return Started(goal, send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left))
 
 
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
@@ -71,11 +150,6 @@ def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
     if targets.exclude:
         return tuple(sorted(names))
     return (*targets.names, *(f"{LABEL}{label}" for label in targets.labels))
-
-
-def make_goal(targeted: TargetedView, targets: Collection[str], **fields: Any) -> Goal:
-    """The goal that a run sets: greater than all that the look has shown. See `next_goal`."""
-    return next_goal(targeted.operator, targeted.view, targets=tuple(targets), **fields)
 
 
 def send_goal(
@@ -94,12 +168,6 @@ def send_goal(
         goal=goal,
         **fields,
     )
-
-
-def start(targeted: TargetedView, goal: Goal) -> Outcome:
-    """Send the run of a goal to all targets."""
-    epochs = targeted.view.epochs(targeted.names)
-    return send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left)
 
 
 def start_at(
@@ -153,16 +221,17 @@ def start_at(
 
 
 def run_with_canary(
-    targeted: TargetedView, goal: Goal, canaries: tuple[str, ...], seconds: float
+    targeted: TargetedView, goal: Goal, canaries: tuple[str, ...], seconds: float | None
 ) -> tuple[Outcome, Mapping[str, list[str]]]:
     """Run a goal on canaries for `seconds`, then on all; gives the canaries and the others, too.
 
-    The goal of the canaries is one for them alone, so that it ends no run of another robot. A
-    canary that does not start is stopped, and the outcome is that of the canaries. RequestError if
-    one fails: all canaries are stopped.
+    `seconds` None: CANARY_TIME. The goal of the canaries is for them alone, so that it ends no run
+    of another robot. A canary that does not start is stopped, and the outcome is that of the
+    canaries. RequestError if one fails: all canaries are stopped.
     """
-    from swarmd.client.canary import watch_canary
+    from swarmd.client.canary import CANARY_TIME, watch_canary
 
+    seconds = seconds or CANARY_TIME
     session, operator, view = targeted.session, targeted.operator, targeted.view
     own, wait = resigned(operator, goal, targets=canaries), targeted.time_left
     outcome = send_goal(operator, view.epochs(canaries), own, timeout=wait)

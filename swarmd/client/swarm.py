@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from numbers import Integral, Real
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, TypeAlias
 
+from swarmd.client.arguments import Words, check_time, check_words, plain_params
 from swarmd.client.members import Description, Members
 from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
-from swarmd.core.errors import ConfigError, RequestError, SwarmError, unknown
-from swarmd.core.keys import is_id
+from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.network.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:
@@ -24,12 +22,6 @@ if TYPE_CHECKING:
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
     from swarmd.texts.goal import Difference
-
-ON_JOIN = ("offer", "run")
-MAX_TIME = 1e7  # s
-
-Words: TypeAlias = str | Iterable[str]
-"""One word, or several."""
 
 Tell: TypeAlias = Callable[[str], object]
 
@@ -220,62 +212,30 @@ class Swarm:
         stop when this connection is closed, or its program has ended, for so many s. `on_join`
         "run": robots that join within `valid` s run it, too.
         """
-        from swarmd.client import runs
+        from swarmd.client.runs import Run, carry_out, goal_targets
 
-        if not isinstance(pattern, str) or not is_id(pattern):
-            raise ConfigError(f"{pattern!r} is no pattern name; expected a-z, 0-9, _ and -")
-        if on_join not in ON_JOIN:
-            raise ConfigError(unknown("on_join", str(on_join), ON_JOIN))
-        times = {"seconds": seconds, "at": at, "lease": lease, "valid": valid}
-        for name, value in {**times, "canary_time": canary_time}.items():
-            check_time(name, value)
-        conditions = check_words(until, "until")
-        if conditions:
-            from swarmd.kit.conditions import parse_conditions
-
-            parse_conditions(conditions)
-        runs.check_run(
+        run = Run(
+            pattern=pattern,
+            params=plain_params(params or {}),
+            seconds=seconds,
+            conditions=check_words(until, "until"),
             on_join=on_join,
             valid=valid,
-            lease=lease,
             at=at,
             canary=canary,
             canary_time=canary_time,
+            lease=lease,
         )
-        fields: dict[str, Any] = {
-            "pattern": pattern,
-            "params": _plain(params or {}),
-            "seconds": seconds,
-            "conditions": conditions,
-            "on_join": on_join,
-            "valid": valid,
-            "lease": lease,
-        }
+        run.check()
         targets = _targets(robots, labels, exclude)
         with ExitStack() as opened:
             session = opened.enter_context(self._session(timeout, is_request=lease is None))
             targeted = session.target(targets, needs_status=canary is not None)
-            goal = runs.make_goal(targeted, runs.goal_targets(targets, targeted.names), **fields)
-            if lease is not None:
-                from swarmd.client.run_lease import LeaseKeeper
-
-                keeper = LeaseKeeper(session.operator, goal.id, lease, targeted.names)
-                keeper.start()
+            started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
+            outcome = started.outcome
+            if lease is not None and outcome.applied and not session.is_cancelled():
                 # The operator goes on renewing the lease until the connection is closed.
-                opened.callback(keeper.close)
-                outcome = runs.start(targeted, goal)
-                if outcome.applied and not session.is_cancelled():
-                    self._pool.keep_lease(outcome.applied, opened.pop_all())
-            elif canary is not None:
-                from swarmd.client.canary import CANARY_TIME, choose_canaries
-
-                first = choose_canaries(canary, targeted.names)
-                time = canary_time or CANARY_TIME
-                outcome, _ = runs.run_with_canary(targeted, goal, first, time)
-            elif at is not None:
-                outcome, _ = runs.start_at(targeted, goal, at)
-            else:
-                outcome = runs.start(targeted, goal)
+                self._pool.keep_lease(outcome.applied, opened.pop_all())
             return targeted.counted(outcome)
 
     def stop(
@@ -340,7 +300,7 @@ class Swarm:
         """Change parameters of running patterns, until the next run."""
         from swarmd.client.changes import set_params
 
-        plain, targets = _plain(values), _targets(robots, labels, exclude)
+        plain, targets = plain_params(values), _targets(robots, labels, exclude)
         if not plain:
             raise ConfigError("param needs values, such as {'speed': 0.15}")
         with self._session(timeout, is_request=True) as session:
@@ -462,44 +422,9 @@ class Swarm:
             )
 
 
-def check_time(name: str, value: float | None) -> None:
-    """ConfigError unless a time that is given is a finite number of seconds above 0."""
-    is_number = isinstance(value, Real) and not isinstance(value, bool)
-    if value is not None and not (is_number and 0.0 < value <= MAX_TIME):
-        raise ConfigError(
-            f"{name} is {value!r}; expected a number of seconds above 0, at most {MAX_TIME:.0e}"
-        )
-
-
-def check_words(words: Words, what: str) -> tuple[str, ...]:
-    """The words as a tuple; ConfigError unless they are a text or several ones."""
-    some = tuple(words) if isinstance(words, Iterable) and not isinstance(words, str) else (words,)
-    if not all(isinstance(word, str) for word in some):
-        raise ConfigError(f"{what} is {words!r}; expected a text, or a list of texts")
-    return some
-
-
 def _targets(robots: Words | None, labels: Words, exclude: Words) -> Targets:
     names = () if robots is None else check_words(robots, "robots")
     labels, exclude = check_words(labels, "labels"), check_words(exclude, "exclude")
     if robots is not None and not names and not labels:
         raise no_target("the list of robots is empty")
     return make_targets(names, exclude, labels)
-
-
-def _plain(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Values that can be sent: numbers of numpy as those of Python. ConfigError for any other."""
-    if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
-        raise ConfigError(f"parameters are {values!r}; expected a dict, such as {{'speed': 0.15}}")
-    found: dict[str, Value] = {}
-    for key, value in values.items():
-        if isinstance(value, bool | str) or value is None:
-            found[key] = value
-        elif isinstance(value, Integral) and -(2**63) <= int(value) < 2**63:
-            found[key] = int(value)
-        elif isinstance(value, Real) and not isinstance(value, Integral) and math.isfinite(value):
-            found[key] = float(value)
-        else:
-            wanted = "a finite number of at most 64 bits, a text, True, False or None"
-            raise ConfigError(f"parameter {key} is {value!r}; expected {wanted}")
-    return found

@@ -5,17 +5,17 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import ExitStack
 from typing import Any, Literal
 
 from swarmd.client.changes import change_labels, reset, set_params
 from swarmd.client.hand_over import in_thread
 from swarmd.client.operator_pool import RequestLimit
-from swarmd.client.runs import make_goal, start
+from swarmd.client.runs import Run, carry_out
 from swarmd.client.session import Session
 from swarmd.client.stops import send_stop
 from swarmd.client.targets import Targets
 from swarmd.core.errors import NetworkError, SwarmError
-from swarmd.core.keys import is_id
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.assignments import read_assignments
@@ -128,12 +128,12 @@ class LiveCommander:
         cancelled: threading.Event,
     ) -> CommandProgress:
         params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
-        pattern = str(fields.get("pattern"))
-        if verb == "run" and not is_id(pattern):
-            raise ValueError(f"{pattern!r} is no pattern name")
+        run = Run(pattern=str(fields.get("pattern")), params=params)
+        if verb == "run":
+            run.check()
         words = str(fields.get("labels") or "").split()
         added, removed = read_changes(words) if verb == "label" else ((), ())
-        with self._limit.request(), self._make() as operator:
+        with self._limit.request(), self._make() as operator, ExitStack() as opened:
             operator.expect(names)  # robots that the page shows count as missing if silent
             session = Session(operator, is_cancelled=cancelled.is_set)
             try:
@@ -148,8 +148,7 @@ class LiveCommander:
                 outcome = change_labels(targeted, added, removed)
             else:
                 is_all = targeted.view.expected <= set(names)
-                goal = make_goal(targeted, () if is_all else names, pattern=pattern, params=params)
-                outcome = start(targeted, goal)
+                outcome = carry_out(run, targeted, () if is_all else names, opened).outcome
         return _answer(verb, outcome)
 
 

@@ -16,16 +16,17 @@ from typing import TYPE_CHECKING, Any, cast
 import pytest
 
 import swarmd
+from swarmd.client.arguments import plain_params
 from swarmd.client.async_swarm import AsyncSwarm, _from_thread
 from swarmd.client.canary import choose_canaries
 from swarmd.client.connect import Connection
 from swarmd.client.members import Members
 from swarmd.client.network_options import NetworkOptions
 from swarmd.client.operator_pool import MAX_IDLE, MAX_REQUESTS, OperatorPool
-from swarmd.client.runs import check_run
+from swarmd.client.runs import Run
 from swarmd.client.session import Session
 from swarmd.client.states import RobotState, _put
-from swarmd.client.swarm import Swarm, _plain, _targets
+from swarmd.client.swarm import Swarm, _targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.messages import Motion, State
@@ -184,12 +185,12 @@ def test_robots_of_a_call() -> None:
 def test_values_that_can_be_sent() -> None:
     numpy = pytest.importorskip("numpy")
     given = {"a": numpy.float64(0.5), "b": numpy.int32(3), "c": True, "d": "x", "e": None}
-    sent = _plain(given)
+    sent = plain_params(given)
     assert sent == {"a": 0.5, "b": 3, "c": True, "d": "x", "e": None}
     assert [type(sent[key]) for key in "abc"] == [float, int, bool]
     for wrong in ([1.0], float("inf"), 1j):
         with pytest.raises(ConfigError, match="speed"):
-            _plain({"speed": wrong})
+            plain_params({"speed": wrong})
 
 
 WRONG: dict[str, Callable[[Swarm], object]] = {
@@ -245,9 +246,8 @@ def test_a_wrong_value_is_one_line_and_reaches_no_robot(subject: str) -> None:
     ],
 )
 def test_values_of_a_run_that_do_not_go_together(values: dict[str, Any], subject: str) -> None:
-    none = dict.fromkeys(("valid", "lease", "at", "canary", "canary_time"))
     with pytest.raises(ConfigError, match=subject):
-        check_run(**{"on_join": "offer", **none, **values})
+        Run(pattern="drive", **values).check()
     for wrong in (0, True, 1.5):
         with pytest.raises(ConfigError):
             choose_canaries(wrong, ["r1", "r2"])  # type: ignore[arg-type]
