@@ -26,10 +26,10 @@ project_copyright = "the authors of swarmd, Apache 2.0"
 release = version = metadata.version("swarmd")
 
 root_doc = "docs/README"
-include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md"]
+include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md"]
 # Only so that Sphinx does not walk them.
 exclude_patterns = [".*", "build", "dist", "mutants", "runs", "experiments", "*.egg-info"]
-exclude_patterns += ["swarmd", "patterns", "drivers", "sim", "config", "tests", "studies"]
+exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests", "studies"]
 
 extensions = ["myst_parser"]
 myst_heading_anchors = 4

@@ -16,10 +16,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from studies.debates import IN_STEP, Motion, Result, hold_all
-from studies.outcomes import collective_perception as perception
-from studies.outcomes import voter_model
-from studies.outcomes.majority_rule import LOSSY
 from swarmd.core.values import Value
+from swarmd.patterns.collective_perception import outcome as perception
+from swarmd.patterns.majority_rule.outcome import LOSSY
+from swarmd.patterns.voter_model import outcome as voter_model
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 

@@ -82,7 +82,6 @@ from swarmd.texts.values import short_number
 from swarmd.texts.why import SENTENCES
 
 ROOT = Path(__file__).resolve().parents[2]
-_PAGES = ROOT / "docs/patterns"
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
 _PART = re.compile(r"(<!-- begin (\w+): .*? -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -115,7 +114,7 @@ def comparison() -> Iterator[str]:
     """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
     inputs, outcomes, breaks, kept = [], [], [], kept_outcomes()
     for row in describe_patterns((), None, _PLATFORM):
-        page = _PAGES / f"{row['name']}.md"
+        page = ROOT / "patterns" / row["name"] / "page.md"
         if page.exists():
             name, text = f"`{row['name']}`", page.read_text(encoding="utf-8")
             channels = ", ".join(f"`{one}`" for one in row["channels"])
@@ -496,7 +495,10 @@ def renewed() -> dict[Path, str]:
         text = "\n\n".join(filter(None, PARTS[found[2]]()))
         return f"{found[1]}\n{text}\n\n{found[3]}"
 
-    texts = {page: page.read_text() for page in sorted((ROOT / "docs").rglob("*.md"))}
+    texts = {
+        page: page.read_text()
+        for page in sorted([*(ROOT / "docs").rglob("*.md"), *(ROOT / "patterns").glob("*/page.md")])
+    }
     return {page: _PART.sub(made, text) for page, text in texts.items() if _PART.search(text)}
 
 
