@@ -178,11 +178,11 @@ learning: $(VENV)/tools
 tuning: $(VENV)/tools
 	@$(BIN)/python -m studies.tuning $(ARGS)
 
-# How voting scales with robots and the share of black tiles, for docs/figures; half an hour.
+# How voting scales with robots and the share of black tiles, for their pages; half an hour.
 voting: $(VENV)/tools
 	@$(BIN)/python -m studies.voting $(ARGS)
 
-# A short film of each pattern, in build/films; ARGS=docs/figures replaces those of the docs.
+# A short film of each pattern, in build/films; ARGS=patterns replaces those of the pages.
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
 

@@ -1,4 +1,4 @@
-"""A short film of each pattern: film_PATTERN.gif for its page, and demo.gif for README.md.
+"""A short film of each pattern: PATTERN/film.gif for its page, and demo.gif for README.md.
 
 `make films` runs it.
 """
@@ -47,7 +47,7 @@ def _film_of(pattern: str) -> Shot:
 
 
 def shots() -> Mapping[str, Shot]:
-    """The films by name: `demo`, and `film_PATTERN` of each pattern."""
+    """The films by name: `demo`, and that of each pattern."""
     demo = Shot(
         scenario="paper_exp2",
         title="Seven robots agree on a distance, and keep it",
@@ -55,7 +55,7 @@ def shots() -> Mapping[str, Shot]:
         colour="opinion",
         size=(640, 420),
     )
-    return {"demo": demo, **{f"film_{name}": _film_of(name) for name in MODULES}}
+    return {"demo": demo, **{name: _film_of(name) for name in MODULES}}
 
 
 def shoot(name: str, out: Path) -> Path:
@@ -69,7 +69,8 @@ def shoot(name: str, out: Path) -> Path:
         size=shot.size,
         stop=shot.stop,
     )
-    path = out / f"{name}.gif"
+    path = out / f"{name}.gif" if name == "demo" else out / name / "film.gif"
+    path.parent.mkdir(parents=True, exist_ok=True)
     run = RecordedRun(simulate_run(scenario, shot.seed), scenario.fields)
     make_film(run, path, shot.title, settings)
     return path
@@ -85,7 +86,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.films:
         if name not in known:
             parser.error(unknown("film", name, known))
-    options.out.mkdir(parents=True, exist_ok=True)
     for name in options.films or known:
         made = shoot(name, options.out)
         print(f"{made}: {megabytes(made.stat().st_size, 2)}", flush=True)

@@ -84,4 +84,4 @@ def test_each_folder_is_a_pattern_with_scenario_page_and_outcome() -> None:
     wanted = {"pattern.py", "scenario.yaml", "page.md", "outcome.py"}
     for path in folders:
         names = {file.name for file in path.iterdir() if file.is_file()}
-        assert wanted <= names <= wanted | {"outcome.json"}, path.name
+        assert wanted <= names <= wanted | {"outcome.json", "film.gif", "figure.png"}, path.name
