@@ -43,7 +43,7 @@ def tree(tmp_path: Path) -> Path:
         + "detections = Scan\n" * 99,
         "sim/world.py": "class Scan: ...\n" * 2,
         "tests/core/test_events.py": "a = 1\n" * 10,
-        "docs/page.md": "text\n\n<!-- begin keys: from code -->\n\n| a |\n\n<!-- end -->\n",
+        "docs/page.md": "text\n\n<!-- keys: from code -->\n\n| a |\n\n<!-- end of keys -->\n",
     }.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +25,9 @@ from swarmd.sim.experiments.statistics import (
 
 RESULTS = Path(__file__).parent / "results"
 """The outcomes that were kept, a JSON file for each pattern."""
+PAGES = Path(__file__).parents[2] / "docs/patterns"
+RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
+"""The part of a page that a study writes."""
 HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
 
 
@@ -129,11 +133,21 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:
-    """Write the outcomes of these first seeds to the pattern's file below RESULTS."""
+    """Write the outcomes of these first seeds below RESULTS, and the table of the page below PAGES.
+
+    A page without the two comments of `RESULTS_PART` stays as it is.
+    """
     kept = Kept(pattern, seeds, made_with(), tuple(outcomes))
     RESULTS.mkdir(exist_ok=True)
     text = msgspec.json.encode(kept).replace(b'{"pattern"', b'\n{"pattern"')  # a line for each
     (RESULTS / f"{pattern}.json").write_bytes(text.strip() + b"\n")
+    page = PAGES / f"{pattern}.md"
+    page.write_text(with_results(page.read_text(), kept.table))
+
+
+def with_results(page: str, table: str) -> str:
+    """The text of a page with this table as its results."""
+    return RESULTS_PART.sub(lambda part: f"{part[1]}\n{table}\n\n{part[2]}", page)
 
 
 def kept_outcomes() -> dict[str, Kept]:

@@ -45,7 +45,7 @@ _HEAD = """\
 # [named] begins with any number above the present one.
 """
 
-_GENERATED = re.compile(r"<!-- begin \w+: .*? -->\n(.*?)<!-- end -->", re.DOTALL)
+_GENERATED = re.compile(r"<!-- \w+: .*? -->\n(.*?)<!-- [\w ]*\bend\b[\w ]* -->", re.DOTALL)
 
 Weights = dict[str, dict[str, tuple[int, ...]]]
 Places = dict[str, dict[str, list[str]]]
