@@ -112,6 +112,13 @@ def test_a_number_left_too_high_is_a_fault_and_is_lowered(tree: Path) -> None:
     assert ["sim: 9 lines, limit 2" in line for line in faults_of(tree)] == [True]
 
 
+def test_a_row_without_a_number_for_each_unit_is_named(tree: Path) -> None:
+    text = (tree / WEIGHTS).read_text()
+    (tree / WEIGHTS).write_text(text.replace("sim = [2, 1]", "sim = 2"))
+    with pytest.raises(ValueError, match="sim has 1 numbers; expected 2"):
+        faults_of(tree)
+
+
 @pytest.mark.parametrize(("text", "wanted"), FORMS)
 def test_forms_that_are_counted(tmp_path: Path, text: str, wanted: dict[str, int]) -> None:
     (tmp_path / "sim").mkdir()

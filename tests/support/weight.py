@@ -176,10 +176,16 @@ def as_toml(limits: Weights) -> str:
 
 
 def _compared(weights: Weights, limits: Weights) -> Iterator[tuple[str, str, str, int, int | None]]:
-    """(table, row, unit, number, limit) of each number of either; a row that is missing is 0."""
+    """(table, row, unit, number, limit) of each number of either; a row that is missing is 0.
+
+    Raises ValueError for a row of the file that has more or fewer numbers than its table.
+    """
     for table, units in UNITS.items():
         numbers, bounds = weights.get(table, {}), limits.get(table, {})
         for name in dict.fromkeys(chain(numbers, bounds)):
+            if len(bounds.get(name, units)) != len(units):
+                row = f"{WEIGHTS}: [{table}] {name} has {len(bounds[name])} numbers"
+                raise ValueError(f"{row}; expected {len(units)}: {', '.join(units)}")
             for index, unit in enumerate(units):
                 number = numbers[name][index] if name in numbers else 0
                 yield table, name, unit, number, bounds[name][index] if name in bounds else None
