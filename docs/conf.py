@@ -16,9 +16,10 @@ from sphinx.errors import ExtensionError
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
-sys.path.insert(0, str(DOCS / "site"))
+sys.path[:0] = [str(DOCS / "site"), str(ROOT)]
 
 from contents import CONTENTS  # noqa: E402
+from reference import filled  # noqa: E402
 
 project = "swarmd"
 author = "the authors of swarmd"
@@ -42,6 +43,11 @@ html_static_path = ["site/static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
+
+
+def _add_parts(app: Sphinx, page: str, source: list[str]) -> None:
+    """Put the parts that are made from the code into the page that names them."""
+    source[0] = filled(source[0])
 
 
 def _add_contents(app: Sphinx, page: str, source: list[str]) -> None:
@@ -73,6 +79,7 @@ def _check_offline(app: Sphinx, error: Exception | None) -> None:
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("source-read", _add_parts)
     app.connect("source-read", _add_contents)
     app.connect("build-finished", _add_entrance)
     app.connect("build-finished", _check_offline)

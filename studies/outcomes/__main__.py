@@ -1,7 +1,7 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
 Prints a table; ends with 1 if one is not reached. `--keep` keeps the values of each run beside the
-pattern, from which `make reference` makes the table of the pattern's page.
+pattern, and writes the table of its page.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ from swarmd.sim.experiments.statistics import (
 PATTERNS = Path(__file__).resolve().parents[2] / "patterns"
 KEPT = "outcome.json"
 """The outcomes that were kept, beside the pattern."""
+RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
+"""The part of a page that a study writes."""
 HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
 
 
@@ -130,10 +133,20 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:
-    """Write the outcomes of these first seeds beside the pattern."""
+    """Write the outcomes of these first seeds beside the pattern, and the table of its page.
+
+    A page without the two comments of `RESULTS_PART` stays as it is.
+    """
     kept = Kept(pattern, seeds, made_with(), tuple(outcomes))
     text = msgspec.json.encode(kept).replace(b'{"pattern"', b'\n{"pattern"')  # a line for each
     (PATTERNS / pattern / KEPT).write_bytes(text.strip() + b"\n")
+    page = PATTERNS / pattern / "page.md"
+    page.write_text(with_results(page.read_text(), kept.table))
+
+
+def with_results(page: str, table: str) -> str:
+    """The text of a page with this table as its results."""
+    return RESULTS_PART.sub(lambda part: f"{part[1]}\n{table}\n\n{part[2]}", page)
 
 
 def kept_outcomes() -> dict[str, Kept]:
