@@ -117,9 +117,12 @@ def swarmctl_in(folder: Path) -> Swarmctl:
     return run
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")
 def state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A folder in which experiments keep the digests of code that has been run."""
+    """A folder in which experiments keep the digests of code that has been run.
+
+    Of a module: a fixture of a package would end with the session, and reach other folders.
+    """
     with pytest.MonkeyPatch.context() as here:
         here.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
