@@ -29,7 +29,7 @@ JOBS ?= 5
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
@@ -40,10 +40,12 @@ help:
 	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
-	@echo "make reference writes the generated parts of pages again: docs/reference, docs/zenoh.md, and reasons in docs/trouble.md"
+	@echo "make reference writes all pages with the parts that are made from the code, in build/pages: commands, API, keys"
+	@echo "make names     writes tests/docs/public_names.txt again, the names and signatures on which users build"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
+	@echo "make weight    lines, files and forms of the project beside their limits; ARGS=--write lowers these"
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
@@ -129,9 +131,13 @@ wheel: $(VENV)/tools
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --fresh-env -c docs -d build/doctrees . build/site
 
-# From plugins, YAML files, schemas, command lines and docstrings; tests/docs compares the pages with these.
+# From plugins, YAML files, schemas, command lines and docstrings; git has none of it.
 reference: $(VENV)/tools
 	@PYTHONPATH=. $(BIN)/python docs/site/reference.py
+
+# A test compares the file with the code, so the diff of a change shows the names that it takes away.
+names: $(VENV)/tools
+	@PYTHONPATH=. $(BIN)/python docs/site/reference.py --names
 
 format: $(VENV)/tools
 	$(BIN)/ruff format .
@@ -150,6 +156,11 @@ bench-suite: $(VENV)/tools
 # Every row of the budgets in two minutes.
 budget: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.budget
+
+# ARGS=--write lowers tests/weights.toml to the present numbers, and ARGS="--list NAME" prints the
+# places of a row; tests/test_weight.py compares them.
+weight: $(VENV)/tools
+	@$(BIN)/python -m benchmarks.house $(ARGS)
 
 # Every verb at 28 pairs of delay and loss, then the long tests of splits, storms and flapping, in
 # network namespaces. ARGS="--rtt 200 500 --loss 0 --json answers.jsonl" picks cells of the matrix.
@@ -178,11 +189,11 @@ learning: $(VENV)/tools
 tuning: $(VENV)/tools
 	@$(BIN)/python -m studies.tuning $(ARGS)
 
-# How voting scales with robots and the share of black tiles, for docs/figures; half an hour.
+# How voting scales with robots and the share of black tiles, for their pages; half an hour.
 voting: $(VENV)/tools
 	@$(BIN)/python -m studies.voting $(ARGS)
 
-# A short film of each pattern, in build/films; ARGS=docs/figures replaces those of the docs.
+# A short film of each pattern, in build/films; ARGS=patterns replaces those of the pages.
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
 

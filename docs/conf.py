@@ -16,9 +16,10 @@ from sphinx.errors import ExtensionError
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
-sys.path.insert(0, str(DOCS / "site"))
+sys.path[:0] = [str(DOCS / "site"), str(ROOT)]
 
 from contents import CONTENTS  # noqa: E402
+from reference import filled  # noqa: E402
 
 project = "swarmd"
 author = "the authors of swarmd"
@@ -26,10 +27,10 @@ project_copyright = "the authors of swarmd, Apache 2.0"
 release = version = metadata.version("swarmd")
 
 root_doc = "docs/README"
-include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md"]
+include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md"]
 # Only so that Sphinx does not walk them.
 exclude_patterns = [".*", "build", "dist", "mutants", "runs", "experiments", "*.egg-info"]
-exclude_patterns += ["swarmd", "patterns", "drivers", "sim", "config", "tests", "studies"]
+exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests", "studies"]
 
 extensions = ["myst_parser"]
 myst_heading_anchors = 4
@@ -42,6 +43,11 @@ html_static_path = ["site/static"]
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
+
+
+def _add_parts(app: Sphinx, page: str, source: list[str]) -> None:
+    """Put the parts that are made from the code into the page that names them."""
+    source[0] = filled(source[0])
 
 
 def _add_contents(app: Sphinx, page: str, source: list[str]) -> None:
@@ -73,6 +79,7 @@ def _check_offline(app: Sphinx, error: Exception | None) -> None:
 
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.connect("source-read", _add_parts)
     app.connect("source-read", _add_contents)
     app.connect("build-finished", _add_entrance)
     app.connect("build-finished", _check_offline)

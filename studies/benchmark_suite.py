@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import swarmd.config
 from benchmarks.table import markdown
+from studies.outcomes.outcome import with_results
 from swarmd.sim.experiments import benchmark
 from swarmd.sim.experiments.statistics import NOTHING
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -25,7 +25,6 @@ from swarmd.sim.scenarios.scenariofile import scenario_of
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE, FIGURE = DOCS / "benchmark_suite.md", DOCS / "figures" / "benchmark_suite.png"
-_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
 _DRAWN = ("floor", "light")
 _NEST_COLOUR, _SOURCE_COLOUR = "#4C72B0", "#55A868"
 
@@ -36,8 +35,7 @@ def main(files: Sequence[str]) -> None:
     (folder / "schema.json").write_text(benchmark.schema_text())
     draw(FIGURE)
     if files:
-        page = PAGE.read_text()
-        PAGE.write_text(_PART.sub(lambda found: f"{found[1]}\n{table(files)}\n\n{found[2]}", page))
+        PAGE.write_text(with_results(PAGE.read_text(), table(files)))
 
 
 def table(files: Sequence[str]) -> str:

@@ -22,7 +22,7 @@ import swarmd
 from swarmd.core.values import Array
 from swarmd.kit.observation import Observation
 from swarmd.kit.policy_network import PolicyNetwork, from_text, network_from_bytes
-from swarmd.patterns.policy import Policy
+from swarmd.patterns.policy.pattern import Policy
 from swarmd.sim.experiments.statistics import mean_interval
 
 ROOM = {

@@ -1,8 +1,8 @@
 """Times of agreement, and who wins: `python -m studies.voting [OUT]`, about half an hour.
 
-Draws `pattern_majority_rule.png` and `pattern_voter_model.png`, by the number of robots, and
-`pattern_collective_perception.png`, by the share of black tiles, into OUT, by default docs/figures,
-and prints their numbers.
+Draws `figure.png` of majority_rule and voter_model, by the number of robots, and of
+collective_perception, by the share of black tiles, into folders of OUT, by default `patterns`, and
+prints their numbers.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from studies.debates import IN_STEP, Motion, Result, hold_all
-from studies.outcomes import collective_perception as perception
-from studies.outcomes import voter_model
-from studies.outcomes.majority_rule import LOSSY
+from studies.outcomes.outcome import PATTERNS
 from swarmd.core.values import Value
+from swarmd.patterns.collective_perception import outcome as perception
+from swarmd.patterns.majority_rule.outcome import LOSSY
+from swarmd.patterns.voter_model import outcome as voter_model
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 
@@ -78,7 +79,7 @@ def majority_rule(out: Path) -> None:
     right.axvline(20.0, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0)
     right.set(xlabel="time, s (dotted: 20 s)", ylabel="share of swarms of 7 that agree")
     right.set(xlim=(0.0, 21.0), ylim=(0.0, 1.02))
-    _keep(figure, (left, right), out / "pattern_majority_rule.png")
+    _keep(figure, (left, right), _file(out, "majority_rule"))
 
 
 def voters(out: Path) -> None:
@@ -102,7 +103,7 @@ def voters(out: Path) -> None:
     left.plot((0.0, 1.0), (0.0, 1.0), color=GUIDE_COLOUR, linestyle=":")
     left.set(xlabel="share of opinion 1 at first", ylabel="share of debates it wins")
     _voting_times(right)
-    _keep(figure, (left, right), out / "pattern_voter_model.png")
+    _keep(figure, (left, right), _file(out, "voter_model"))
 
 
 def _voting_times(axes: Any) -> None:
@@ -164,7 +165,7 @@ def floors(out: Path) -> None:
     left.set(xlabel="black tiles, %", ylabel="share of runs that agree on black", ylim=(0.0, 1.03))
     left.legend(frameon=False, fontsize=9)
     right.set(xlabel="black tiles, %", ylabel="time until all agree, s", ylim=(0.0, None))
-    _keep(figure, (left, right), out / "pattern_collective_perception.png")
+    _keep(figure, (left, right), _file(out, "collective_perception"))
 
 
 def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:
@@ -173,8 +174,13 @@ def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:
     print(save(figure, path))
 
 
+def _file(folder: Path, pattern: str) -> Path:
+    (folder / pattern).mkdir(parents=True, exist_ok=True)
+    return folder / pattern / "figure.png"
+
+
 if __name__ == "__main__":
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/figures")
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else PATTERNS
     majority_rule(folder)
     voters(folder)
     floors(folder)

@@ -1,10 +1,12 @@
 """Finds installed patterns, drivers, emulators and verbs by name; imports no pattern.
 
 They are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
-`swarmd.commands`). A file `<plugin_dir>/<name>.py` with exactly one Pattern is a pattern too,
-unless it is called `test_*.py`. So is a mission: a `<plugin_dir>/<name>.yaml` with a line
-`mission: ...`, or one that comes with swarmd. Reading the metadata of all installed packages takes
-40 ms and more, so the command line calls these functions only where it must.
+`swarmd.commands`). An entry of patterns names a class, or a package whose folders are patterns:
+`<package>/<name>/pattern.py`, with the class of that name. A file `<plugin_dir>/<name>.py` with
+exactly one Pattern is a pattern too, unless it is called `test_*.py`. So is a mission: a
+`<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that comes with swarmd. Reading the
+metadata of all installed packages takes 40 ms and more, so the command line calls these functions
+only where it must.
 """
 
 from __future__ import annotations
@@ -58,6 +60,41 @@ class Origin:
     is_file: bool = False
     rival: str = ""
     digest: bytes = b""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternFolder:
+    """A folder with the `pattern.py` of one pattern; `package` is imported, `source` as of Origin.
+
+    Beside it may lie `scenario.yaml`, which shows the pattern, `page.md` and `outcome.py`.
+    """
+
+    path: Path
+    package: str
+    source: str
+
+    @property
+    def origin(self) -> Origin:
+        """The class in its file: BestOfN for best_of_n."""
+        name = "".join(word.capitalize() for word in self.path.name.split("_"))
+        return Origin(f"{self.package}.{self.path.name}.pattern:{name}", self.source)
+
+
+def pattern_folders() -> Mapping[str, PatternFolder]:
+    """The patterns that lie in folders of installed packages, by name."""
+    return {
+        folder.path.name: folder
+        for point in _entry_points(group=PATTERNS)
+        if not point.attr
+        for folder in _folders(point)
+    }
+
+
+def _folders(point: EntryPoint) -> Iterator[PatternFolder]:
+    file, source = _source_file(point.module), _source(point)
+    for path in sorted(file.parent.glob("*/pattern.py")) if file is not None else ():
+        if is_id(path.parent.name):
+            yield PatternFolder(path.parent, point.module, source)
 
 
 def installed_patterns() -> Mapping[str, Origin]:
@@ -198,6 +235,9 @@ def need(*modules: str, extra: str) -> None:
 def _installed() -> Iterator[tuple[str, Origin]]:
     sources: dict[Distribution | None, str] = {}  # to read the metadata of one takes 1 ms
     for point in _entry_points(group=PATTERNS):
+        if not point.attr:
+            yield from ((folder.path.name, folder.origin) for folder in _folders(point))
+            continue
         if point.dist is None or point.dist not in sources:
             sources[point.dist] = _source(point)
         yield point.name, Origin(point.value, sources[point.dist])

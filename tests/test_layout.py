@@ -18,6 +18,7 @@ import yaml
 import swarmd
 from studies import kernel_mutants
 from swarmd.core import kernels
+from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -63,19 +64,23 @@ LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
     ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
+PATTERN_FILES = sorted((ROOT / "patterns").glob("*/pattern.py"))
 # What others import from a kernel's file beside constants, alike in both forms: records of plain
 # values, and a function of a text.
 ALIKE = {"Surroundings", "Track", "axis_of"}
 
 
 def sources(*folders: str) -> list[Path]:
-    """Each Python file once: links are not followed."""
+    """Each Python file once: links are not followed. Outcomes of patterns are studies."""
     found = []
+    outcomes = set((ROOT / "patterns").glob("*/outcome.py"))
     for folder in folders:
         for path in sorted((ROOT / folder).rglob("*.py")):
             inside = path.relative_to(ROOT).parts
-            if not any((ROOT / Path(*inside[:n])).is_symlink() for n in range(1, len(inside))):
+            is_link = any((ROOT / Path(*inside[:n])).is_symlink() for n in range(1, len(inside)))
+            if not is_link and path not in outcomes:
                 found.append(path)
+        found += sorted(outcomes) if folder == "studies" else ()
     return found
 
 
@@ -184,6 +189,8 @@ def test_one_file_has_one_import_name() -> None:
 def test_the_core_names_no_concrete_plugin() -> None:
     plugins = PROJECT["project"]["entry-points"]
     names = {value.partition(":")[0] for group in plugins for value in plugins[group].values()}
+    names -= {"swarmd.patterns"}  # the group, too; its folders are the plugins
+    names |= {f"swarmd.patterns.{path.parent.name}" for path in PATTERN_FILES}
     found = [
         f"{name_of(path)} names {name}"
         for path in sources("swarmd")
@@ -218,6 +225,8 @@ def test_folder_is_linked(folder: str) -> None:
 def test_every_folder_with_code_is_packaged() -> None:
     expected = {}
     for path in sources(*CODE):
+        if path in PATTERN_FILES:
+            continue  # data of swarmd.patterns: to add a pattern changes no list
         folder = path.parent.relative_to(ROOT)
         inside = folder if folder.parts[0] == "swarmd" else Path("swarmd") / folder
         expected[".".join(inside.parts)] = folder.as_posix()
@@ -354,7 +363,8 @@ def test_the_citation_is_of_this_version_and_licence() -> None:
 
 def test_entry_points_lead_to_names() -> None:
     groups = PROJECT["project"]["entry-points"] | {"scripts": PROJECT["project"]["scripts"]}
-    values = [value for entries in groups.values() for value in entries.values()]
+    values = [value for entries in groups.values() for value in entries.values() if ":" in value]
+    values += [origin.value for origin in installed_patterns().values() if not origin.is_file]
     places = [value.partition(":") for value in values]
     missing = [
         f"{module}:{name}" for module, _, name in places if not hasattr(import_module(module), name)

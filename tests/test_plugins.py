@@ -57,7 +57,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.usefixtures("outsider")
 def test_finds_installed_patterns_of_any_package() -> None:
     drive = plugins.find_pattern("drive", None)
-    assert drive.value == "swarmd.patterns.drive:Drive"
+    assert drive.value == "swarmd.patterns.drive.pattern:Drive"
     assert drive.source.startswith("swarmd ")
     swirl = plugins.Origin("outsider_ok:Swirl", "outsider 2.1")
     assert plugins.find_pattern("swirl", None) == swirl

@@ -9,7 +9,7 @@ from typing import Any
 
 from swarmd.api import Context, Scalar
 from swarmd.core.host_messages import Step, Stepped
-from swarmd.patterns.attraction import Attraction, AttractionParams
+from swarmd.patterns.attraction.pattern import Attraction, AttractionParams
 
 
 class Timed(Attraction):

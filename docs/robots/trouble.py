@@ -45,7 +45,7 @@ SCAN, ODOM, TWIST = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "geome
 HEAD = """\
 # Usual problems
 
-<!-- Written by docs/robots/trouble.py from the drivers' own messages. -->
+<!-- drivers: docs/robots/trouble.py writes this page from their own messages -->
 
 `swarmd ... --check` reports what it finds within 5 s and moves nothing; `members` and `describe`
 report the same of a running daemon, under `driver lost`. Meanwhile the robot is held at zero.
@@ -403,7 +403,8 @@ def any_driver() -> Iterator[Row]:
 def page() -> str:
     """The whole page."""
     parts = [HEAD, _section("ROS 2", ros2()), CONTENDED.format(driven_by_others("/cmd_vel"))]
-    return "\n".join([*parts, _section("ROS 1", ros1()), _section("Any driver", any_driver())])
+    parts += [_section("ROS 1", ros1()), _section("Any driver", any_driver())]
+    return "\n".join([*parts, "<!-- end -->\n"])
 
 
 def _section(title: str, rows: Iterator[Row]) -> str:

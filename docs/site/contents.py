@@ -1,5 +1,9 @@
 """The order of the pages on the site."""
 
+from pathlib import Path
+
+_PATTERNS = Path(__file__).resolve().parents[2] / "patterns"
+
 CONTENTS = {
     "Tutorial": [
         "docs/tutorial/README",
@@ -13,40 +17,8 @@ CONTENTS = {
         "docs/tutorial/teachers",
     ],
     "Patterns": [
-        "docs/patterns/README",
-        "docs/patterns/drive",
-        "docs/patterns/random_walk",
-        "docs/patterns/attraction",
-        "docs/patterns/dispersion",
-        "docs/patterns/flocking",
-        "docs/patterns/line_formation",
-        "docs/patterns/circle_formation",
-        "docs/patterns/majority_rule",
-        "docs/patterns/voter_model",
-        "docs/patterns/discussed_dispersion",
-        "docs/patterns/one_bit_aggregation",
-        "docs/patterns/firefly_synchronization",
-        "docs/patterns/hop_gradient",
-        "docs/patterns/response_threshold",
-        "docs/patterns/best_of_n",
-        "docs/patterns/cross_inhibition",
-        "docs/patterns/trimmed_consensus",
-        "docs/patterns/vicsek_alignment",
-        "docs/patterns/lloyd_coverage",
-        "docs/patterns/hexagonal_lattice",
-        "docs/patterns/leader_following",
-        "docs/patterns/chain_formation",
-        "docs/patterns/patrol",
-        "docs/patterns/shelter_choice",
-        "docs/patterns/cue_aggregation",
-        "docs/patterns/shepherding",
-        "docs/patterns/collective_perception",
-        "docs/patterns/phototaxis",
-        "docs/patterns/source_seeking",
-        "docs/patterns/foraging",
-        "docs/patterns/cooperative_transport",
-        "docs/patterns/levy_walk",
-        "docs/patterns/policy",
+        "patterns/README",
+        *(f"patterns/{page.parent.name}/page" for page in sorted(_PATTERNS.glob("*/page.md"))),
     ],
     "How to": [
         "docs/installation",

@@ -1,15 +1,19 @@
 """The generated parts of pages: plugins, YAML files, schemas, command lines and docstrings.
 
-`make reference` runs this file. A part stands in its page between two comments with its name.
+A page has a line with the name of the part, which `conf.py` replaces on the site. `make reference`
+runs this file, which writes all pages with their parts below `build/pages`. `make names` runs it
+with `--names`, which writes `NAMES` again.
 """
 
 from __future__ import annotations
 
 import inspect
 import re
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
+from functools import cache
+from itertools import compress, zip_longest
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,7 +22,6 @@ import msgspec
 import zenoh
 from docstrings import module, prose
 
-from studies.outcomes.outcome import Kept, kept_outcomes
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import cli
@@ -82,9 +85,13 @@ from swarmd.texts.values import short_number
 from swarmd.texts.why import SENTENCES
 
 ROOT = Path(__file__).resolve().parents[2]
-_PAGES = ROOT / "docs/patterns"
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
-_PART = re.compile(r"(<!-- begin (\w+): .*? -->\n).*?(<!-- end -->)", re.DOTALL)
+NAMES = ROOT / "tests/docs/public_names.txt"
+"""The names and signatures on which users build; tests compare the file with the code."""
+_NAMED = ("api", "testing", "experiments", "python", "commands", "keys")  # parts with such names
+_EXPLAINED = ("meaning", "what", "rate, while somebody subscribes")  # columns that name nothing
+_PART = re.compile(r"^\*`make reference` makes this part, `(\w+)`, .*\*$", re.MULTILINE)
+_SECTION = re.compile(r"^#+ (.+)\n(?:\n```\w+\n((?:.|\n)*?)\n```)?", re.MULTILINE)
 
 
 def patterns() -> Iterator[str]:
@@ -111,21 +118,29 @@ def patterns() -> Iterator[str]:
         yield _table(("parameter", "meaning", "default", "unit", "accepted", "source"), rows)
 
 
+def films() -> Iterator[str]:
+    """Each pattern with its film and the first sentence of its page, for `patterns/README.md`."""
+    rows = []
+    for page in sorted((ROOT / "patterns").glob("*/page.md")):
+        name, film = page.parent.name, page.parent / "film.gif"
+        text = page.read_text(encoding="utf-8").partition("\n\n")[2].partition("\n\n")[0]
+        first = re.split(r"(?<=\.) (?=[A-Z])", " ".join(text.split()))[0]
+        shown = f'<img src="{name}/film.gif" width="300" alt="film of {name}">'
+        rows.append((shown if film.exists() else "", f"[**{name}**]({name}/page.md): {first}"))
+    yield _table(("film", "pattern"), rows)
+
+
 def comparison() -> Iterator[str]:
     """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
-    inputs, outcomes, breaks, kept = [], [], [], kept_outcomes()
+    inputs, outcomes, breaks = [], [], []
     for row in describe_patterns((), None, _PLATFORM):
-        page = _PAGES / f"{row['name']}.md"
+        page = ROOT / "patterns" / row["name"] / "page.md"
         if page.exists():
             name, text = f"`{row['name']}`", page.read_text(encoding="utf-8")
             channels = ", ".join(f"`{one}`" for one in row["channels"])
             needs = ", ".join(f"`{one}`" for one in row["needs"])
             inputs.append((name, needs or "no sensor", channels or "nothing"))
-            if row["name"] in kept:  # its page may be renewed only now
-                first = kept[row["name"]].outcomes[0]
-                outcomes.append((name, first.what, first.wanted, first.shown, first.source))
-            else:
-                outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
+            outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
             fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
             breaks.append((name, fails.partition("\n- ")[0].replace("**", "")))
     yield "## What it needs and sends"
@@ -464,14 +479,10 @@ def python() -> Iterator[str]:
     yield from module("swarmd.sim.live.simulated_swarm", ["demo", "SimulatedSwarm"])
 
 
-def outcomes(kept: Kept) -> Iterator[str]:
-    """The outcomes of a pattern, from the values of each run that its study has kept."""
-    yield kept.table
-
-
 PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "patterns": patterns,
     "comparison": comparison,
+    "films": films,
     "platforms": platforms,
     "scenarios": scenarios,
     "metrics": metrics,
@@ -484,20 +495,41 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "testing": testing,
     "experiments": experiments,
     "python": python,
-    **{f"outcomes_{name}": partial(outcomes, kept) for name, kept in kept_outcomes().items()},
 }
-"""The parts by the name in their comments."""
+"""The parts by the name in their pages."""
 
 
-def renewed() -> dict[Path, str]:
-    """The pages with generated parts, and their texts with these parts made anew."""
+@cache
+def part(name: str) -> str:
+    """The Markdown of a part."""
+    return "\n\n".join(filter(None, PARTS[name]()))
 
-    def made(found: re.Match[str]) -> str:
-        text = "\n\n".join(filter(None, PARTS[found[2]]()))
-        return f"{found[1]}\n{text}\n\n{found[3]}"
 
-    texts = {page: page.read_text() for page in sorted((ROOT / "docs").rglob("*.md"))}
-    return {page: _PART.sub(made, text) for page, text in texts.items() if _PART.search(text)}
+def filled(text: str) -> str:
+    """The text of a page with its parts."""
+    return _PART.sub(lambda line: part(line[1]), text)
+
+
+def public_names() -> str:
+    """A line for each public class, function, command, key and struct, with what it takes."""
+    lines = []
+    for name in _NAMED:
+        text = part(name)
+        lines.append(f"[{name}]")
+        sections = [*_SECTION.finditer(text)]
+        for section, following in zip_longest(sections, sections[1:]):
+            title, code = section[1], " ".join((section[2] or "").split())
+            body = text[section.end() : following.start() if following else len(text)]
+            rows = [line[2:-2].split(" | ") for line in body.splitlines() if line[:1] == "|"]
+            shown = [head not in _EXPLAINED for head in rows[0]] if rows else []
+            taken = [" ".join(compress(row, shown)) for row in rows[2:]]
+            taken = [re.sub(r"[`\\]", "", entry) for entry in taken]
+            if sum(shown) > 2:  # keys, each with its content and its readers
+                lines += taken
+            elif code or taken:
+                owner = f"{title}: " if "." in title else ""
+                lines.append(": ".join(filter(None, (owner + (code or title), ", ".join(taken)))))
+    return "\n".join(lines) + "\n"
 
 
 def _command(command: click.Command, path: str, parent: click.Context | None) -> Iterator[str]:
@@ -611,7 +643,16 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 if __name__ == "__main__":
-    for page, text in renewed().items():
-        if page.read_text() != text:
-            page.write_text(text)
-            print(f"renewed {page.relative_to(ROOT)}")
+    if "--names" in sys.argv:
+        NAMES.write_text(public_names())
+    else:
+        for page in (
+            *ROOT.glob("*.md"),
+            *ROOT.glob("docs/**/*.md"),
+            *ROOT.glob("patterns/**/*.md"),
+            ROOT / "benchmarks/README.md",
+        ):
+            copy = ROOT / "build/pages" / page.relative_to(ROOT)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_text(filled(page.read_text()))
+        print("the pages with their parts: build/pages, such as build/pages/docs/reference/api.md")

@@ -16,6 +16,7 @@ from msgspec import json
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.touch import granted_zones
+from swarmd.plugins import pattern_folders
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
@@ -35,10 +36,13 @@ from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.radio import check_radio
 from swarmd.sim.world.realism import realism_of
 
+SCENARIO = "scenario.yaml"
+"""Beside a pattern: the scenario that shows it, by the pattern's name."""
+
 
 def scenario_names() -> tuple[str, ...]:
-    """The scenarios that come with the project."""
-    return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
+    """The scenarios that come with the project, and those of installed patterns."""
+    return tuple(sorted(_named()))
 
 
 def load_scenario(
@@ -51,7 +55,8 @@ def load_scenario(
     nearest valid key.
     """
     path = _find(str(name), Path())
-    return _overridden(tuple(_chain(path)), overrides, path.stem, source)
+    stem = path.parent.name if path.name == SCENARIO else path.stem
+    return _overridden(tuple(_chain(path)), overrides, stem, source)
 
 
 def scenario_of(
@@ -69,17 +74,22 @@ def scenario_of(
     return _overridden(sources, overrides, "scenario", source)
 
 
-def _folder() -> Path:
-    return Path(swarmd.config.__path__[0]).resolve() / "scenarios"
+def _named() -> dict[str, Path]:
+    """The files of scenarios with a name: that of the file, or of the pattern beside it."""
+    of_patterns = {name: one.path / SCENARIO for name, one in pattern_folders().items()}
+    folder = Path(swarmd.config.__path__[0]).resolve() / "scenarios"
+    return {name: path for name, path in of_patterns.items() if path.is_file()} | {
+        path.stem: path for path in folder.glob("*.yaml")
+    }
 
 
 def _find(name: str, near: Path) -> Path:
     if name.endswith(".yaml"):
         return near / Path(name).expanduser()
-    if name not in scenario_names():
-        known = unknown("scenario", name, scenario_names())
-        raise ConfigError(f"{known} (or give a path ending in .yaml)")
-    return _folder() / f"{name}.yaml"
+    named = _named()
+    if name not in named:
+        raise ConfigError(f"{unknown('scenario', name, named)} (or give a path ending in .yaml)")
+    return named[name]
 
 
 def _chain(path: Path) -> Iterator[tuple[str, Data]]:

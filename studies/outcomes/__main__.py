@@ -1,7 +1,7 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
 Prints a table; ends with 1 if one is not reached. `--keep` keeps the values of each run beside the
-studies, from which `make reference` makes the table of the pattern's page.
+pattern, and writes the table of its page.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
 
@@ -21,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m studies.outcomes", description=__doc__)
     parser.add_argument("patterns", nargs="*", metavar="PATTERN", help="default: all")
     parser.add_argument("--seeds", type=int, default=20, help="runs of each setting [20]")
-    parser.add_argument("--keep", action="store_true", help="write studies/outcomes/results")
+    parser.add_argument("--keep", action="store_true", help="write patterns/PATTERN/outcome.json")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
     options = parser.parse_args(arguments)
     for name in options.patterns:

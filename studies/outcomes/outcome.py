@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +23,11 @@ from swarmd.sim.experiments.statistics import (
     wilson,
 )
 
-RESULTS = Path(__file__).parent / "results"
-"""The outcomes that were kept, a JSON file for each pattern."""
+PATTERNS = Path(__file__).resolve().parents[2] / "patterns"
+KEPT = "outcome.json"
+"""The outcomes that were kept, beside the pattern."""
+RESULTS_PART = re.compile(r"(<!-- results: .*? -->\n).*?(<!-- end of results -->)", re.DOTALL)
+"""The part of a page that a study writes."""
 HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs", "reached", "from")
 
 
@@ -129,17 +133,26 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:
-    """Write the outcomes of these first seeds to the pattern's file below RESULTS."""
+    """Write the outcomes of these first seeds beside the pattern, and the table of its page.
+
+    A page without the two comments of `RESULTS_PART` stays as it is.
+    """
     kept = Kept(pattern, seeds, made_with(), tuple(outcomes))
-    RESULTS.mkdir(exist_ok=True)
     text = msgspec.json.encode(kept).replace(b'{"pattern"', b'\n{"pattern"')  # a line for each
-    (RESULTS / f"{pattern}.json").write_bytes(text.strip() + b"\n")
+    (PATTERNS / pattern / KEPT).write_bytes(text.strip() + b"\n")
+    page = PATTERNS / pattern / "page.md"
+    page.write_text(with_results(page.read_text(), kept.table))
+
+
+def with_results(page: str, table: str) -> str:
+    """The text of a page with this table as its results."""
+    return RESULTS_PART.sub(lambda part: f"{part[1]}\n{table}\n\n{part[2]}", page)
 
 
 def kept_outcomes() -> dict[str, Kept]:
-    """The outcomes in the files below RESULTS, by pattern."""
-    files = sorted(RESULTS.glob("*.json"))
-    return {one.stem: msgspec.json.decode(one.read_bytes(), type=Kept) for one in files}
+    """The outcomes that were kept, by pattern."""
+    files = sorted(PATTERNS.glob(f"*/{KEPT}"))
+    return {path.parent.name: msgspec.json.decode(path.read_bytes(), type=Kept) for path in files}
 
 
 def at_most(

@@ -102,7 +102,7 @@ class Run(Struct, frozen=True, kw_only=True):
         )
 
 
-class Started(NamedTuple):
+class StartedRun(NamedTuple):
     """How a run began: its goal, the answers of robots, and more of it for JSON."""
 
     goal: Goal
@@ -116,7 +116,7 @@ def carry_out(
     targets: Collection[str],
     opened: ExitStack,
     option: Callable[[str], str] = str,
-) -> Started:
+) -> StartedRun:
     """Start a checked run on the robots of `targeted`; `targets` are those of its goal.
 
     A lease is renewed until `opened` is closed. ConfigError, RequestError and SwarmError as
@@ -129,9 +129,9 @@ def carry_out(
         first = choose_canaries(run.canary, targeted.names, option("canary"))
     goal = run.goal(targeted, targets)
     if first:
-        return Started(goal, *run_with_canary(targeted, goal, first, run.canary_time))
+        return StartedRun(goal, *run_with_canary(targeted, goal, first, run.canary_time))
     if run.at is not None:
-        return Started(goal, *start_at(targeted, goal, run.at))
+        return StartedRun(goal, *start_at(targeted, goal, run.at))
     if run.lease is not None:
         from swarmd.client.run_lease import LeaseKeeper
 
@@ -139,7 +139,7 @@ def carry_out(
         keeper.start()
         opened.callback(keeper.close)
     epochs = targeted.view.epochs(targeted.names)
-    return Started(goal, send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left))
+    return StartedRun(goal, send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left))
 
 
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:

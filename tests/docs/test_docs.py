@@ -7,6 +7,7 @@ import contextlib
 import re
 import runpy
 import shlex
+from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -30,12 +31,20 @@ from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "benchmarks/README.md"])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("patterns/**/*.md"),
+        ROOT / "benchmarks/README.md",
+    ]
+)
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
 IMAGE = re.compile(r'<(?:img|source|video)[^>]* src="([^"]+)"')
 TARGET = re.compile(r"^make(?: [A-Z]+=\S+)* ([a-z0-9-]+)", re.MULTILINE)
 FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+NAMES = Path(__file__).with_name("public_names.txt")
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
@@ -43,7 +52,7 @@ STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
-@pytest.fixture(scope="module")
+@cache
 def reference() -> dict[str, Any]:
     """The names of docs/site/reference.py."""
     with pytest.MonkeyPatch.context() as patch:
@@ -55,8 +64,14 @@ def name_of(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
+@cache
+def text_of(page: Path) -> str:
+    """The text of a page with its parts that are made from the code."""
+    return str(reference()["filled"](page.read_text()))
+
+
 def blocks(page: Path, language: str) -> list[str]:
-    return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
+    return [text for kind, text in BLOCK.findall(text_of(page)) if kind == language]
 
 
 def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
@@ -75,14 +90,14 @@ def files(page: Path) -> dict[str, str]:
 
 def outgoing(page: Path) -> list[tuple[str, str]]:
     """(file or empty, anchor or empty) of each link of the page into the repository."""
-    text = BLOCK.sub("", page.read_text())
+    text = BLOCK.sub("", text_of(page))
     links = LINK.findall(text) + [(image, "") for image in IMAGE.findall(text)]
     return [link for link in links if "://" not in link[0]]
 
 
 def anchors(page: Path) -> set[str]:
     """The anchors that a forge gives to the headings of a page."""
-    titles = HEADING.findall(BLOCK.sub("", page.read_text()))
+    titles = HEADING.findall(BLOCK.sub("", text_of(page)))
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
@@ -171,7 +186,7 @@ def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_targets_of_make_exist(page: Path) -> None:
     known = set(re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    inline = re.findall(r"`(make [^`\n]+)`", BLOCK.sub("", page.read_text()))
+    inline = re.findall(r"`(make [^`\n]+)`", BLOCK.sub("", text_of(page)))
     found = TARGET.findall("\n".join([*inline, *blocks(page, "")]))
     assert set(found) <= known
 
@@ -193,7 +208,9 @@ def test_metrics_and_requirements_exist(page: Path) -> None:
     assert unknown == []
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if files(page)], ids=name_of)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if FILE.search(page.read_text())], ids=name_of
+)
 def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
     for name, text in files(page).items():
         (tmp_path / name).write_text(text)
@@ -228,7 +245,7 @@ def test_each_step_of_a_story_names_a_function() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_names_of_the_library_are_there(page: Path) -> None:
-    assert [name for name in NAME.findall(page.read_text()) if not _is_there(name)] == []
+    assert [name for name in NAME.findall(text_of(page)) if not _is_there(name)] == []
 
 
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
@@ -250,20 +267,25 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("keys", [*(f"`state/{name}`" for name in PUBLISHED), "`control/run/ASKER`", "`yaw`"]),
     ],
 )
-def test_the_generated_reference_is_complete(
-    part: str, rows: list[str], reference: dict[str, Any]
-) -> None:
+def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None:
     """Each part has a row, with further cells, of what it must list."""
-    lines = "\n\n".join(reference["PARTS"][part]()).splitlines()
+    lines = reference()["part"](part).splitlines()
     found = {match[1] for line in lines if (match := re.match(r"\| (`.+?`) \| .*\w", line))}
     assert set(rows) <= found
 
 
-def test_the_generated_parts_are_as_their_sources(reference: dict[str, Any]) -> None:
-    pages = reference["renewed"]()
-    assert {"api.md", "commands.md", "trouble.md"} <= {page.name for page in pages}
-    differ = [name_of(page) for page, text in pages.items() if page.read_text() != text]
-    assert not differ, f"`make reference` renews {', '.join(differ)}"
+def test_each_part_that_is_made_from_the_code_has_one_page() -> None:
+    texts = "".join(page.read_text() for page in PAGES)
+    names = [line[1] for line in reference()["_PART"].finditer(texts)]
+    assert sorted(names) == sorted(reference()["PARTS"])
+    assert texts.count("*`make reference` makes this part") == len(names)
+
+
+def test_names_on_which_users_build_are_those_of_the_file() -> None:
+    """A name that is gone or has another signature is a line of its diff."""
+    kept, lines = (text.splitlines() for text in (NAMES.read_text(), reference()["public_names"]()))
+    gone, new = ([x for x in a if x not in b] for a, b in ((kept, lines), (lines, kept)))
+    assert lines == kept, "\n".join(["`make names` writes it again:", *gone, "is now:", *new])
 
 
 @pytest.mark.parametrize(
@@ -278,7 +300,7 @@ def test_the_generated_parts_are_as_their_sources(reference: dict[str, Any]) -> 
 def test_a_page_of_docstrings_names_classes_and_functions(
     page: str, heading: str, text: str
 ) -> None:
-    lines = (ROOT / "docs" / "reference" / f"{page}.md").read_text()
+    lines = text_of(ROOT / "docs" / "reference" / f"{page}.md")
     assert f"{heading}\n\n```python\n" in lines
     assert text in lines
 

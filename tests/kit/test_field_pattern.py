@@ -11,8 +11,8 @@ from msgspec.structs import replace
 
 from swarmd.core.values import Inputs, Twist
 from swarmd.kit.field_pattern import FieldPattern
-from swarmd.patterns.attraction import Attraction
-from swarmd.patterns.dispersion import Dispersion
+from swarmd.patterns.attraction.pattern import Attraction
+from swarmd.patterns.dispersion.pattern import Dispersion
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import scan_from

@@ -15,7 +15,7 @@ from swarmd.core.values import Inputs, Neighbor, Odometry, Platform, Pose, Scan,
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.factory import assemble
 from swarmd.kit.formation_pattern import FormationParams
-from swarmd.patterns.line_formation import LineFormation
+from swarmd.patterns.line_formation.pattern import LineFormation
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import Disc, scan_of

@@ -186,7 +186,7 @@ def test_a_pattern_reads_what_lies_beside_it_and_what_python_imports(
     import os, random, threading, time, numpy, asyncio, json, statistics, zoneinfo
     from pathlib import Path
     from swarmd.api import Outputs, Params, Pattern
-    import swarmd.patterns.attraction
+    import swarmd.patterns.attraction.pattern
     HERE = Path(__file__).parent
     class Reader(Pattern[Params]):
         needs = frozenset()

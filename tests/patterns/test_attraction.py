@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Inputs, Neighbor, Scalar, Scan, Twist, Value
-from swarmd.patterns.attraction import Attraction
+from swarmd.patterns.attraction.pattern import Attraction
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure

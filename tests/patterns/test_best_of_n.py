@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Inputs, Message, Value
-from swarmd.patterns.best_of_n import BestOfN
+from swarmd.patterns.best_of_n.pattern import BestOfN
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Twist, Value
-from swarmd.patterns.chain_formation import ChainFormation
+from swarmd.patterns.chain_formation.pattern import ChainFormation
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import empty_scan
 

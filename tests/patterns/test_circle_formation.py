@@ -8,7 +8,7 @@ import numpy as np
 
 from swarmd.core.values import Inputs, Odometry, Pose, Scan, Twist, Value
 from swarmd.kit.formation_geometry import place_on_circle, radius_of
-from swarmd.patterns.circle_formation import CircleFormation
+from swarmd.patterns.circle_formation.pattern import CircleFormation
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.values import Inputs, Message, Outputs, Value
-from swarmd.patterns.collective_perception import CollectivePerception
+from swarmd.patterns.collective_perception.pattern import CollectivePerception
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import scan_of

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.values import Detection, Inputs, Outputs, Twist
-from swarmd.patterns.cooperative_transport import CooperativeTransport
+from swarmd.patterns.cooperative_transport.pattern import CooperativeTransport
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import scan_of

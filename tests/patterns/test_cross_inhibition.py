@@ -7,7 +7,7 @@ from collections import Counter
 import pytest
 
 from swarmd.core.values import Value
-from swarmd.patterns.cross_inhibition import CrossInhibition
+from swarmd.patterns.cross_inhibition.pattern import CrossInhibition
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.core.values import Inputs, Scan, Twist, Value
 from swarmd.kit.behavior import Pattern
-from swarmd.patterns.cue_aggregation import CueAggregation
+from swarmd.patterns.cue_aggregation.pattern import CueAggregation
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 

@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Inputs, Message, Outputs, Value
-from swarmd.patterns.discussed_dispersion import DiscussedDispersion
+from swarmd.patterns.discussed_dispersion.pattern import DiscussedDispersion
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

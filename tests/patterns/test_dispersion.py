@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Inputs, Scan, Twist, Value
-from swarmd.patterns.dispersion import Dispersion
+from swarmd.patterns.dispersion.pattern import Dispersion
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from swarmd.core.values import Inputs, Limits, Twist
-from swarmd.patterns.drive import Drive
+from swarmd.patterns.drive.pattern import Drive
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.core.values import Inputs, Message, Outputs, Value
-from swarmd.patterns.firefly_synchronization import FireflySynchronization
+from swarmd.patterns.firefly_synchronization.pattern import FireflySynchronization
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

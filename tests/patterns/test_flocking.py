@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
-from swarmd.patterns.flocking import Flocking
+from swarmd.patterns.flocking.pattern import Flocking
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, mirrored, scan_from, scan_of

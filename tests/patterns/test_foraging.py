@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.values import Inputs, Outputs
-from swarmd.patterns.foraging import Foraging
+from swarmd.patterns.foraging.pattern import Foraging
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import scan_of

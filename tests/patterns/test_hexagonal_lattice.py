@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.core.values import Inputs, Neighbor, Twist, Value
-from swarmd.patterns.hexagonal_lattice import HexagonalLattice
+from swarmd.patterns.hexagonal_lattice.pattern import HexagonalLattice
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.values import Inputs, Message, Outputs, Value
-from swarmd.patterns.hop_gradient import HopGradient
+from swarmd.patterns.hop_gradient.pattern import HopGradient
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

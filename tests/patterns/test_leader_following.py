@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Twist, Value
 from swarmd.kit.behavior import Pattern
-from swarmd.patterns.leader_following import LeaderFollowing
+from swarmd.patterns.leader_following.pattern import LeaderFollowing
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

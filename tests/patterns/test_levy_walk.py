@@ -7,7 +7,7 @@ import pytest
 
 from swarmd.core.errors import ParameterError
 from swarmd.core.values import Inputs, Value
-from swarmd.patterns.levy_walk import LevyWalk
+from swarmd.patterns.levy_walk.pattern import LevyWalk
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, empty_scan, scan_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarmd.patterns.line_formation import LineFormation
+from swarmd.patterns.line_formation.pattern import LineFormation
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Inputs, Neighbor, Pose, Twist, Value
-from swarmd.patterns.lloyd_coverage import LloydCoverage
+from swarmd.patterns.lloyd_coverage.pattern import LloydCoverage
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import scan_from, scan_of
 

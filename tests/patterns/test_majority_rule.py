@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Inputs, Message, Value
-from swarmd.patterns.majority_rule import MajorityRule
+from swarmd.patterns.majority_rule.pattern import MajorityRule
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

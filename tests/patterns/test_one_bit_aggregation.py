@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.core.values import Inputs, Twist, Value
-from swarmd.patterns.one_bit_aggregation import OneBitAggregation
+from swarmd.patterns.one_bit_aggregation.pattern import OneBitAggregation
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

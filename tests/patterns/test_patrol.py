@@ -10,7 +10,7 @@ import pytest
 from swarmd.core.errors import ParameterError
 from swarmd.core.values import Inputs, Message, Outputs, Pose, Value
 from swarmd.kit.behavior import Pattern
-from swarmd.patterns.patrol import Patrol, places_of
+from swarmd.patterns.patrol.pattern import Patrol, places_of
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Inputs, Scan, Twist, Value
-from swarmd.patterns.phototaxis import Phototaxis
+from swarmd.patterns.phototaxis.pattern import Phototaxis
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

@@ -11,7 +11,7 @@ from swarmd.core.values import Inputs, Twist, Value
 from swarmd.kit.observation import PolicySpec, ReadingPart, ScanPart
 from swarmd.kit.policy_network import network_of, parameter_count, to_text
 from swarmd.kit.policy_pattern import PolicyPattern
-from swarmd.patterns.policy import Policy
+from swarmd.patterns.policy.pattern import Policy
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

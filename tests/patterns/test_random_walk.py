@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Inputs, Scan, Twist, Value
-from swarmd.patterns.random_walk import RandomWalk
+from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from swarmd.core.values import Inputs, Value
-from swarmd.patterns.response_threshold import ResponseThreshold
+from swarmd.patterns.response_threshold.pattern import ResponseThreshold
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Twist, Value
 from swarmd.kit.behavior import Pattern
-from swarmd.patterns.shelter_choice import ShelterChoice
+from swarmd.patterns.shelter_choice.pattern import ShelterChoice
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import empty_scan
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Twist, Value
-from swarmd.patterns.shepherding import Shepherding
+from swarmd.patterns.shepherding.pattern import Shepherding
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

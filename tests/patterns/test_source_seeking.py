@@ -11,7 +11,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Inputs, Scan, Twist, Value
-from swarmd.patterns.source_seeking import SourceSeeking
+from swarmd.patterns.source_seeking.pattern import SourceSeeking
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

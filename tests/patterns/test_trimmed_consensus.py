@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.core.values import Inputs, Message, Value
-from swarmd.patterns.trimmed_consensus import TrimmedConsensus, trimmed
+from swarmd.patterns.trimmed_consensus.pattern import TrimmedConsensus, trimmed
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.core.values import Inputs, Neighbor, Value
-from swarmd.patterns.vicsek_alignment import VicsekAlignment
+from swarmd.patterns.vicsek_alignment.pattern import VicsekAlignment
 from swarmd.testing.pattern_contract import PatternContract, Subject
 
 

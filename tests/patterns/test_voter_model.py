@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from swarmd.core.values import Inputs, Message, Value
-from swarmd.patterns.voter_model import VoterModel
+from swarmd.patterns.voter_model.pattern import VoterModel
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 

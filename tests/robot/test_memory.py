@@ -18,7 +18,7 @@ from msgspec.structs import replace
 import swarmd
 from swarmd.core.errors import CodecError
 from swarmd.core.events import ScanInput
-from swarmd.patterns.random_walk import RandomWalk
+from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.robot import memory
 from swarmd.robot.memory import recall, remember
 from swarmd.robot.robot import Robot

@@ -13,7 +13,7 @@ from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
 from swarmd.core.verbs import StopRequest
-from swarmd.patterns.drive import Drive
+from swarmd.patterns.drive.pattern import Drive
 from swarmd.robot.latches import MAX_HELD
 from tests.support.kernel_forms import interpreted
 from tests.support.robot_harness import RobotHarness

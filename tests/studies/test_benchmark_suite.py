@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from studies import benchmark_suite
+from studies.outcomes.outcome import RESULTS_PART
 
 
 def test_files_of_other_seeds_make_one_row_for_each_pattern(tmp_path: Path) -> None:
@@ -22,4 +23,4 @@ def test_files_of_other_seeds_make_one_row_for_each_pattern(tmp_path: Path) -> N
 
 
 def test_the_page_has_one_place_for_the_table() -> None:
-    assert len(benchmark_suite._PART.findall(benchmark_suite.PAGE.read_text())) == 1
+    assert len(RESULTS_PART.findall(benchmark_suite.PAGE.read_text())) == 1

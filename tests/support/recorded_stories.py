@@ -19,8 +19,8 @@ from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
 from swarmd.daemon.recorder import Recorder
 from swarmd.kit.behavior import Pattern
-from swarmd.patterns.drive import Drive
-from swarmd.patterns.random_walk import RandomWalk
+from swarmd.patterns.drive.pattern import Drive
+from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.recording import frames

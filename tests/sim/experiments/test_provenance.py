@@ -53,9 +53,8 @@ def test_the_arithmetic_that_the_environment_chooses_is_reported(
 
 
 def test_no_run_reads_what_the_digest_leaves_out() -> None:
-    code = (
-        "import sys, swarmd.sim.experiments.pool, swarmd.patterns.attraction; print(*sys.modules)"
-    )
+    modules = "swarmd.sim.experiments.pool, swarmd.patterns.attraction.pattern"
+    code = f"import sys, {modules}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = [name for name in done.stdout.split() if name.partition(".")[0] == "swarmd"]
     assert not [name for name in loaded if NOT_IN_RUNS & set(name.split("."))]

@@ -1,0 +1,37 @@
+"""Attraction: seven Burgers in a row gather in one cluster and rest; docs/paper.md has more."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
+from swarmd.sim.experiments.simulate import simulate
+
+NAME = "attraction"
+SHORT_FORM = {"duration": 40.0}
+IS_LONG = True
+FILM = {"stop": 90.0}
+DURATION = 60.0
+MDC, SHARE, SPEED, NEAR = 0.86, 0.9, 0.2, 0.5
+"""Upper bound of the late distance to the centroid in m; lower bound of the share of the late time
+in one cluster; upper bound of the late speed as a share of the limit; lower bound of the distance
+between neighbours in m, the paper's protection threshold."""
+_PAPER = "Kaiser et al. 2022, experiment 1; bounds as in docs/paper.md"
+
+
+def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) -> list[Outcome]:
+    """All outcomes: a run of experiment 1 for each seed, half as long as in docs/paper.md."""
+    setting = {"duration": duration}
+    found = simulate("paper_exp1_burger", seeds, jobs=jobs, set=setting, traces=False)
+    one, share = metric(found, "one_cluster_at_end"), metric(found, "time_in_one_cluster_late")
+    mdc = metric(found, "mean_distance_to_centroid_late")
+    speed = metric(found, "mean_speed_late_share")
+    near = metric(found, "nearest_neighbor_median_late")
+    return [
+        at_least(NAME, "one cluster at the end", 1.0, one, _PAPER),
+        at_least(NAME, "share of late time in one cluster", SHARE, share, _PAPER),
+        at_most(NAME, "late distance to the centroid [m]", MDC, mdc, _PAPER),
+        at_most(NAME, "late speed / limit", SPEED, speed, _PAPER),
+        at_least(NAME, "late distance to the nearest [m]", NEAR, near, _PAPER),
+        no_contacts(NAME, found),
+    ]

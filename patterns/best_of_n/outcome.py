@@ -1,0 +1,108 @@
+"""Best of n: the better option wins; the majority rule is faster than the weighted voter model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studies.outcomes.outcome import Joined, Outcome, at_least, ratio_of, share_of
+from studies.point_swarm import PointSwarm, at_places, each
+from swarmd.core.values import Scalar
+from tests.support.voting_sim import Air
+
+NAME = "best_of_n"
+SHORT_FORM = {"has_hard": False}
+IS_LONG = True
+FILM = {"title": "quality 0.6 and 0.9", "colour": "report:opinion"}
+ROBOTS, SECONDS, AGREED = 50, 300.0, 0.9
+HEARERS = 8
+"""A message reaches so many random robots, as of robots that walk among each other."""
+_AIR = Air(delay=0.02, jitter=0.01)
+_VALENTINI = "Valentini et al. 2016, 100 Kilobots: the better option wins"
+_FASTER = "Valentini et al. 2016: 1.89 times (rho_b 0.5)"
+_LIMITS = "Valentini et al. 2016: 2 times (rho_b 0.5) to 20 times (0.99)"
+_GROUPS = "Valentini et al. 2016: consensus after 55-69 min (25), 66-80 min (5)"
+_HARD = "speed against accuracy; the bounds: ours"
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    seed: int
+    rule: str
+    worse: float
+    group: int = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Whether the better option won, and the time in s until nine tenths held one option."""
+
+    is_best: bool
+    at: float
+
+
+def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> list[Outcome]:
+    """All outcomes: both rules with an easy choice, and `has_hard` with a hard one."""
+
+    def choices(rule: str, worse: float, group: int = 5) -> list[Choice]:
+        return each(choose, [_Setting(seed, rule, worse, group) for seed in seeds], jobs)
+
+    majority, voter = choices("majority", 0.5), choices("voter", 0.5)
+    what = "qualities 1 and 0.5: share won by the better"
+    easy = [
+        at_least(NAME, f"{what}, majority", 0.9, won(majority), _VALENTINI),
+        at_least(NAME, f"{what}, voter", 0.9, won(voter), _VALENTINI),
+    ]
+    if not has_hard:
+        return easy
+    hard, hard_voter = choices("majority", 0.9), choices("voter", 0.9)
+    large = choices("majority", 0.9, 25)
+    what, ratio = "qualities 1 and 0.9", "time of the voter / of the majority"
+    times = ratio_of(taken(voter), taken(majority)), ratio_of(taken(hard_voter), taken(hard))
+    gained = ratio_of(taken(hard), taken(large))
+    return [
+        *easy,
+        at_least(NAME, f"qualities 1 and 0.5: {ratio}", 1.0, times[0], _FASTER),
+        at_least(NAME, f"{what}: share won, majority", 0.4, won(hard), _HARD),
+        at_least(NAME, f"{what}: share won, majority, groups of 25", 0.3, won(large), _HARD),
+        at_least(NAME, f"{what}: share won, voter", 0.5, won(hard_voter), _HARD),
+        at_least(NAME, f"{what}: {ratio}", 1.5, times[1], _LIMITS),
+        at_least(NAME, f"{what}: time in groups of 5 / of 25", 1.0, gained, _GROUPS),
+    ]
+
+
+def won(choices: Sequence[Choice]) -> Joined:
+    """The share of the runs that the better option won."""
+    return share_of(one.is_best for one in choices)
+
+
+def taken(choices: Sequence[Choice]) -> list[float]:
+    """The time of each run in s; `SECONDS` where it has not ended by then."""
+    return [min(one.at, SECONDS) for one in choices]
+
+
+def choose(setting: _Setting) -> Choice:
+    """One run from an even split, until nine tenths agree; option 0 is the better one."""
+    readings = {"quality_0": 1.0, "quality_1": setting.worse}
+    swarm = PointSwarm(
+        NAME,
+        at_places(np.zeros((ROBOTS, 2))),
+        seed=setting.seed,
+        params={"rule": setting.rule, "group": setting.group},
+        own={row: {"initial": row % 2} for row in range(ROBOTS)},
+        hearers=HEARERS,
+        air=_AIR,
+        sense=lambda now, row, poses: readings,
+    )
+    track = swarm.run(SECONDS, until=lambda reports: max(_shares(reports)) >= AGREED)
+    best, other = _shares(track.reports[-1])
+    at = float(track.t[-1]) if max(best, other) >= AGREED else math.inf
+    return Choice(best >= AGREED, at)
+
+
+def _shares(reports: Sequence[Mapping[str, Scalar]]) -> tuple[float, float]:
+    opinions = [report.get("opinion") for report in reports]
+    return opinions.count(0) / ROBOTS, opinions.count(1) / ROBOTS

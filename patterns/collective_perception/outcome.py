@@ -1,0 +1,169 @@
+"""Collective perception: the robots agree on the colour that covers more of the floor."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from msgspec import to_builtins
+
+from studies.outcomes.outcome import (
+    Joined,
+    Outcome,
+    at_least,
+    metric,
+    no_contacts,
+    ratio_of,
+    share_of,
+)
+from studies.point_swarm import PointSwarm, each
+from swarmd.core.values import Array, Pose, Scalar, Scan, Value
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.world.floor import FloorField, Patch
+from swarmd.testing.scans import scan_of
+from tests.support.voting_sim import Air
+
+NAME = "collective_perception"
+SHORT_FORM = {"shares": (0.66,), "has_bodies": False}
+IS_LONG = True
+FILM = {"title": "62 % is black", "stop": 160.0, "colour": "opinion", "camera": "top"}
+RULES = ("voter", "majority", "comparison")
+SHARES = (0.52, 0.56, 0.60, 0.66)
+"""Shares of black tiles."""
+BLACK, NONE = 0, -1
+"""The opinion that is right, and that of a robot that has not told any."""
+ROBOTS, SIDE, REACH = 20, 4.0, 1.4
+"""Robots, side of the room in m and range of the radio in m: those of the scenario."""
+SPEED = 0.12
+"""m/s; with the turns at walls a point drives 0.1 m/s on average, as a Burger among twenty does."""
+DURATION, SECONDS = 300.0, 600.0
+"""Of a run of Burgers and of a run of points, in s."""
+AGREED = 5
+"""All robots hold one opinion for so many samples, one a second: longer than they listen."""
+RIGHT = 0.9
+"""The least share of runs that end in agreement on black."""
+SURE = 0.60
+"""From this share of black on; nearer to a half, chance decides more often."""
+_AIR = Air(delay=0.02, jitter=0.01)
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    seed: int
+    rule: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """The opinion on which all robots agree, and the time in s; None and inf without agreement."""
+
+    opinion: int | None
+    at: float
+
+
+def outcomes(
+    seeds: Sequence[int],
+    jobs: int = 1,
+    *,
+    shares: Sequence[float] = (SHARES[0], *SHARES[2:]),
+    has_bodies: bool = True,
+) -> list[Outcome]:
+    """All outcomes: for each seed points by each rule, and `has_bodies` Burgers by majority."""
+    found = agreements(seeds, jobs, shares)
+    low, high = min(shares), max(shares)
+    points = []
+    for rule in RULES:
+        for share in sorted((one for one in shares if one >= SURE), reverse=True):
+            what = f"{rule}, {100.0 * share:.0f} % black: share of runs that agree on black"
+            points.append(at_least(NAME, what, RIGHT, won(found[rule, share]), "ours"))
+        if low < high:
+            ratio = ratio_of(taken(found[rule, low]), taken(found[rule, high]))
+            what = f"{rule}: mean time at {100.0 * low:.0f} % / at {100.0 * high:.0f} % black"
+            points.append(at_least(NAME, what, 1.0, ratio, "ours: the nearer, the later"))
+    if not has_bodies:
+        return points
+    fields = [{"kind": "floor", "name": "ground", "patches": [to_builtins(tiles(SHARES[-1], 1))]}]
+    burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": DURATION, "fields": fields})
+    what = f"Burgers, majority, {100.0 * SHARES[-1]:.0f} % black: share that agree on black"
+    return [
+        *points,
+        at_least(NAME, what, RIGHT, right(burgers), "ours"),
+        no_contacts(NAME, burgers),
+    ]
+
+
+def agreements(
+    seeds: Sequence[int], jobs: int = 1, shares: Sequence[float] = SHARES
+) -> dict[tuple[str, float], list[Agreement]]:
+    """By rule and share of black, a run of points for each seed."""
+    keys = [(rule, share) for share in shares for rule in RULES]
+    settings = [_Setting(seed, rule, share) for rule, share in keys for seed in seeds]
+    found = iter(each(run, settings, jobs))
+    return {key: [next(found) for _ in seeds] for key in keys}
+
+
+def won(found: Sequence[Agreement]) -> Joined:
+    """The share of runs that agree on black."""
+    return share_of(one.opinion == BLACK for one in found)
+
+
+def taken(found: Sequence[Agreement]) -> list[float]:
+    """The time of each run in s; `SECONDS` where it has no agreement."""
+    return [min(one.at, SECONDS) for one in found]
+
+
+def right(results: Results) -> Joined:
+    """The share of Burgers' runs that end in agreement on black."""
+    return share_of(opinion == BLACK for opinion in metric(results, "consensus_opinion"))
+
+
+def run(setting: _Setting) -> Agreement:
+    """Points that begin as two halves at random places; each seed has a floor of its own."""
+    rng = np.random.default_rng(setting.seed)
+    half = 0.5 * SIDE - 0.2
+    places = rng.uniform(-half, half, (ROBOTS, 2))
+    poses = np.column_stack([places, rng.uniform(-math.pi, math.pi, ROBOTS)])
+    platform, number = load_platform("burger"), count()
+    ground = FloorField(name="ground", patches=(tiles(setting.share, setting.seed),))
+
+    def see(row: int, now: Array) -> Scan:
+        return scan_of(platform, room=SIDE, pose=Pose(*now[row].tolist()), seq=next(number))
+
+    def sense(now: float, row: int, poses: Array) -> Mapping[str, float]:
+        return {"ground": float(ground.at(poses[row : row + 1, :2])[0])}
+
+    params: dict[str, Value] = {"rule": setting.rule, "explore": 20.0, "speed": SPEED}
+    swarm = PointSwarm(
+        NAME,
+        poses,
+        seed=setting.seed,
+        params=params,
+        own={row: {"initial": row % 2} for row in range(ROBOTS)},
+        reach=REACH,
+        air=_AIR,
+        sense=sense,
+        see=see,
+    )
+    last: deque[set[Scalar]] = deque(maxlen=AGREED)
+
+    def have_agreed(reports: Sequence[Mapping[str, Scalar]]) -> bool:
+        last.append({report.get("opinion", NONE) for report in reports})
+        return len(last) == AGREED and len(set().union(*last)) == 1
+
+    track = swarm.run(SECONDS, every=1.0, until=have_agreed)
+    held = set[Scalar]().union(*last)
+    if len(held) > 1:
+        return Agreement(None, math.inf)
+    return Agreement(int(held.pop()), float(track.t[-AGREED]))
+
+
+def tiles(share: float, seed: int) -> Patch:
+    """The floor: this share of black, drawn by the seed."""
+    return Patch(rectangle=(0.0, 0.0, SIDE, SIDE), tiles=0.1, share=share, seed=seed)

@@ -1,0 +1,122 @@
+"""Levy walk: flights follow the power law; first-passage times follow the law of random search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from studies.outcomes.outcome import Joined, Outcome, at_least, at_most, ratio_of, within
+from studies.point_swarm import PointSwarm, Track, each
+from swarmd.core.values import Array, Scan
+from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import empty_scan
+
+NAME = "levy_walk"
+SHORT_FORM = {"has_slow": False}
+IS_LONG = True
+SIDE, SECONDS, ROBOTS, SIGHT, TARGETS = 10.0, 600.0, 10, 0.5, 200
+"""Points in a square whose opposite sides are joined; a target is found within the sight in m."""
+_SEARCH = "random search: P(T > t) = exp(-2 rho s v t), Varadharajan 2024"
+_POWER = "Viswanathan et al. 1999: (l / shortest)^(1 - mu)"
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """The time in s to find a target, mean of those found after the start, and the law's.
+
+    `missed` is the share of the targets that were never found, `displaced` the distance in m of a
+    robot after a minute from where it was.
+    """
+
+    mean: float
+    law: float
+    missed: float
+    displaced: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    seed: int
+    exponent: float
+    robots: int = ROBOTS
+    sight: float = SIGHT
+
+
+def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> list[Outcome]:
+    """All outcomes: nearly ballistic walks, more robots and a farther sight; `has_slow`: others."""
+
+    def searches(exponent: float, robots: int = ROBOTS, sight: float = SIGHT) -> list[Search]:
+        return each(search, [_Setting(seed, exponent, robots, sight) for seed in seeds], jobs)
+
+    ballistic, far = searches(1.1), searches(1.1, ROBOTS, 2.0 * SIGHT)
+    twice = searches(1.1, 2 * ROBOTS) if has_slow else []
+    sight = ratio_of(_times(ballistic), _times(far))
+    missed = [one.missed for one in ballistic]
+    found = [
+        *(
+            within(NAME, f"mu 1.1{which}: mean time / law", 0.85, 1.15, _of_law(some), _SEARCH)
+            for which, some in (("", ballistic), (", a sight of 1 m", far), (", 20 robots", twice))
+            if some
+        ),
+        at_least(NAME, "mu 1.1: mean time / that of twice the sight", 1.7, sight, "1/s"),
+        at_most(NAME, "mu 1.1: share of searches without success", 0.01, missed, _SEARCH),
+    ]
+    if not has_slow:
+        return found
+    levy, slow = searches(2.0), searches(4.0)
+    more = ratio_of(_times(ballistic), _times(twice))
+    ways = ratio_of(*([one.displaced for one in some] for some in (ballistic, slow)))
+    return [
+        *found,
+        at_least(NAME, "mu 1.1: mean time / that of 20 robots", 1.7, more, "1/N"),
+        at_least(NAME, "mu 2: mean time / law", 1.0, _of_law(levy), "places seen twice"),
+        at_least(NAME, "mu 4: mean time / law", 1.3, _of_law(slow), "the same"),
+        at_least(NAME, "way in a minute, mu 1.1 / mu 4", 1.5, ways, _POWER),
+    ]
+
+
+def _times(found: Sequence[Search]) -> list[float]:
+    return [one.mean for one in found]
+
+
+def _of_law(found: Sequence[Search]) -> Joined:
+    return ratio_of(_times(found), [one.law for one in found])
+
+
+def search(setting: _Setting) -> Search:
+    """One run, and the times at which random targets are found."""
+    rng = np.random.default_rng(setting.seed)
+    x, y = rng.uniform(0.0, SIDE, (2, setting.robots))
+    poses = np.column_stack([x, y, rng.uniform(-np.pi, np.pi, setting.robots)])
+    nothing = empty_scan(load_platform("burger"), 0, 0.0)
+
+    def see(row: int, now: Array) -> Scan:
+        return nothing
+
+    params = {"exponent": setting.exponent}
+    swarm = PointSwarm(NAME, poses, seed=setting.seed, params=params, torus=SIDE, see=see)
+    track = swarm.run(SECONDS, every=0.5)
+    return _judge(track, rng.uniform(0.0, SIDE, (TARGETS, 2)), setting)
+
+
+def _judge(track: Track, targets: Array, setting: _Setting) -> Search:
+    place = track.pose[..., :2]
+    begins = np.arange(0, len(place) // 2, 60)  # searches from every 30 s of the first half
+    found = np.full((len(targets), len(begins)), np.inf)
+    for index, target in enumerate(targets):
+        off = place - target
+        off -= SIDE * np.round(off / SIDE)
+        seen = np.flatnonzero((np.hypot(off[..., 0], off[..., 1]) <= setting.sight).any(axis=1))
+        first = np.searchsorted(seen, begins)
+        is_seen = first < len(seen)
+        found[index, is_seen] = 0.5 * (seen[first[is_seen]] - begins[is_seen])
+    later = found[found > 0.0]
+    is_found = np.isfinite(later)
+    way = np.diff(place, axis=0)
+    speed = float(np.hypot(way[..., 0], way[..., 1]).sum()) / SECONDS / setting.robots
+    law = SIDE**2 / (2.0 * setting.robots * setting.sight * speed)
+    minute = place[120:] - place[:-120]
+    displaced = float(np.hypot(minute[..., 0], minute[..., 1]).mean())
+    return Search(float(later[is_found].mean()), law, float((~is_found).mean()), displaced)

@@ -1,0 +1,108 @@
+"""Patrol: idleness falls with the number of robots, near that of robots on one closed way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from studies.outcomes.outcome import Outcome, at_least, at_most, mean_of, no_contacts
+from studies.point_swarm import CLEAR, PointSwarm, each
+from swarmd.core.values import Array, Value
+from swarmd.sim.experiments.simulate import simulate
+from tests.support.voting_sim import Air
+
+NAME = "patrol"
+SHORT_FORM = {"numbers": (1, 4), "has_bodies": False}
+FILM = {"title": "nine places", "stop": 150.0, "camera": "top"}
+PLACES = ((0, 0), (2, 0), (4, 0), (4, 2), (2, 2), (0, 2), (0, 4), (2, 4), (4, 4))
+TEXT = ", ".join(f"{x} {y}" for x, y in PLACES)
+WAY = 16.0 + 2.0 * math.sqrt(2.0)
+"""The shortest closed way in m past all places: a grid of three by three."""
+NUMBERS = (1, 2, 4, 8)
+SPEED, EVERY = 0.22, 0.2
+MUTE = Air(loss=1.0)
+SECONDS, SETTLED, BODY_SETTLED = 900.0, 200.0, 100.0
+_CYCLE = "Machado et al. 2003; ideal: robots evenly on the shortest closed way, half its time / N"
+_FALLS = "Machado et al. 2003: idleness falls with the number of agents"
+_WORST = "no place is forgotten; the bound: ours"
+_MUTE = "ours: what the messages are good for"
+
+
+@dataclass(frozen=True, slots=True)
+class Idleness:
+    """The mean over places and time in s, and the longest of any place."""
+
+    mean: float
+    worst: float
+
+
+def outcomes(
+    seeds: Sequence[int],
+    jobs: int = 1,
+    *,
+    numbers: Sequence[int] = NUMBERS,
+    has_bodies: bool = True,
+) -> list[Outcome]:
+    """All outcomes: for each seed points in these numbers, and `has_bodies` three Burgers."""
+    found = [each(run, [(seed, number, CLEAR) for seed in seeds], jobs) for number in numbers]
+    means = [float(np.mean([one.mean for one in some])) for some in found]
+    pairs = list(zip(numbers, found, strict=True))
+    worst = [one.worst / ideal(number) for number, some in pairs for one in some]
+    falls = [more / less for more, less in pairwise(means)]
+    points = [
+        *(
+            at_most(
+                NAME, f"mean idleness / ideal, N = {number}", 1.4, _shares(some, number), _CYCLE
+            )
+            for number, some in pairs
+        ),
+        at_least(NAME, "mean idleness of fewer / of the next number", 1.6, falls, _FALLS),
+        at_most(NAME, "longest idleness / ideal mean, all N", 6.0, worst, _WORST),
+    ]
+    if not has_bodies:
+        return points
+    mute = each(run, [(seed, 4, MUTE) for seed in seeds], jobs)
+    changes = {"trace_rate": 1.0 / EVERY}
+    runs = simulate(NAME, seeds, jobs=jobs, set=changes)
+    burgers = [idleness(trace.pose[:, :, :2] + 2.0, 0.2, BODY_SETTLED) for trace in runs.traces]
+    alone = mean_of(_shares(mute, 4))
+    return [
+        *points,
+        at_least(NAME, "no message arrives: mean idleness / ideal, N = 4", 1.4, alone, _MUTE),
+        at_most(NAME, "Burgers: mean idleness / ideal, N = 3", 1.4, _shares(burgers, 3), _CYCLE),
+        no_contacts(NAME, runs),
+    ]
+
+
+def _shares(found: Sequence[Idleness], number: int) -> list[float]:
+    return [one.mean / ideal(number) for one in found]
+
+
+def run(given: tuple[int, int, Air]) -> Idleness:
+    """So many points that begin at random places of the square."""
+    seed, number, air = given
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack([rng.uniform(0.0, 4.0, (number, 2)), rng.uniform(-3.1, 3.1, number)])
+    params: dict[str, Value] = {"places": TEXT, "reach": 2.1, "arrival": 0.05}
+    swarm = PointSwarm(NAME, poses, seed=seed, params=params, air=air)
+    return idleness(swarm.run(SECONDS, every=EVERY).pose[:, :, :2], 0.05, SETTLED)
+
+
+def idleness(places: Array, arrival: float, settled: float) -> Idleness:
+    """Of robots at places (T, n, 2) every `EVERY` s, from `settled` s on."""
+    off = places[:, :, None] - np.array(PLACES, float)
+    near = arrival + 0.5 * SPEED * EVERY
+    is_visited = (np.hypot(off[..., 0], off[..., 1]) <= near).any(axis=1)
+    times = np.arange(len(places)) * EVERY
+    last = np.maximum.accumulate(np.where(is_visited, times[:, None], 0.0), axis=0)
+    late = (times[:, None] - last)[times >= settled]
+    return Idleness(float(late.mean()), float(late.max()))
+
+
+def ideal(number: int) -> float:
+    """The mean idleness in s of robots evenly on the shortest closed way, 2 m for each place."""
+    return 0.5 * WAY / SPEED / number
