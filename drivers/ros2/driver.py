@@ -571,7 +571,7 @@ class RosDriver:
             *(unpassed.get(stats.topic) or graph.silence(stats) for stats in silent),
             unpassed.get(self._cmd_vel, ""),
             *(graph.silence(stats) for stats in self._subscriptions.silent_hazards(now)),
-            *(graph.unreliable(one, self._platform.scan) for one in topics if one.is_needed),
+            graph.doubt(topics, self._platform.scan),
         )
         return next(filter(None, faults), "") or self._incompleteness()
 
