@@ -183,12 +183,12 @@ class Graph:
                 f"{topic}: messages come, all with the stamp {stats.stamps[-1]:.12g}; look at the"
                 " sensor, which is frozen, or at its publisher, which fills in none"
             )
-        doubt = f"{topic}: {stats.doubt}" if stats.doubt else ""
-        return self.second_publisher(stats, spec) or self._set_clock(stats) or doubt
+        return self.second_publisher(stats, spec) or self._set_clock(stats)
 
     def doubt(self, topics: Iterable[TopicStats], spec: ScanSpec) -> str:
-        """Why the messages of a needed topic cannot be relied on; empty if they can."""
-        doubts = (self.unreliable(stats, spec) for stats in topics if stats.is_needed)
+        """Why the messages of a needed topic cannot be relied on, or contradict themselves."""
+        needed = [stats for stats in topics if stats.is_needed]
+        doubts = (self.unreliable(stats, spec) or contradiction(stats) for stats in needed)
         return next(filter(None, doubts), "")
 
     def _set_clock(self, stats: TopicStats) -> str:
@@ -417,6 +417,11 @@ def unreachable(middleware: Middleware, endpoint: str, fault: str = "") -> str:
     )
 
 
+def contradiction(stats: TopicStats) -> str:
+    """What the last messages of a topic say against themselves; empty without that."""
+    return f"{stats.topic}: {stats.doubt}" if stats.doubt else ""
+
+
 def incomplete(stats: TopicStats, scan: Scan, spec: ScanSpec) -> str:
     """Why this scan leaves too much unseen; empty if it does not."""
     if ScanConditioner(spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
@@ -623,7 +628,8 @@ class DriverCheck:
         if not fault and stats.name == "scan" and content.fault:
             fault = f"{stats.topic}: {content.fault}"
         scan = content.last
-        return fault or (incomplete(stats, scan, content.spec) if scan else "")
+        fault = fault or (incomplete(stats, scan, content.spec) if scan else "")
+        return fault or contradiction(stats)
 
     def _subscriber(self) -> str:
         kind = self.graph.command_type(self.cmd_vel, self.command_types)
