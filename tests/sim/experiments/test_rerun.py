@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -102,6 +103,20 @@ def test_nothing_to_compare_is_an_error(results: Results) -> None:
     table.write_text(table.read_text().splitlines(keepends=True)[0])
     with pytest.raises(ConfigError, match=str(results.folder)):
         rerun(results.folder, None, 1)
+
+
+@pytest.mark.parametrize("value", ["~no_such_user/x", "a\0", 5, ["a"], "gone"])
+def test_a_folder_of_patterns_that_is_none_is_one_line(results: Results, value: object) -> None:
+    path = results.folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    for variant in manifest["variants"]:
+        variant["effective"]["plugin_dir"] = value
+    path.write_text(json.dumps(manifest))
+    try:
+        found = rerun(results.folder, None, 1)
+    except ConfigError as error:
+        found = {"": str(error)}
+    assert all("plugin_dir" in why and "\n" not in why for why in found.values())
 
 
 @pytest.mark.parametrize(
