@@ -14,6 +14,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Scan
+from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.diagnosis import (
     DriverCheck,
     Graph,
@@ -26,9 +27,10 @@ from swarmd.drivers.ros.diagnosis import (
 )
 from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
-from swarmd.drivers.ros.messages import LaserScan, Twist, TwistStamped
+from swarmd.drivers.ros.messages import BatteryState, LaserScan, Twist, TwistStamped
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.to_ros import header
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros1.driver import no_rospy
 from swarmd.drivers.ros1.master_graph import Ros1
@@ -101,6 +103,59 @@ def scans(stamps: Mapping[float, float], distance: float = 0.42) -> Subscription
             Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
         )
     return found
+
+
+def received(subject: str, message: object, options: TopicOptions) -> str:
+    """The line of a check with the ROS 2 bridge about a topic that has one message."""
+    subscriptions = Subscriptions(options, PLATFORM)
+    subscriptions.read(subject, cdr.encode(message), 0.0)
+    return check(subject, subscriptions)
+
+
+def mirrored() -> LaserScan:
+    """A scan whose header gives the angle of its last ray with the other sign."""
+    spec, step = PLATFORM.scan, math.tau / 360
+    return LaserScan(
+        header=header(1.0, "base_scan"),
+        angle_min=0.0,
+        angle_max=-359 * step,
+        angle_increment=step,
+        time_increment=0.0,
+        scan_time=0.2,
+        range_min=spec.range_min,
+        range_max=spec.range_max,
+        ranges=np.full(360, 1.0, np.float32),
+        intensities=np.empty(0, np.float32),
+    )
+
+
+def no_battery() -> BatteryState:
+    """What a driver publishes whose battery is not there, or not measured yet."""
+    return BatteryState(
+        header=header(1.0, "base_link"),
+        voltage=0.0,
+        temperature=0.0,
+        current=0.0,
+        charge=0.0,
+        capacity=0.0,
+        design_capacity=0.0,
+        percentage=0.0,
+        power_supply_status=0,
+        power_supply_health=0,
+        power_supply_technology=0,
+        present=False,
+        cell_voltage=np.empty(0, np.float32),
+        cell_temperature=np.empty(0, np.float32),
+        location="",
+        serial_number="",
+    )
+
+
+def set_clock() -> str:
+    """The stamps of the one lidar that is there go back twice within 10 s."""
+    subscriptions = scans({0.0: 50.0, 0.2: 50.2, 0.4: 49.0, 0.6: 48.0})
+    graph = Graph(middleware=Ros2Dds(), endpoints=[Endpoint(True, "/scan", SCAN, node="/lidar")])
+    return graph.unreliable(subscriptions.topics["scan"], PLATFORM.scan)
 
 
 def silence(
@@ -244,6 +299,24 @@ def _scans() -> Iterator[Row]:
         "restart the sensor's node",
     )
     yield (
+        check("scan", scans({0.2 * i: float(i // 5) for i in range(16)})),
+        "the stamps have whole seconds only, or the driver repeats them; of one stamp only the"
+        " first scan counts, so that the robot is held now and then",
+        "the driver of the lidar",
+    )
+    yield (
+        set_clock(),
+        "NTP, or a hand, sets the clock of the lidar's computer while the node runs; the run does"
+        " not end as `two_scan_sources`",
+        "`chronyc waitsync` before the node starts",
+    )
+    yield (
+        received("scan", mirrored(), TopicOptions()),
+        "the driver of the lidar counts the angles to one side and names the other; `describe` says"
+        " so, too",
+        "look which side an obstacle is on, and correct the driver of the lidar",
+    )
+    yield (
         check("scan", scans({0.5 * i: 0.5 * i for i in range(12)})),
         "a slower lidar than the file says, or a network that loses messages",
         "`scan.rate` of the platform, or look at the network",
@@ -263,6 +336,16 @@ def _scans() -> Iterator[Row]:
         check("scan", scans(steady)),
         "a frozen driver repeats its last scan; or a simulated lidar has no noise",
         "restart the sensor's node; `scan.noisy: false` for a simulated lidar without noise",
+    )
+    yield (
+        received(
+            "battery",
+            no_battery(),
+            TopicOptions(battery="battery_state", battery_volts=(11.0, 12.6)),
+        ),
+        "the message says that nothing is measured; the robot has no battery, and not an empty one;"
+        " [all messages that can say so](../ros.md#messages-that-say-that-they-measure-nothing)",
+        "the driver of the battery",
     )
 
 

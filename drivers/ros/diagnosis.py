@@ -25,6 +25,7 @@ from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.scan_content import ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
+from swarmd.robot.timeouts import ODOMETRY_TIMEOUT
 from swarmd.sensing.scan_pipeline import ScanConditioner
 
 LAST_WORD = "docs/robots/last_word.md"
@@ -171,22 +172,39 @@ class Graph:
     def unreliable(self, stats: TopicStats, spec: ScanSpec) -> str:
         """Why the messages of a topic cannot be relied on; empty if they can."""
         topic = stats.topic
+        longest = spec.slowest_period if stats.is_scan else ODOMETRY_TIMEOUT
+        if stats.is_needed and stats.standstill() > longest:
+            return (
+                f"{topic}: several messages in a row have one stamp, of which the first counts: too"
+                f" few; look at what stamps them: {self._info(topic)}"
+            )
         if not stats.stamps_advance():
             return (
                 f"{topic}: messages come, all with the stamp {stats.stamps[-1]:.12g}; look at the"
                 " sensor, which is frozen, or at its publisher, which fills in none"
             )
-        return self.second_publisher(stats, spec) or self.set_clock(stats)
+        return self.second_publisher(stats, spec) or self._set_clock(stats)
 
-    def set_clock(self, stats: TopicStats) -> str:
+    def doubt(self, topics: Iterable[TopicStats], spec: ScanSpec) -> str:
+        """Why the messages of a needed topic cannot be relied on, or contradict themselves."""
+        needed = [stats for stats in topics if stats.is_needed]
+        doubts = (self.unreliable(stats, spec) or contradiction(stats) for stats in needed)
+        return next(filter(None, doubts), "")
+
+    def _set_clock(self, stats: TopicStats) -> str:
         """The stamps of a topic go back, and one node alone publishes it; empty otherwise."""
-        publishers = self.publishers(stats.topic)
-        if not (stats.stamps_go_back() and len(publishers) == 1 and publishers[0].node):
+        node = self._only_node(stats.topic)
+        if not (node and stats.stamps_go_back()):
             return ""
         return (
-            f"the stamps of {stats.topic} go back again and again, and {publishers[0].node} alone"
-            " publishes it: its clock was set; let it set its clock (NTP) before the node starts"
+            f"the stamps of {stats.topic} go back again and again, and {node} alone publishes it:"
+            " its clock was set; let it set its clock (NTP) before the node starts"
         )
+
+    def _only_node(self, topic: str) -> str:
+        """The node that alone publishes a topic, as far as nodes are known; empty otherwise."""
+        names = {end.node for end in self.publishers(topic)}
+        return names.pop() if len(names) == 1 else ""
 
     def conflict(self, topics: Iterable[TopicStats], spec: ScanSpec) -> Conflict | None:
         """Why the robot must not move: a second base, or a second source; None without a sign."""
@@ -216,12 +234,13 @@ class Graph:
                 f"{len(bridges)} bridges hand on what {publishers[0].owner} publishes on {topic}:"
                 " they are in one domain; end all but one, or give each robot a domain"
             )
-        if stats.stamps_go_back() and not self.set_clock(stats):
+        has_one_node = bool(self._only_node(topic))
+        if stats.stamps_go_back() and not has_one_node:
             return (
                 f"the stamps of {topic} go back again and again: two publish it, or a clock was"
                 f" set; look at {self._info(topic)}"
             )
-        if fast and not (publishers and publishers[0].node):
+        if fast and not has_one_node:
             return (  # without the rate: a text that varies would be news again and again
                 f"{topic} comes more than {MAX_RATE:g} times as often as the platform's scan.rate"
                 f" of {spec.rate:g} Hz: two publish it, or correct scan.rate; look at"
@@ -398,6 +417,11 @@ def unreachable(middleware: Middleware, endpoint: str, fault: str = "") -> str:
     )
 
 
+def contradiction(stats: TopicStats) -> str:
+    """What the last messages of a topic say against themselves; empty without that."""
+    return f"{stats.topic}: {stats.doubt}" if stats.doubt else ""
+
+
 def incomplete(stats: TopicStats, scan: Scan, spec: ScanSpec) -> str:
     """Why this scan leaves too much unseen; empty if it does not."""
     if ScanConditioner(spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
@@ -550,8 +574,6 @@ class DriverCheck:
         if conflict is not None and conflict.reason is Reason.BASE_CONFLICT:
             fault = fault or conflict.text
         yield self._scan_delay()
-        if (angles := self.subscriptions.angles_finding()) is not None:
-            yield angles
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep
@@ -606,7 +628,8 @@ class DriverCheck:
         if not fault and stats.name == "scan" and content.fault:
             fault = f"{stats.topic}: {content.fault}"
         scan = content.last
-        return fault or (incomplete(stats, scan, content.spec) if scan else "")
+        fault = fault or (incomplete(stats, scan, content.spec) if scan else "")
+        return fault or contradiction(stats)
 
     def _subscriber(self) -> str:
         kind = self.graph.command_type(self.cmd_vel, self.command_types)

@@ -23,8 +23,9 @@ from swarmd.drivers.ros.absence import why_absent
 _MAX_SPAN = 1.1 * 2.0 * math.pi  # of a scan: some sensors repeat their first rays at the end
 _MAX_FIRST_ANGLE = 4.0 * math.pi
 _MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
-_ANGLE_STEPS = 1.5  # steps by which drivers count the last ray otherwise
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
+_MAX_RAYS_OFF = 1.5  # increments between the last ray and angle_max
+_MAX_ROUNDING = 0.01  # of the angle between the first ray and the last
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
 _ROUNDING = 1e-9  # of a covariance
 _FULL = {"share": 1.0, "percent": 100.0}  # what a full battery's percentage is
@@ -73,21 +74,27 @@ def scan_of(
     )
 
 
-def angles_finding(message: ros.LaserScan) -> Finding | None:
-    """What is wrong if the last ray by `angle_increment` is not at `angle_max`; None if it is.
+def header_fault(message: ros.LaserScan) -> str:
+    """How `angle_max` contradicts the rays of a scan, with both figures; empty if it does not.
 
-    Some drivers count the rays, others the steps between them; some give no `angle_max`.
+    Drivers give the angle of the last ray or one increment more, and round the increment; some give
+    no `angle_max`.
     """
-    count, first, step = len(message.ranges), message.angle_min, message.angle_increment
-    last = first + step * max(count - 1, 0)
-    if message.angle_max == 0.0 or abs(message.angle_max - last) <= _ANGLE_STEPS * abs(step):
-        return None
+    count, step = len(message.ranges), message.angle_increment
+    first, last = message.angle_min, message.angle_max
+    if count == 0 or last == 0.0:
+        return ""
+    span = step * (count - 1)
+    tolerance = _MAX_RAYS_OFF * abs(step) + _MAX_ROUNDING * abs(span)
+    if abs(last - (first + span)) <= tolerance:  # false for NaN
+        return ""
     text = (
-        f"angle_max is {message.angle_max:.4g} rad, but {count} rays from angle_min {first:.4g} by"
-        f" angle_increment {step:.4g} end at {last:.4g} rad; a wrong sign mirrors left and right:"
-        " correct the driver of the lidar, and see which side it shows an obstacle on"
+        f"its header contradicts itself: angle_max is {last:.4g} rad, but {count} rays of"
+        f" {step:.4g} rad from {first:.4g} rad end at {first + span:.4g} rad"
     )
-    return Finding("scan angles", False, text)
+    if abs(last - (first - span)) <= tolerance:
+        text += ": one has the wrong sign, which would mirror left and right"
+    return f"{text}; hold something to the left of the sensor, and correct its driver"
 
 
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:

@@ -12,6 +12,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import user_path
 from swarmd.drivers.ros.cdr import STORE, store
 
 _TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)", re.ASCII)
@@ -111,7 +112,7 @@ class MessageTypes:
 
 
 def _folder(given: str) -> Path:
-    path = Path(given).expanduser()
+    path = user_path(given)
     if not path.is_absolute():
         raise ConfigError(f"message_path is {given!r}; expected a path from / or ~")
     if next(_types_in(path), None) is None:

@@ -179,10 +179,6 @@ class Subscriptions:
         """The last scan of the lidar, or of what replaces it; None before the first."""
         return (self.contents.get("scan") or self.contents["ranges"]).last
 
-    def angles_finding(self) -> Finding | None:
-        """The angles in the header of the last scan, if they contradict one another."""
-        return None if self._laser is None else from_ros.angles_finding(self._laser)
-
     def sweep_finding(self) -> Finding | None:
         """How the rays of the last scan follow one another; None without a scan of one message."""
         if self._laser is None:
@@ -196,10 +192,11 @@ class Subscriptions:
             scan = from_ros.scan_of(
                 message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
             )
-            self.contents["scan"].take(scan)
-            if not self.contents["scan"].has_measured:
-                return lambda sink: None, ""
-            return lambda sink: sink.scan(scan), ""
+            content = self.contents["scan"]
+            content.take(scan)
+            unmeasured = "" if content.has_measured else content.fault
+            stats.record_doubt(unmeasured or from_ros.header_fault(message))
+            return (lambda sink: None) if unmeasured else (lambda sink: sink.scan(scan)), ""
         if stats.message_type is messages.Range:
             whole = self._ring.take(self._ring_index[stats.name], message)
             if whole is not None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import groupby
+from operator import itemgetter
 
 WINDOW = 64
 """Messages of which arrival times and stamps are kept."""
@@ -22,6 +24,8 @@ HAZARD = "hazards."
 DETECTION = "detections."
 """Begins the option of detections."""
 
+_STANDSTILL_WINDOW = 3.0  # s before the last message of which standing stamps count
+_STANDSTILL_MESSAGES = 3  # with one stamp, at least
 _STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
 
 
@@ -32,7 +36,9 @@ class TopicStats:
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
     s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
     they do when a robot restarts; `setbacks` holds the last two times of that. `stale_after` s: of
-    a reading, hazard or detection. `further`: the entries of these options that share the topic.
+    a reading, hazard or detection. `doubt`: what the last messages say against themselves although
+    they can be read; of a series the first. `further`: the entries of these options that share the
+    topic.
     """
 
     name: str
@@ -49,6 +55,7 @@ class TopicStats:
     fault_at: float = -math.inf
     faults: int = 0
     stale_after: float = math.inf
+    doubt: str = ""
     further: list[str] = field(default_factory=list)
 
     def record(self, now: float, stamp: float, summary: str = "") -> None:
@@ -61,6 +68,10 @@ class TopicStats:
         self.times.append(now)
         self.stamps.append(stamp)
         self.summary = summary
+
+    def record_doubt(self, doubt: str) -> None:
+        """Keep what the present message says against itself; empty ends the series."""
+        self.doubt = doubt and (self.doubt or doubt)
 
     def record_fault(self, now: float, fault: str) -> None:
         """Count a message that could not be used; of a series the first fault is kept."""
@@ -106,6 +117,18 @@ class TopicStats:
         """False if the last few stamps are all the same; true below three messages."""
         count = min(len(self.stamps), _STAMP_WINDOW)
         return count < 3 or self.stamps[-1] > self.stamps[-count]
+
+    def standstill(self) -> float:
+        """The longest time in s without a new stamp while messages came; 0 if all have one."""
+        recent = [pair for pair in self.pairs if self.times[-1] - pair[0] < _STANDSTILL_WINDOW]
+        runs = [list(run) for _, run in groupby(recent, key=itemgetter(1))]
+        ends = [*(run[0][0] for run in runs[1:]), self.last_arrival()]
+        spans = [
+            end - run[0][0]
+            for run, end in zip(runs, ends, strict=False)
+            if len(run) >= _STANDSTILL_MESSAGES
+        ]
+        return max(spans, default=0.0) if len(runs) > 1 else 0.0
 
     def stamps_go_back(self) -> bool:
         """True if the stamps went back twice within SETBACK_WINDOW: a sign of two publishers."""

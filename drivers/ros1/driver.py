@@ -315,15 +315,15 @@ class Ros1Driver:
         state = self._master.state
         self._hears_motion &= bool(state and state.others)
         fault = self._end or self._fault(now)
-        before, topics = self._conflict, self._subscriptions.topics.values()
-        self._conflict = self._master.graph().conflict(topics, self._platform.scan)
+        graph, topics = self._master.graph(), self._subscriptions.topics.values()
+        self._conflict = graph.conflict(topics, self._platform.scan)
         if fault:
             self._report_state(False, fault)
-        elif not self._gate.is_open or self._conflict != before:
-            others = f", as is {', '.join(state.others)}" if state and state.others else ""
-            where = f"{self._master.cmd_vel} at {self._options.master_uri}"
-            text = self._conflict.text if self._conflict else f"drives on {where}{others}"
-            self._report_state(True, text)
+            return
+        others = f", as is {', '.join(state.others)}" if state and state.others else ""
+        text = f"drives on {self._master.cmd_vel} at {self._options.master_uri}{others}"
+        doubt = graph.doubt(topics, self._platform.scan)
+        self._report_state(True, self._conflict.text if self._conflict else doubt or text)
 
     def _fault(self, now: float) -> str:
         """Why the base cannot be driven, and the next step; empty if it can."""

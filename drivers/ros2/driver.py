@@ -571,9 +571,9 @@ class RosDriver:
             *(unpassed.get(stats.topic) or graph.silence(stats) for stats in silent),
             unpassed.get(self._cmd_vel, ""),
             *(graph.silence(stats) for stats in self._subscriptions.silent_hazards(now)),
-            *(graph.unreliable(one, self._platform.scan) for one in topics if one.is_needed),
         )
-        return next(filter(None, faults), "") or self._incompleteness()
+        fault = next(filter(None, faults), "") or self._incompleteness()
+        return fault or graph.doubt(topics, self._platform.scan)
 
     def _unpassed(self, graph: diagnosis.Graph) -> Mapping[str, str]:
         return route_faults(self._bridges.nodes.dds, graph)

@@ -22,6 +22,7 @@ from msgspec import Meta, Struct
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.files import user_path
 from swarmd.core.numbers import finite_number, read_number
 from swarmd.plugins import find_pattern
 from swarmd.settings.layered import Layered
@@ -148,7 +149,7 @@ def load_task(name: str) -> Task:
 
     ConfigError names file, key and what was expected.
     """
-    path = Path(name).expanduser() if name.endswith(".yaml") else _folder() / f"{name}.yaml"
+    path = user_path(name) if name.endswith(".yaml") else _folder() / f"{name}.yaml"
     if not name.endswith(".yaml") and name not in task_names():
         known = unknown("benchmark task", name, task_names())
         raise ConfigError(f"{known} (or give a path ending in .yaml)")

@@ -193,9 +193,12 @@ def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
 
 
 def plugin_folders(plan: Plan) -> list[str]:
-    """The plugin folders of all variants."""
-    named = {variant.effective.get("plugin_dir") for variant in plan.variants}
-    return sorted(str(folder) for folder in named if folder is not None)
+    """The plugin folders of all variants; ConfigError for a value that is no path."""
+    named = [variant.effective.get("plugin_dir") for variant in plan.variants]
+    for folder in named:
+        if not isinstance(folder, str | None) or "\0" in (folder or ""):
+            raise ConfigError(f"plugin_dir is {_clipped(folder)!r}; expected a folder, or null")
+    return sorted({folder for folder in named if folder is not None})
 
 
 def joined(a: Manifest, b: Manifest) -> Manifest:

@@ -14,6 +14,7 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import SwarmError
+from swarmd.core.files import user_path
 from swarmd.core.kernels import describe_kernels
 from swarmd.plugins import mission_files
 
@@ -83,7 +84,7 @@ def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
     return {
         f"{folder}/{name}": digest
         for folder in folders
-        for name, digest in digests_of_plugins(Path(folder).expanduser()).items()
+        for name, digest in digests_of_plugins(user_path(folder)).items()
     }
 
 

@@ -44,15 +44,18 @@ def check_code(
         return
     known = _known()
     for name, digest in sorted(present.items()):
-        if name not in recorded:
+        if not recorded.get(name):
             fault = "is new since the runs"
         elif recorded[name] != digest:
-            fault = f"has changed since the runs (SHA-256 {recorded[name][:8]}.. to {digest[:8]}..)"
+            fault = "has changed since the runs"
         elif digest not in known:
-            fault = f"is code that you have not run before (SHA-256 {digest[:8]}..)"
+            fault = "is code that you have not run before"
         else:
             continue
-        raise ConfigError(f"{folder}: {name} {fault}; read the file, then run it with --trust")
+        raise ConfigError(
+            f"{folder}: {name} {fault} (SHA-256 {digest[:8]}..); read the file, then run it with"
+            " --trust"
+        )
 
 
 def _known() -> set[str]:

@@ -26,7 +26,7 @@ import msgspec
 from msgspec import structs
 
 from swarmd.core.errors import NetworkError, SwarmError
-from swarmd.core.files import as_text
+from swarmd.core.files import as_text, user_path
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
@@ -230,7 +230,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
     """The content of a daemon's configuration file."""
     platform = spec.robots[robot]
     if platform.endswith(".yaml"):
-        platform = str(Path(platform).expanduser().absolute())
+        platform = str(user_path(platform).absolute())
     config: dict[str, object] = {
         "id": robot,
         "swarm": spec.swarm,

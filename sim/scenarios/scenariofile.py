@@ -15,6 +15,7 @@ from msgspec import json
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.files import user_path
 from swarmd.kit.touch import granted_zones
 from swarmd.plugins import pattern_folders
 from swarmd.settings.layered import Layered
@@ -85,7 +86,7 @@ def _named() -> dict[str, Path]:
 
 def _find(name: str, near: Path) -> Path:
     if name.endswith(".yaml"):
-        return near / Path(name).expanduser()
+        return near / user_path(name)
     named = _named()
     if name not in named:
         raise ConfigError(f"{unknown('scenario', name, named)} (or give a path ending in .yaml)")
@@ -114,7 +115,7 @@ def _anchored(data: Data, folder: Path) -> Data:
     for holder, key in holders:
         value = holder.get(key) if isinstance(holder, dict) else None
         if isinstance(value, str) and (key in ("plugin_dir", "image") or value.endswith(".yaml")):
-            holder[key] = str(folder / Path(value).expanduser())
+            holder[key] = str(folder / user_path(value))
     return data
 
 
@@ -148,7 +149,7 @@ def _overridden(
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
     configured = configured_parameters(file, groups)
-    plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).expanduser().absolute()
+    plugin_dir = None if file.plugin_dir is None else user_path(file.plugin_dir).absolute()
     check_patterns(layers, file, schedule, groups, configured, plugin_dir)
     realism = realism_of(file.realism, str(layers.error(("realism",), "realism")))
     with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):

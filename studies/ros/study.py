@@ -126,7 +126,8 @@ def make_drive(chain: Chain, robots: Sequence[str]) -> None:
 
     def is_ready() -> bool:
         free = all(_is_free(chain, robot) for robot in robots)
-        return _drives(chain, robots) and is_well() and free
+        has_delays = all(_has_delay(chain.status(robot)) for robot in robots)
+        return _drives(chain, robots) and is_well() and free and has_delays
 
     for robot in ROBOTS:
         chain.run(robot)
@@ -140,6 +141,14 @@ def make_drive(chain: Chain, robots: Sequence[str]) -> None:
         if not is_well():
             chain.restart_bridge()
     raise AssertionError(chain.describe())
+
+
+def _has_delay(status: Status | None) -> bool:
+    """Whether stamps tell the delay of scans, as they do after some seconds with one clock."""
+    delay = None if status is None else status.scan_delay
+    return delay is not None and any(
+        one.method == "stamps" and one.delay is not None for one in delay.figures
+    )
 
 
 def _drives(chain: Chain, robots: Sequence[str]) -> bool:

@@ -21,6 +21,11 @@ def as_text(path: str | Path) -> str:
     return text
 
 
+def user_path(text: str) -> Path:
+    """The path of a text, in which `~` is a home; that of an unknown user stays as it is."""
+    return Path(os.path.expanduser(text))  # Path.expanduser raises RuntimeError
+
+
 def partial_path(path: Path) -> Path:
     """Where a file is written, until it is whole and gets its name."""
     return path.with_name(f".{path.name}.partial")

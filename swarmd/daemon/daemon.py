@@ -95,6 +95,11 @@ _MEASURED = (  # regular inputs; any other input is an event
     events.PlaceInput,
     events.TickInput,
 )
+_FREQUENT = (  # an unchanged command waits for the tick, 50 ms later at most
+    events.ScanInput,
+    events.RangesInput,
+    events.HostInput,
+)
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -327,8 +332,8 @@ class Daemon:
     # Inputs
 
     @fail_stop
-    def step(self, input: events.Input) -> None:
-        """Hand an input to the robot, and carry out what follows."""
+    def step(self, input: events.Input, *, may_repeat: bool = True) -> None:
+        """Hand an input to the robot, and carry out what follows; see `DriverOutput.command`."""
         kind = type(input)
         if kind is events.TickInput or kind is events.HostInput:
             self._tell_provisional()
@@ -337,7 +342,7 @@ class Daemon:
             self._timer.rest(False)
         actions = self._recording.recorder.step(self._robot, input, boottime())
         if actions is not None:
-            self._carry_out(actions, may_repeat=kind is not events.ScanInput)
+            self._carry_out(actions, may_repeat=may_repeat and kind not in _FREQUENT)
 
     def _tell_provisional(self) -> None:
         """Tell the robot which of the patterns that run or load are provisional code."""
@@ -472,7 +477,7 @@ class Daemon:
         def is_due(period: int) -> bool:
             return self._periods // period > before // period
 
-        self.step(events.TICK_INPUT)
+        self.step(events.TICK_INPUT, may_repeat=self._periods > before)  # not when woken in between
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._timer.rest(is_quiet and self._robot.is_at_rest)
         self._network.advance()

@@ -105,11 +105,13 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of these actions, unless an idle robot sends none.
 
-        Without `may_repeat`, the zero of an idle or stopped robot is not sent twice in a row.
+        Without `may_repeat`, a command is not sent twice in a row. A simulated base waits for the
+        command that answers a scan, so only the zero of an idle or stopped robot is not repeated.
         """
-        is_zero = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
+        stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped
-        if is_zero and not may_repeat and command == self._sent:
+        awaits_each = self._driver.is_simulated and not stands
+        if command == self._sent and not (may_repeat or awaits_each):
             return
         if self._idle.allows(actions.twist, actions.is_idle, now):
             self._sent = command

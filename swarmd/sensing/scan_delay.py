@@ -41,9 +41,10 @@ def delay_by_stamps(
     ages = [at - offset - stamp for at, stamp in scans]
     if not ages or scan is None or offset == math.inf:
         return DelayFigure(method="stamps", text="no scan, or no odometry")
-    ages = [age - lead(scan, spec) for age in ages]
+    ahead = lead(scan, spec)
+    ages = [age - ahead for age in ages]
     if not MAX_LEAD <= min(ages) <= max(ages) <= LONGEST_SHARED:
-        return DelayFigure(method="stamps", text=other_clock(ages[-1]))
+        return DelayFigure(method="stamps", text=wrong_stamps(ages[-1], ahead))
     return figure_of(ages, 0.0)
 
 
@@ -54,8 +55,13 @@ def lead(scan: Scan, spec: ScanSpec) -> float:
     return float(scan.ages.max() - scan.ages.mean())
 
 
-def other_clock(age: float) -> str:
-    """Why stamps tell no delay of a scan that seems so old."""
+def wrong_stamps(age: float, ahead: float) -> str:
+    """Why stamps tell no delay of a scan whose mean ray seems `age` s old; `ahead`: its `lead`."""
+    if MAX_LEAD - ahead <= age < MAX_LEAD:
+        return (
+            f"scans are stamped {-age:.2g} s or more after their oldest ray, as at their"
+            " publication, or their clock is ahead of that of odometry"
+        )
     return f"scan and odometry have different clocks, {age:.3g} s apart"
 
 

@@ -40,7 +40,7 @@ from swarmd.sensing.scan_delay import (
     TOLERANCE,
     figure_of,
     lead,
-    other_clock,
+    wrong_stamps,
 )
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -2042,7 +2042,7 @@ class _Stamps:
         if self._drifts:
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
-            self._forget(other_clock(age))
+            self._forget(wrong_stamps(age, self._lead))
         else:
             age = min(max(age, 0.0), _LONGEST_AGE)
             if self._count < _STAMPS:

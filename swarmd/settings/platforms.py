@@ -15,6 +15,7 @@ import swarmd.config
 from swarmd.core.angles import wrap
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.files import user_path
 from swarmd.core.values import Array, Heights, Limits, Platform, ScanSpec, Sweep, Value, input_fault
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
@@ -208,7 +209,7 @@ def _folder() -> Path:
 
 def _find(name: str, near: Path) -> Path:
     if name.endswith(".yaml"):
-        return near / Path(name).expanduser()
+        return near / user_path(name)
     if name not in platform_names():
         raise ConfigError(
             f"{unknown('platform', name, platform_names())} (or give a path ending in .yaml)"

@@ -17,6 +17,7 @@ import msgspec
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import user_path
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, TouchZone, Value, sensor_names
@@ -172,7 +173,7 @@ def _host_id() -> str:
 
 def _absolute(platform: str, near: Path) -> str:
     is_file = platform.endswith(".yaml")
-    return str((near / Path(platform).expanduser()).absolute()) if is_file else platform
+    return str((near / user_path(platform)).absolute()) if is_file else platform
 
 
 def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[str, Value]:

@@ -13,6 +13,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.bounds import BoundedScalar, Name, ParamValues, Word
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.files import user_path
 from swarmd.core.goal import Validity
 from swarmd.core.keys import check_id
 from swarmd.core.names import expand_globs, expand_names
@@ -187,7 +188,7 @@ def path_of(layers: Layered, key: str, value: str | None, config: Path | None) -
     if value is None:
         return None
     is_ours = config is not None and layers.source(key) == shown(config)
-    return (config.parent if is_ours and config else Path()) / Path(value).expanduser()
+    return (config.parent if is_ours and config else Path()) / user_path(value)
 
 
 def layered(
@@ -223,7 +224,7 @@ def _included(config: Path, own: Data) -> list[tuple[str, Data]]:
     name = own.get("swarm_file")
     if not isinstance(name, str):
         return []
-    path = config.parent / Path(name).expanduser()
+    path = config.parent / user_path(name)
     data = read(path)
     Layered((shown(path), data)).build(SwarmFile)
     return [(shown(path), data)]

@@ -8,20 +8,23 @@ import errno
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import NoReturn
 
+import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.events import DriverInput, Input, RequestInput
+from swarmd.core.events import DriverInput, HostInput, Input, RangesInput, RequestInput, ScanInput
 from swarmd.core.files import write_whole
 from swarmd.core.finding import Finding
 from swarmd.core.goal import GoalRecord
+from swarmd.core.host_messages import HostDied
 from swarmd.core.messages import Code, Epoch, Reply
-from swarmd.core.values import Twist
+from swarmd.core.values import Scan, Twist
 from swarmd.core.verbs import LabelRequest
 from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
@@ -88,6 +91,49 @@ async def test_zero_is_sent_again_and_again_before_any_run(settings: DaemonSetti
 
     await run(Daemon(settings, driver), stop, end_if_sent)
     assert all(twist.is_zero for twist in driver.sent)
+
+
+class RealDriver(RecordingDriver):
+    is_simulated = False
+
+
+@pytest.mark.parametrize(("kind", "repeats"), [(RecordingDriver, 4), (RealDriver, 0)])
+async def test_the_tick_alone_repeats_the_command_of_a_real_base(
+    settings: DaemonSettings,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: type[RecordingDriver],
+    repeats: int,
+) -> None:
+    driver, stop = kind(), asyncio.Event()
+    daemon = Daemon(settings, driver)
+    scan = Scan(1, 1.0, np.ones(1), np.zeros(1), 0.1, 3.5)
+    counts: list[int] = []
+
+    def answer(speed: float) -> None:
+        actions = Actions(Twist(speed), daemon._robot.decision, is_quiet=True)
+        monkeypatch.setattr(daemon._robot, "step", lambda input, now: actions)
+
+    def count(*steps: Callable[[], object]) -> None:
+        before = len(driver.sent)
+        for step in steps:
+            step()
+        counts.append(len(driver.sent) - before)
+
+    def feed() -> None:
+        frequent: list[Input] = [ScanInput(scan), RangesInput(scan), HostInput(HostDied(0, "gone"))]
+        steps = [partial(daemon.step, one) for one in frequent]
+        answer(0.1)
+        count(steps[0])
+        count(*steps, daemon._on_tick)  # woken between two ticks
+        daemon._timer.periods += 1
+        count(daemon._on_tick)
+        count(lambda: daemon.step(DriverInput(True, "back")))
+        answer(0.2)
+        count(steps[2])
+        stop.set()
+
+    await run(daemon, stop, feed)
+    assert counts == [1, repeats, 1, 1, 1]
 
 
 class GrippingDriver(RecordingDriver):

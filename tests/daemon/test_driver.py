@@ -29,9 +29,9 @@ class Taken:
         self.commands.append((twist, is_stopped))
 
 
-def handed(*actions: tuple[Actions, bool]) -> list[tuple[Twist, bool]]:
+def handed(*actions: tuple[Actions, bool], is_simulated: bool = False) -> list[tuple[Twist, bool]]:
     """The commands that the driver is handed for actions, each of which may repeat one or not."""
-    driver = Taken()
+    driver = Taken(is_simulated)
     output = DriverOutput(cast("Driver", driver), "taken", "zeros", lambda error: None)
     for one, may_repeat in actions:
         output.command(_decided(one), 0.0, may_repeat=may_repeat)
@@ -56,10 +56,16 @@ def test_a_scan_that_changes_the_command_of_a_robot_that_stands_sends_it() -> No
     assert handed((idle, False), (STOPPED, False)) == [(ZERO, False), (ZERO, True)]
 
 
-def test_each_scan_of_a_robot_that_runs_sends_its_command() -> None:
+@pytest.mark.parametrize("is_simulated", [False, True])
+def test_a_scan_sends_a_changed_command_at_once_and_the_tick_repeats_it(is_simulated: bool) -> None:
     for twist in (ZERO, Twist(0.1)):
         running = Actions(twist, cast("Decision", None))
-        assert handed((running, False), (running, False)) == [(twist, False)] * 2
+        turning = Actions(Twist(0.1, 0.2), cast("Decision", None))
+        scans = [(running, False), (running, False), (turning, False), (turning, False)]
+        found = handed((running, True), *scans, (turning, True), is_simulated=is_simulated)
+        count = 3 if is_simulated else 1  # a simulator waits for the command of each scan
+        first, last = (twist, False), (Twist(0.1, 0.2), False)
+        assert found == [first] * count + [last] * (count if is_simulated else 2)
 
 
 @pytest.mark.parametrize(

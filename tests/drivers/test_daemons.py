@@ -99,11 +99,11 @@ class Course:
 
 
 def ros2(driver: str, robot: Robot) -> Setup:
-    rng = np.random.default_rng(1)
+    rng, start = np.random.default_rng(1), boottime() - 100.0
 
     def publish(count: int) -> None:
-        stamp = 100.0 + 0.05 * count
-        robot.put("odom", odometry(stamp, x=0.005 * count))
+        stamp = boottime() - start  # by a count, a busy machine would seem to have late scans
+        robot.put("odom", odometry(stamp, x=0.1 * stamp))
         if count % 4 == 0:
             ranges = 2.0 + 0.01 * rng.standard_normal(RAYS)
             robot.put("scan", scan(stamp, ranges.tolist()))
@@ -244,8 +244,8 @@ class Thymio(BridgedRobot):
         return f"{NAMESPACE}/cmd_vel"
 
     def publish_count(self, count: int) -> None:
-        stamp = 100.0 + 0.05 * count
-        self.put(f"{NAMESPACE}/odom", odometry(stamp, x=0.005 * count))
+        stamp = boottime()
+        self.put(f"{NAMESPACE}/odom", odometry(stamp, x=0.1 * stamp))
         for name in (*FRONT, "rear_left", "rear_right") if count % 2 == 0 else ():
             message = dds.Range(header=dds.stamped(stamp), range=self.ranges.get(name, math.inf))
             self.put(f"{NAMESPACE}/proximity/{name}", message)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.sensing.scan_delay import delay_by_stamps
@@ -38,6 +40,23 @@ def test_other_clock_is_named_and_no_fault(stamp: float) -> None:
     finding = scan_delay_finding([(5.2, stamp)], ODOMETRY, SCAN, SPEC)
     assert (finding.is_well, finding.is_measured) == (True, False)
     assert "different clocks" in finding.text
+
+
+@pytest.mark.parametrize(
+    ("stamp", "words"),
+    [
+        (10.22, "0.08 s or more after their oldest ray"),  # arrives at 10.24 by that clock
+        (10.24, "0.1 s or more after their oldest ray"),
+        (10.4, "different clocks"),
+    ],
+)
+def test_scans_stamped_at_their_publication_are_told_from_another_clock(
+    stamp: float, words: str
+) -> None:
+    spec, scan = load_platform("burger").scan, replace(SCAN, ages=np.linspace(0.0, 0.2, 7))
+    finding = scan_delay_finding([(5.24, stamp)], ODOMETRY, scan, spec)
+    assert (finding.is_well, finding.is_measured) == (True, False)
+    assert words in finding.text
 
 
 def test_robot_without_odometry_has_no_figure() -> None:

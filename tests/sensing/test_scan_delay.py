@@ -145,6 +145,23 @@ def test_other_clock_of_the_scans_gives_no_figure_and_says_so() -> None:
         assert "clocks" in text
 
 
+class SweptRig(Rig):
+    """Its scans take 0.2 s; they arrive `SPEC.latency` after their oldest ray."""
+
+    def scan(self, now: float) -> Scan:
+        scan = super().scan(now)
+        return msgspec.structs.replace(scan, ages=np.linspace(0.2, 0.0, len(scan.ranges)))
+
+
+def test_scans_that_are_stamped_after_their_oldest_ray_say_so() -> None:
+    for late, words in ((0.1, "0.1 s or more after their oldest ray"), (0.2, "different clocks")):
+        rig = SweptRig(lambda seq: SPEC.latency, scan_clock=late)
+        assert rig.run(6.0).added == 0.0
+        delay, text = rig.figure("stamps")
+        assert delay is None
+        assert words in text
+
+
 def test_clock_that_is_not_real_time_gives_no_figure() -> None:
     """A simulator at 0.8 of real time: stamps fall behind by 0.2 s a second."""
     rig = Rig(lambda seq: SPEC.latency + 0.04 * seq, odometry_lag=lambda time: 0.2 * time)

@@ -13,7 +13,14 @@ import pytest
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Twist, Value
-from swarmd.testing.driver_contract import DetachableRig, DriverContract, DriverHarness, Rig, play
+from swarmd.testing.driver_contract import (
+    SETTLE_TIME,
+    DetachableRig,
+    DriverContract,
+    DriverHarness,
+    Rig,
+    play,
+)
 
 FOREIGN = 0.3
 """m/s that the other node commands."""
@@ -138,7 +145,7 @@ class RosContract(DriverContract):
             other.command("cmd_vel_joy", 0.0)
             harness.rig.publish()
             await asyncio.sleep(0.05)
-        assert harness.sink.is_up, "zeros do not drive"
+        assert all("someone else" not in text for _, text in harness.sink.states), "zeros"
 
         def is_named() -> bool:
             other.command("cmd_vel_joy", FOREIGN)
@@ -146,8 +153,7 @@ class RosContract(DriverContract):
             return "/cmd_vel_joy" in text
 
         await harness.until(is_named, publishing=True)
-        harness.driver.send(ZERO, 3, 3, is_stopped=True)
-        assert (await harness.command()).is_zero
+        assert (await harness.command(ZERO, is_stopped=True)).is_zero
         other.command("cmd_vel_joy", FOREIGN)
         assert (await harness.command()).is_zero, "at once, without a command of the daemon"
         await harness.until(lambda: harness.sink.is_up, publishing=True)
@@ -165,8 +171,7 @@ class RosContract(DriverContract):
             return other.cancels in lost_text(harness, "someone else drives: action ")
 
         await harness.until(is_named, publishing=True)
-        harness.driver.send(ZERO, 3, 3, is_stopped=True)
-        assert (await harness.command()).is_zero
+        assert (await harness.command(ZERO, is_stopped=True)).is_zero
 
         def is_back() -> bool:
             other.report_goal(is_active=False)
@@ -234,6 +239,28 @@ class RosContract(DriverContract):
             again.close()
 
         play(rig, story, readings=DOCKED)
+
+
+async def last_arrives(harness: DriverHarness, twist: Twist) -> list[Twist]:
+    """Command until a last command has come, so that none is on its way; all that have come.
+
+    It is `twist`, or a little faster: a driver drops a command that has waited for too long, and
+    the next one must not be taken for it.
+    """
+    taken: list[Twist] = []
+    loop, due = asyncio.get_running_loop(), -math.inf
+
+    def has_come() -> bool:
+        nonlocal due, twist
+        if loop.time() >= due:
+            due = loop.time() + SETTLE_TIME
+            twist = Twist(twist.linear + 1e-6, twist.angular)
+            harness.driver.send(twist, 1, 1)
+        taken.extend(harness.rig.commands())
+        return taken[-1:] == [twist]
+
+    await harness.until(has_come, publishing=True)
+    return taken
 
 
 def docked(harness: DriverHarness) -> float:

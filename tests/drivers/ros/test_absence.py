@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -14,6 +15,7 @@ from rosbags.interfaces import Nodetype
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Scan, Value
 from swarmd.drivers.ros import cdr
+from swarmd.drivers.ros.absence import _RULES
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros1 import serialization
@@ -224,3 +226,9 @@ def test_a_floor_sensor_that_sees_nothing_within_its_limits_is_over_a_cliff(
     sink = CollectingSink()
     Subscriptions(options, robots.PLATFORM).read("hazards.x", cdr.encode(message), 0.0)(sink)
     assert [hazard.kind for hazard in sink.dangers[-1]] == ["cliff"] * is_cliff
+
+
+def test_the_page_has_each_type_that_says_so() -> None:
+    page = (Path(__file__).parents[3] / "docs/ros.md").read_text()
+    table = page.partition("### Messages that say that they measure nothing")[2].partition("###")[0]
+    assert {kind for kinds, _ in _RULES for kind in kinds if f"`{kind}`" not in table} == set()

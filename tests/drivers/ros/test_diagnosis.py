@@ -201,7 +201,10 @@ def test_a_topic_that_was_silent_since_its_last_change_is_told_apart(
 
 
 @both
-@pytest.mark.parametrize(("nodes", "subject"), [(1, "its clock was set"), (0, "two publish it")])
+@pytest.mark.parametrize(
+    ("nodes", "subject"),
+    [(1, "its clock was set"), (2, "its clock was set"), (0, "two publish it")],
+)
 def test_a_clock_that_was_set_is_no_second_publisher(
     middleware: Middleware, nodes: int, subject: str
 ) -> None:
@@ -213,8 +216,35 @@ def test_a_clock_that_was_set_is_no_second_publisher(
     assert not scan.is_well
     assert subject in scan.text
     graph = Graph(middleware=middleware, endpoints=ends)
-    conflict = graph.conflict(subscriptions.topics.values(), BURGER.scan)
-    assert (conflict is None) == (nodes == 1)
+    conflict = graph.conflict(subscriptions.topics.values(), SPEC)
+    assert (conflict is None) is bool(nodes), "only the check fails where one node is known"
+
+
+@both
+@pytest.mark.parametrize(
+    ("topic", "period", "messages_a_stamp", "is_well"),
+    [
+        ("scan", 0.2, 2, True),
+        ("scan", 0.2, 3, False),
+        ("scan", 0.2, 5, False),  # stamps without nanoseconds
+        ("scan", 0.025, 3, True),
+        ("odometry", 0.04, 5, True),
+        ("odometry", 0.04, 25, False),
+    ],
+)
+def test_a_stamp_of_several_messages_is_a_fault_if_too_few_count(
+    middleware: Middleware, topic: str, period: float, messages_a_stamp: int, is_well: bool
+) -> None:
+    subscriptions = received([] if topic == "scan" else STEADY, 0 if topic == "odometry" else 5)
+    if topic == "scan":
+        times = [(period * i, period * (i // messages_a_stamp)) for i in range(16)]
+        subscriptions = received(times)
+    for i in range(64 if topic == "odometry" else 0):
+        stamp = period * messages_a_stamp * (i // messages_a_stamp)
+        subscriptions.topics["odometry"].record(period * i, stamp)
+    line = found(middleware, subscriptions)[topic]
+    assert is_well or not line.is_well
+    assert ("have one stamp" in line.text) is not is_well
 
 
 @both

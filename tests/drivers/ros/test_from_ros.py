@@ -262,6 +262,43 @@ def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
         conversion.odometry_of(read(messages.Odometry, message))
 
 
+TURN, DEGREE = math.tau, math.radians(1.0)
+
+
+@pytest.mark.parametrize(
+    ("count", "first", "step", "last", "words"),
+    [
+        (360, 0.0, TURN / 360, TURN, ""),  # hls_lfcd_lds_driver: one increment more
+        (360, -math.pi, TURN / 359, math.pi, ""),
+        (360, math.pi, -TURN / 360, -math.pi, ""),
+        (541, -2.356194, 0.00872665, 2.356194, ""),
+        (360, 0.0, 0.0175, 6.2657, ""),  # rounded
+        (1, 0.3, 0.0, 0.3, ""),
+        (0, 0.0, 0.0, 1.0, ""),
+        (360, 0.0, DEGREE, 0.0, ""),  # not given
+        (2, 0.0, 0.1, 0.1, ""),
+        (360, 0.0, -DEGREE, TURN, "mirror"),
+        (360, 0.0, DEGREE, -TURN, "mirror"),
+        (180, -1.57, -DEGREE, 1.57, "mirror"),
+        (2, 0.0, -0.1, 0.1, "mirror"),
+        (360, 0.0, DEGREE, math.pi, "angle_max is 3.142 rad"),
+        (180, 0.0, DEGREE, TURN, "end at 3.124 rad"),
+        (360, 0.0, DEGREE, math.nan, "angle_max is nan rad"),
+    ],
+)
+def test_a_header_that_contradicts_its_rays_is_named_with_both_figures(
+    count: int, first: float, step: float, last: float, words: str
+) -> None:
+    angles = {"angle_min": first, "angle_increment": step, "angle_max": last}
+    message = read(messages.LaserScan, robots.scan(1.0, [1.0] * count, **angles))
+    fault = conversion.header_fault(message)
+    assert bool(fault) is bool(words)
+    assert words in fault
+    if fault:
+        assert f"angle_max is {last:.4g} rad" in fault
+        assert f"end at {first + step * (count - 1):.4g} rad" in fault
+
+
 WITHOUT_SWEEP = replace(SPEC, rate=5.0, sweep=None, measures_sweep=True)
 SWEEP = Sweep(start=0.0, direction=-1.0, duration=0.2)
 STEP = 0.05  # s, of four rays in 0.2 s

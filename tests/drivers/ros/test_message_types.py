@@ -134,7 +134,7 @@ def test_files_may_have_windows_line_ends_and_comments_in_any_encoding(tmp_path:
     assert cdr.encode(types(tmp_path).kind("maker_msgs/Level")(level=3))[4:] == b"\x03"
 
 
-@pytest.mark.parametrize("path", ["msgs", "/nowhere/at/all", "empty"])
+@pytest.mark.parametrize("path", ["msgs", "/nowhere/at/all", "~no_such_user/x", "empty"])
 def test_a_folder_without_message_files_is_refused(tmp_path: Path, path: str) -> None:
     given: Value = str(tmp_path) if path == "empty" else path
     with pytest.raises(ConfigError) as caught:

@@ -65,8 +65,7 @@ async def test_a_base_that_returns_with_another_type_is_commanded_in_it(
     robot._words = ("--command-type", "TwistStamped")
     robot.reconnect()
     await harness.until(lambda: harness.sink.is_up, publishing=True)
-    harness.driver.send(Twist(0.1), 1, 1)
-    assert (await harness.command()).is_zero
+    assert (await harness.command(Twist(0.1))).is_zero
     taken: list[Twist] = []
 
     def is_moving() -> bool:

@@ -26,6 +26,7 @@ from swarmd.drivers.ros1.adapter_process import COMMAND_TIMEOUT
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running
+from tests.drivers.ros.contract import last_arrives
 from tests.drivers.ros1.rig import RosRobot, ros_robot
 from tests.support.processes import CAP
 from tests.support.roscore import RosCore
@@ -79,8 +80,7 @@ def test_a_master_that_starts_late_ends_and_restarts(roscore: RosCore, tmp_path:
             body = await asyncio.to_thread(RosRobot, core, namespace=namespace)
             body.do("rate", hz=10)
             await harness.until(lambda: sink.is_up)
-            driver.send(Twist(0.1), 1, 1)
-            assert (await DriverHarness(body, driver, sink, task).command()).is_zero
+            assert (await DriverHarness(body, driver, sink, task).command(Twist(0.1))).is_zero
             await drive(harness, body)
             core.kill()
             taken: list[Twist] = []
@@ -118,9 +118,8 @@ async def test_a_master_that_restarts_at_once_is_noticed(
         await harness.until(lambda: harness.sink.is_up)
         assert adapter(harness.driver) != first
         assert all(twist.is_zero for twist in again.commands())
-        harness.driver.send(Twist(0.1), 1, 1)
         beside = DriverHarness(again, harness.driver, harness.sink, harness.task)
-        assert (await beside.command()).is_zero
+        assert (await beside.command(Twist(0.1))).is_zero
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
@@ -156,9 +155,7 @@ async def test_a_frozen_adapter_delivers_no_late_command(
 ) -> None:
     """Frozen for less than the time after which it is replaced."""
     await drive(harness, robot)
-    last = Twist(0.1, 0.5)  # once it has come, no command is on its way
-    harness.driver.send(last, 1, 1)
-    await harness.until(lambda: last in robot.commands())
+    await last_arrives(harness, Twist(0.1, 0.5))
     pid = adapter(harness.driver)
     os.kill(pid, signal.SIGSTOP)
     await harness.until(lambda: is_stopped(pid))
@@ -309,8 +306,7 @@ async def test_a_node_that_connects_and_sends_nothing_blocks_no_base(
         await asyncio.to_thread(robot.reconnect)
         robot.do("rate", hz=10)
         await harness.until(lambda: harness.sink.is_up)
-        harness.driver.send(Twist(0.1), 1, 1)
-        assert (await harness.command()).is_zero
+        assert (await harness.command(Twist(0.1))).is_zero
 
 
 class EndlessPublisher(threading.Thread):
@@ -368,8 +364,7 @@ async def test_a_master_that_hangs_stops_the_robot_until_it_answers(
         core.send(signal.SIGCONT)
     await harness.until(lambda: harness.sink.is_up)
     robot.commands()
-    harness.driver.send(Twist(0.1), 1, 1)
-    assert (await harness.command()).is_zero
+    assert (await harness.command(Twist(0.1))).is_zero
     assert adapter(harness.driver) == first
     core.send(signal.SIGSTOP)
     await harness.end()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
+from tests.drivers.ros.contract import last_arrives
 from tests.drivers.ros2.robots import Robot
 
 PACE = 0.01
@@ -19,26 +20,14 @@ def stands(twist: Twist) -> bool:
 
 
 async def drive(harness: DriverHarness) -> None:
-    """Command until the base moves and no earlier command is still on its way.
-
-    The last command differs from those before, so that its arrival proves theirs.
-    """
-    taken: list[Twist] = []
-
-    def has_arrived() -> bool:
-        taken.extend(harness.rig.commands())
-        return bool(taken) and taken[-1].linear == 0.2
-
+    """Command until the base moves, with zero first, and no command is still on its way."""
     harness.driver.send(Twist(0.1), 1, 1)
-    harness.driver.send(Twist(0.2), 2, 2)
-    await harness.until(has_arrived, publishing=True)
-    assert stands(taken[0])
+    assert stands((await last_arrives(harness, Twist(0.2)))[0])
 
 
 async def freeze(harness: DriverHarness, stop: Callable[[], None]) -> None:
     """Freeze the hub while it passes nothing on."""
-    harness.driver.send(ZERO, 1, 1)
-    while not (await harness.command()).is_zero:
+    while not (await harness.command(ZERO)).is_zero:
         pass  # a command that left before
     await asyncio.sleep(0.05)  # the last message of the hub is no fresh sign of life
     stop()
@@ -63,17 +52,28 @@ def check(
     publish: Callable[[], None] = lambda: None,
     *,
     seconds: float = 3.0,
+    tries: int = 1,
     **options: Value,
 ) -> Mapping[str, Finding]:
-    """The findings of `check`, by subject, while `publish` is called repeatedly."""
+    """The findings of `check`, by subject, while `publish` is called repeatedly.
 
-    async def run() -> tuple[Finding, ...]:
+    `tries`: so many checks for one in which all is well; a busy machine publishes too rarely.
+    """
+
+    async def once() -> tuple[Finding, ...]:
         checking = asyncio.create_task(robot.make(options).check(seconds))
         async with asyncio.timeout(TIMEOUT):
             while not checking.done():
                 publish()
                 await asyncio.sleep(PACE)
         return checking.result()
+
+    async def run() -> tuple[Finding, ...]:
+        for _ in range(tries):
+            findings = await once()
+            if all(finding.is_well for finding in findings):
+                break
+        return findings
 
     try:
         return {finding.subject: finding for finding in asyncio.run(run())}

@@ -27,6 +27,8 @@ from tests.support.processes import free_endpoint
 PLATFORM = load_platform("burger")
 LASER = "sensor_msgs/msg/LaserScan"
 RAYS = 360
+CLOCKS_APART = 1000.0
+"""Seconds between odometry and scans: their stamps advance by count, so no delay is measured."""
 HAZARDS: dict[str, Value] = {
     "bumper": {
         "topic": "bumper",
@@ -87,7 +89,7 @@ class Robot:
 
     def publish(self) -> None:
         self.put("scan", scan(self._stamp()))
-        self.put("odom", odometry(self._stamp()))
+        self.put("odom", odometry(CLOCKS_APART + self._stamp()))
 
     def publish_scan(self, given: Scan) -> None:
         n = len(given.ranges)
@@ -96,7 +98,7 @@ class Robot:
         self.put("scan", scan(given.stamp + 1000.0, given.ranges.tolist(), **fields))
 
     def publish_odometry(self) -> None:
-        self.put("odom", odometry(self._stamp()))
+        self.put("odom", odometry(CLOCKS_APART + self._stamp()))
 
     def publish_hazard(self, *, is_present: bool) -> None:
         self.put("bumper", dds.Bool(data=is_present))

@@ -174,7 +174,8 @@ async def test_a_restarted_bridges_announcements_are_gone_with_it(
 )
 def test_check_reports_the_cause(make: Callable[[], DdsRobot], wanted: dict[str, str]) -> None:
     robot = make()
-    found = check(robot, robot.publish, seconds=3.0 if wanted else TIMEOUT)
+    seconds, tries = (3.0, 1) if wanted else (TIMEOUT / 4.0, 3)
+    found = check(robot, robot.publish, seconds=seconds, tries=tries)
     assert found["connection"].is_well
     for subject, text in wanted.items():
         assert not found[subject].is_well

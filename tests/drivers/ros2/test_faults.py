@@ -63,8 +63,7 @@ async def test_a_base_that_wants_another_type_is_not_commanded(
     await stays_lost(harness, "set driver_options.cmd_vel_type: twist_stamped")
     robot.announce("MS", "cmd_vel", TWIST)
     await harness.connect()
-    harness.driver.send(Twist(0.1), 1, 1)
-    assert (await harness.command()).is_zero
+    assert (await harness.command(Twist(0.1))).is_zero
 
 
 @story(BridgedRobot, ZenohRobot)
@@ -131,8 +130,7 @@ async def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
     )
     await harness.until(lambda: harness.sink.is_up, publishing=True)
     robot.commands()
-    harness.driver.send(Twist(0.1), 2, 2)
-    assert (await harness.command()).is_zero
+    assert (await harness.command(Twist(0.1))).is_zero
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -163,8 +161,9 @@ def test_one_cause_is_one_line_in_the_log(
             lambda robot: robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174),
             "180 rays that leave too wide a sector unseen; look at",
         ),
+        (lambda robot: robots.scan(robot._stamp(), angle_max=-6.28), "wrong sign"),
     ],
-    ids=["constant stamps", "half a scan"],
+    ids=["constant stamps", "half a scan", "a mirrored header"],
 )
 @story(BridgedRobot)
 async def test_scans_that_cannot_be_relied_on_are_reported_while_the_driver_runs(

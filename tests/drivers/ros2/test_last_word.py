@@ -64,8 +64,7 @@ async def test_commands_have_the_type_that_the_base_announces(
         lambda: reported(harness, "nothing announces the type", is_up=False), publishing=True
     )
     harness.driver.send(Twist(0.1), 1, 1)
-    harness.driver.send(ZERO, 1, 1, is_stopped=True)
-    assert stands(await harness.command())
+    assert stands(await harness.command(ZERO, is_stopped=True))
     robot.announce("MS", "cmd_vel", KINDS[robot.is_stamped])
     await harness.until(lambda: harness.sink.is_up, publishing=True)
     await drive(harness)

@@ -581,8 +581,7 @@ async def test_a_second_base_holds_a_robot_that_drives_and_its_end_frees_it(
     key = add(robot)
     await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
     robot.commands()
-    harness.driver.send(Twist(0.1), 3, 3)
-    assert (await harness.command()).is_zero
+    assert (await harness.command(Twist(0.1))).is_zero
     del robot.listed[key]
     await harness.until(lambda: harness.sink.hold is None, publishing=True)
 

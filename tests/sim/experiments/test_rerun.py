@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.rerun import rerun, trace_differences, warnings
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.trust import check_code
 from swarmd.sim.trace import load_trace
 from tests.sim.conftest import write_duo
 
@@ -101,6 +103,33 @@ def test_nothing_to_compare_is_an_error(results: Results) -> None:
     table.write_text(table.read_text().splitlines(keepends=True)[0])
     with pytest.raises(ConfigError, match=str(results.folder)):
         rerun(results.folder, None, 1)
+
+
+@pytest.mark.parametrize("value", ["~no_such_user/x", "a\0", 5, ["a"], "gone"])
+def test_a_folder_of_patterns_that_is_none_is_one_line(results: Results, value: object) -> None:
+    path = results.folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    for variant in manifest["variants"]:
+        variant["effective"]["plugin_dir"] = value
+    path.write_text(json.dumps(manifest))
+    try:
+        found = rerun(results.folder, None, 1)
+    except ConfigError as error:
+        found = {"": str(error)}
+    assert all("plugin_dir" in why and "\n" not in why for why in found.values())
+
+
+@pytest.mark.parametrize(
+    ("recorded", "fault"),
+    [({"a.py": "odd\n\x1bdigest"}, "has changed"), ({"a.py": ""}, "is new"), ({}, "is new")],
+)
+def test_a_refusal_quotes_no_digest_of_a_manifest(
+    tmp_path: Path, recorded: dict[str, str], fault: str
+) -> None:
+    with pytest.raises(ConfigError, match=f"a[.]py {fault}") as refusal:
+        check_code(tmp_path, recorded, {"a.py": 64 * "0"}, is_trusted=False)
+    assert str(refusal.value).isprintable()
+    assert "digest" not in str(refusal.value)
 
 
 def test_traces_differ_in_values_types_and_words(results: Results) -> None:
