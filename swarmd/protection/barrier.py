@@ -72,11 +72,10 @@ MIN_BRAKING = cython.declare(cython.double, 0.02)
 """m/s2, for constraints that hardly any motion closes."""
 SIDE_ANGLE = math.radians(60.0)
 """rad between a return and its two side constraints."""
-SIDE_RESERVE = 0.25
+SIDE_RESERVE = 0.3
 """Share of `others_speed` by which a corner passes an obstacle more slowly, if none is given.
 
-With 0 attackers met a Waffle Pi at up to 5.2 cm/s at a corner that slid past them, with 0.1 at 3.4,
-with 0.25 at 1.5.
+With 0.25 an attacker met a Waffle Pi at 2.6 cm/s at a corner that slid past it, with 0.29 at 1.1.
 """
 NEGLIGIBLE_SPEED = cython.declare(cython.double, 0.015)
 """m/s: closing at a speed up to this is no approach."""
@@ -1477,7 +1476,7 @@ class Barrier:
         touch_rows: cython.Py_ssize_t = len(self._touch_table) if self._has_touch else 0
         self._reserve_placed(count + self._discs)
         self._reserve_rows(
-            (count + self._discs) * (4 + self._edges) + contacts + touch_rows + len(self._way_x)
+            (count + self._discs) * (6 + self._edges) + contacts + touch_rows + len(self._way_x)
         )
         self._rows = 0
         i: cython.Py_ssize_t
@@ -1592,6 +1591,7 @@ class Barrier:
         for j in range(count):
             first_row[first + j], source[at + j] = at + j, first + j
         self._rows = at + count
+        self._add_approaching(first, count)
         return self._add_sides(first, count)
 
     @cython.cfunc
@@ -1660,15 +1660,14 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_sides(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
-        """Two rows for each point of the chunk whose cap is or may soon be 0, to pass it sideways.
+        """Two rows for each point of the chunk whose cap is 0: obstacles that are passed sideways.
 
         A robot that slides along a face does not close on it, as long as the face stands still. Two
         robots that slide towards the same place each pass what they saw there last, until their
         corners meet: a moving obstacle may no longer be where it was seen. So the corners that are
         foremost 60 degrees to either side of the obstacle may approach only so fast that two such
         robots do not touch before both have a new scan. The creep speed is always allowed. Moving
-        away stays free. With a reserve, the robot brakes before the cap of an obstacle that
-        approaches is 0: else it was still at 0.09 m/s when the obstacle had slid to its corner.
+        away stays free.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -1681,16 +1680,7 @@ class Barrier:
         lever: cython.p_double = self._at_highest
         ax: cython.p_double = self._edge_x
         ay: cython.p_double = self._edge_y
-        others: cython.double = self._others if self._is_passive else 0.0
-        slowing: cython.double = self._braking_linear
-        turning: cython.double = self._braking_angular
-        early: cython.double = 0.0  # m by which an obstacle approaches while the robot brakes
-        if self._side_reserve > 0.0:
-            early = others * self._limit / slowing
-        left: cython.p_double = self._foot_x  # m until the cap is 0
-        for j in range(count):
-            left[j] = gap[j] - self._at_free[j] - others * (self._at_age[j] + _tick)
-        while count > 0 and not (cap[count - 1] <= 0.0 or left[count - 1] < early):
+        while count > 0 and not (cap[count - 1] <= 0.0):
             count -= 1
         for side in range(2):
             turn: cython.double = _side_sin if side == 0 else -_side_sin
@@ -1714,20 +1704,63 @@ class Barrier:
             row_cap: cython.p_double = _first(self._row_cap, at + count)
             row_gap: cython.p_double = _first(self._row_gap, at + count)
             for j in range(count):
-                if cap[j] <= 0.0 or left[j] < early:
-                    until: cython.double = left[j] / others if 0.0 < left[j] < early else 0.0
-                    rest: cython.double = gap[j] - others * until
-                    rest = 0.5 * (rest - (self._at_free[j] + self._at_hidden[j]))
+                if cap[j] <= 0.0:
+                    rest: cython.double = 0.5 * (gap[j] - (self._at_free[j] + self._at_hidden[j]))
                     rest /= self._at_age[j] + _tick
-                    rest = _maximum(rest - self._side_reserve, CREEP_SPEED)
+                    rest -= self._side_reserve
                     linear: cython.double = ax[j] * self._along_x + ay[j] * self._along_y
-                    if until > _tick:
-                        rest += _braking(linear, lever[j], slowing, turning) * (until - _tick)
                     row_x[at], row_y[at] = linear * self._limit, lever[j] * self._angular_limit
-                    row_cap[at] = rest
+                    row_cap[at] = _maximum(rest, CREEP_SPEED)
                     row_gap[at], self._source[at] = gap[j] - self._at_radius[j], first + j
                     at += 1
             self._rows = at
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_approaching(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
+        """At most one row for each way along the motion: obstacles that come from the side.
+
+        No motion closes on an obstacle beside the robot, until it slides to a corner. Its side
+        rows begin when its cap is 0: too late to brake, a Waffle Pi was still at 0.09 m/s then. So
+        the robot brakes before, to the speed that these rows then allow. The time until the cap is
+        0 leaves a tick, for which the command stands. A turn is not braked for here: its brake
+        takes nothing off a speed ahead, and the stop check regards what swings outwards.
+        """
+        j: cython.Py_ssize_t
+        if self._side_reserve <= 0.0:
+            return 0
+        others: cython.double = self._others
+        slowing: cython.double = self._braking_linear
+        early: cython.double = others * self._limit / slowing  # m it moves while the robot brakes
+        ahead: cython.double = self._limit
+        back: cython.double = self._limit
+        of_ahead: cython.Py_ssize_t = -1
+        of_back: cython.Py_ssize_t = -1
+        for j in range(count):
+            nx: cython.double = self._at_nx[j]
+            ny: cython.double = self._at_ny[j]
+            age: cython.double = self._at_age[j] + _tick
+            left: cython.double = self._at_gap[j] - self._at_free[j] - others * age
+            if not 0.0 < left < early:
+                continue
+            if self._has_touch and nx * self._touch_x + ny * self._touch_y >= self._touch_cos:
+                continue
+            rest: cython.double = 0.5 * (others - self._at_hidden[j] / age)
+            rest = _maximum(rest - self._side_reserve, CREEP_SPEED)
+            shed: cython.double = slowing * left / others
+            along: cython.double = _side_cos * (nx * self._along_x + ny * self._along_y)
+            aside: cython.double = _side_sin * fabs(nx * self._along_y - ny * self._along_x)
+            if aside + along > 0.0 and rest / (aside + along) + shed < ahead:
+                ahead, of_ahead = rest / (aside + along) + shed, j
+            if aside - along > 0.0 and rest / (aside - along) + shed < back:
+                back, of_back = rest / (aside - along) + shed, j
+        if of_ahead >= 0:
+            gap: cython.double = self._at_gap[of_ahead] - self._at_radius[of_ahead]
+            self._add(1.0, 0.0, ahead, gap, first + of_ahead)
+        if of_back >= 0:
+            gap = self._at_gap[of_back] - self._at_radius[of_back]
+            self._add(-1.0, 0.0, back, gap, first + of_back)
         return 0
 
     @cython.cfunc

@@ -46,8 +46,10 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # `others_speed` of another robot: breaks that robot's assumption. Lower: slower turns.
     surface_speed: Speed | None = None
     # m/s by which a corner passes an obstacle more slowly, which may move to where the corner goes;
-    # None: a quarter of `others_speed`. Higher: passes corridors more slowly. Lower: a thing that
-    # homes in on the corner can be met. Only for `passive`.
+    # None: 0.3 of `others_speed`. Higher: passes walls more slowly. Lower: a thing that homes in on
+    # the corner can be met. 0: the robot does not brake before such a thing is near. The brakes
+    # must take off what is left of half of `others_speed` while others come nearer by `margin`.
+    # Only for `passive`.
     side_reserve: Reserve | None = None
     # m from the outline within which `surface_speed` applies; None: as far as a constraint can
     # bind. Higher: slows down earlier. Lower: robots that assume less than the speed of its fastest

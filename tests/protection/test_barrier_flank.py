@@ -67,18 +67,26 @@ def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(seed: int, first: 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(
-    ("x", "y", "yaw", "velocity"),
-    [(0.256, 1.061, -2.239, (0.084, -0.391)), *part([], [(0.14, 1.133, 1.15, (0.171, -0.361))])],
+    ("name", "requested", "start", "velocity"),
+    [
+        ("waffle_pi", Twist(0.26), Pose(0.256, 1.061, -2.239), (0.084, -0.391)),
+        ("rosbot_xl", Twist(0.8), Pose(0.359, 1.668, -0.154), (0.319, -0.734)),
+        ("rosbot_xl", Twist(lateral=-0.8), Pose(1.951, -0.797, 1.226), (-0.786, -0.151)),
+        *part([], [("waffle_pi", Twist(0.26), Pose(0.14, 1.133, 1.15), (0.171, -0.361))]),
+    ],
 )
-def test_body_that_slides_to_a_corner_does_not_meet_a_waffle_pi_that_brakes(
-    x: float, y: float, yaw: float, velocity: tuple[float, float], side: float
+def test_body_that_slides_to_a_corner_does_not_meet_a_robot_that_brakes(
+    name: str, requested: Twist, start: Pose, velocity: tuple[float, float], side: float
 ) -> None:
-    """It comes from the side, straight and at `others_speed`, while the robot drives ahead."""
-    platform = under_barrier(load_platform("waffle_pi"), unseen_extent=0.0)
+    """It comes from the side, straight and at `others_speed`, while the robot drives."""
+    platform = under_barrier(load_platform(name), unseen_extent=0.0)
     outline = (platform.footprint * (1.0, side))[:: int(side)]
-    body = Shape(outline, Pose(x, side * y, side * yaw), (velocity[0], side * velocity[1]))
-    for phase in np.arange(0.0, 0.2, 0.02).tolist():
-        sim = FilterSim(platform, [body], phase=phase, noise=0.01, rolling=True)
-        touch = sim.run(Twist(0.26), 2.5).touch
-        assert touch is not None
-        assert touch.speed <= NO_FAULT, phase
+    pose = Pose(start.x, side * start.y, side * start.yaw)
+    body = Shape(outline, pose, (velocity[0], side * velocity[1]))
+    wanted = Twist(requested.linear, 0.0, side * requested.lateral)
+    sweep = platform.scan.sweep
+    is_rolling = sweep is not None and sweep.duration > 0.0
+    for phase in np.arange(0.0, 1.0 / platform.scan.rate, 0.02).tolist():
+        sim = FilterSim(platform, [body], phase=phase, noise=0.01, rolling=is_rolling)
+        touch = sim.run(wanted, 2.5).touch
+        assert touch is None or touch.speed <= NO_FAULT, phase

@@ -323,13 +323,16 @@ class FilterSim:
     def _move(self) -> None:
         command = self._line[0]
         self._line = [*self._line[1:], self._line[-1]]
-        v, w = self.twist.linear, self.twist.angular
         (b_v, b_w), (a_v, a_w) = self._braking, self._accelerating
-        v, w = ramped(v, command.linear, a_v, b_v), ramped(w, command.angular, a_w, b_w)
-        x, y, yaw = self.pose.x, self.pose.y, self.pose.yaw + 0.5 * w * DT
-        x, y = x + self.pushed[0] * DT, y + self.pushed[1] * DT
-        self.pose = Pose(x + v * DT * math.cos(yaw), y + v * DT * math.sin(yaw), yaw + 0.5 * w * DT)
-        self.twist = Twist(v, w)
+        v = ramped(self.twist.linear, command.linear, a_v, b_v)
+        w = ramped(self.twist.angular, command.angular, a_w, b_w)
+        u = ramped(self.twist.lateral, command.lateral, a_v, b_v)
+        yaw = self.pose.yaw + 0.5 * w * DT
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        x = self.pose.x + (v * cos - u * sin + self.pushed[0]) * DT
+        y = self.pose.y + (v * sin + u * cos + self.pushed[1]) * DT
+        self.pose = Pose(x, y, yaw + 0.5 * w * DT)
+        self.twist = Twist(v, w, u)
         self._step += 1
         self.time = self._step * DT
 
@@ -346,9 +349,10 @@ class FilterSim:
 
     def _speed(self, at: Array, towards: Array) -> float:
         """How fast the robot's own surface moves at a place in a direction (world frame)."""
-        v, w, yaw = self.twist.linear, self.twist.angular, self.pose.yaw
+        v, w, u = self.twist.linear, self.twist.angular, self.twist.lateral
+        cos, sin = math.cos(self.pose.yaw), math.sin(self.pose.yaw)
         x, y = at[0] - self.pose.x, at[1] - self.pose.y
-        moves = np.array([v * math.cos(yaw) - w * y, v * math.sin(yaw) + w * x])
+        moves = np.array([v * cos - u * sin - w * y, v * sin + u * cos + w * x])
         return float(moves @ towards)
 
 
