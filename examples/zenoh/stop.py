@@ -1,30 +1,30 @@
 """Stop all robots of a swarm: python examples/zenoh/stop.py meadow; with estop: latched"""
 
 import sys
+import time
 import uuid
 
 import msgpack
 import zenoh
 
+SWARM, VERB = sys.argv[1], "estop" if "estop" in sys.argv else "stop"
+REQUEST = {"verb": VERB, "id": uuid.uuid4().hex, "operator": "stop.py"}
+PAYLOAD = b"\x01" + msgpack.packb(REQUEST)  # the version of the format, and MessagePack
 
-def main() -> None:
-    """Ask three times, and print the answer of each robot."""
-    swarm, verb = sys.argv[1], "estop" if "estop" in sys.argv else "stop"
-    request = {"verb": verb, "id": uuid.uuid4().hex, "operator": "stop.py"}
-    payload = b"\x01" + msgpack.packb(request)  # the version of the format, and MessagePack
-    config = zenoh.Config()
-    config.insert_json5("open/return_conditions/connect_scouted", "true")
-    with zenoh.open(config) as session:
-        answered: set[str] = set()
-        for _ in range(3):  # a robot that is found after the first question gets the next one
-            key = f"swarm/{swarm}/*/control/{verb}/anyone"
-            for reply in session.get(key, target=zenoh.QueryTarget.ALL, payload=payload):
-                sample = reply.ok  # None: a robot is gone, or refuses the payload
-                answer = msgpack.unpackb(sample.payload.to_bytes()[1:]) if sample else {}
-                if answer and answer["robot"] not in answered:
-                    answered.add(answer["robot"])
-                    print(answer["robot"], answer["code"], answer["text"])
-
-
-if __name__ == "__main__":
-    main()
+names, answered = set(), set()
+start = time.monotonic()
+with zenoh.open(zenoh.Config()) as session:
+    # Scouting finds robots one by one: ask for 1 s, and for 5 s while a name lacks an answer.
+    while (age := time.monotonic() - start) < 1 or (age < 5 and (not names or names - answered)):
+        replies = session.liveliness().get(f"swarm/{SWARM}/*")
+        names |= {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok}
+        key = f"swarm/{SWARM}/*/control/{VERB}/anyone"
+        for reply in session.get(key, target=zenoh.QueryTarget.ALL, payload=PAYLOAD, timeout=1):
+            answer = msgpack.unpackb(reply.ok.payload.to_bytes()[1:]) if reply.ok else {}
+            if answer and answer["robot"] not in answered:
+                answered.add(answer["robot"])
+                print(answer["robot"], answer["code"], answer["text"])
+        time.sleep(0.1)
+for name in names - answered:
+    print(name, "did not answer: a program, or a robot out of reach")
+sys.exit(0 if answered else f"no robot of {SWARM} answered")
