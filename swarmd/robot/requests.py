@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
+STOP_TIME = 2.0
+"""Seconds after the last command to move in which a base comes to rest: all platforms need less."""
+_RESPONSE = 0.2  # s after it in which odometry may show a base that has yet to respond
+_REST = 0.02, 0.05  # m/s and rad/s: a base that rests shows at most that
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
@@ -122,7 +126,7 @@ class RequestHandler:
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.stop(Reason.OPERATOR, detail, effects)
         self._goals.on_stop(request, effects)
-        lifecycle.applied(effects, request, self._stop_text(now))
+        self._answer_stop(request, effects)
 
     def on_estop(self, request: verbs.EstopRequest, effects: Effects) -> None:
         """Latch, unless a relayed copy of this emergency stop was reset."""
@@ -135,7 +139,7 @@ class RequestHandler:
         self._lifecycle.latch(latch_id, latch, effects)
         self._stood = self._stopped = effects.now
         self._goals.on_stop(request, effects)
-        self._lifecycle.applied(effects, request, self._stop_text(effects.now))
+        self._answer_stop(request, effects)
 
     def on_run(self, request: verbs.RunRequest, effects: Effects) -> None:
         """Load the pattern; the reply follows when the pattern is ready."""
@@ -171,6 +175,28 @@ class RequestHandler:
     def on_label(self, request: verbs.LabelRequest, effects: Effects) -> None:
         """Replace the labels."""
         self._goals.set_labels(request, effects)
+
+    def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
+        """Acknowledge a stop, and never a base that zero does not reach, or that moves on."""
+        now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
+        text, is_moving = self._stop_text(now), not self._is_at_rest(now)
+        is_sent = sensors.is_driver_up or sensors.gets_zero
+        if not is_sent:
+            lifecycle.fail(effects, request, Refusal.NOT_STOPPED, text)
+        elif is_moving and now > self._protection.moved_at + STOP_TIME:
+            lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
+        else:
+            lifecycle.applied(effects, request, text, is_moving=is_moving)
+
+    def _is_at_rest(self, now: float) -> bool:
+        """Whether odometry shows that the base rests; True without odometry, which the ack says."""
+        odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
+        if odometry is None or age is None:
+            return True
+        twist = odometry.twist
+        speeds = math.hypot(twist.linear, twist.lateral), abs(twist.angular)
+        is_slow = speeds[0] <= _REST[0] and speeds[1] <= _REST[1]
+        return is_slow and now - age >= self._protection.moved_at + _RESPONSE
 
     def _stop_text(self, now: float) -> str:
         """The text that acknowledges a stop: what was sent, and the measured speed with its age."""
