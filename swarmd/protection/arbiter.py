@@ -160,6 +160,12 @@ class Protection:
         """The assumptions that were found violated, each with its evidence."""
         return () if self._monitor is None else self._monitor.findings
 
+    @property
+    def not_following(self) -> str:
+        """How the base does not follow its commands, or follows late; empty if it does."""
+        text = self.following.text
+        return text if text or self._monitor is None else self._monitor.late
+
     def forget_findings(self, findings: Collection[str]) -> None:
         """End these findings: they do not slow the robot until the monitor raises them again."""
         if self._monitor is not None:
