@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
 STOP_TIME = 2.0
-"""Seconds after the last command to move in which a base comes to rest: all platforms need less."""
+"""Seconds after a stop in which a base comes to rest: all platforms need less."""
 _RESPONSE = 0.2  # s after it in which odometry may show a base that has yet to respond
 _REST = 0.02, 0.05  # m/s and rad/s: a base that rests shows at most that
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
@@ -116,9 +116,6 @@ class RequestHandler:
             return
         is_known = is_copy or issued <= self._stood
         self._stood = max(self._stood, issued)
-        self._executed.setdefault(request.id, now)
-        while len(self._executed) > MAX_STOPS:
-            del self._executed[next(iter(self._executed))]
         # Robots hand a stop on for a minute, and operators repeat it: what was asked of a robot
         # that has stood since, such as a trial or a reset, goes on.
         if run.wish is not None or not is_known:
@@ -177,13 +174,18 @@ class RequestHandler:
         self._goals.set_labels(request, effects)
 
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
-        """Acknowledge a stop, and never a base that zero does not reach, or that moves on."""
+        """Acknowledge a stop, and never a base that zero does not reach, or that moves on.
+
+        A robot that has commanded no motion since its start has none to end without a driver.
+        """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
-        text, is_moving = self._stop_text(now), not self._is_at_rest(now)
-        is_sent = sensors.is_driver_up or sensors.gets_zero
-        if not is_sent:
-            lifecycle.fail(effects, request, Refusal.NOT_STOPPED, text)
-        elif is_moving and now > self._protection.moved_at + STOP_TIME:
+        began = self._executed.setdefault(request.id, now)
+        while len(self._executed) > MAX_STOPS:
+            del self._executed[next(iter(self._executed))]
+        text, gets_zero = self._stop_text(now), sensors.is_driver_up or sensors.gets_zero
+        is_moving = not self._is_at_rest(now)
+        is_moving |= not gets_zero and self._protection.moved_at > -math.inf
+        if is_moving and now >= began + STOP_TIME:
             lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
         else:
             lifecycle.applied(effects, request, text, is_moving=is_moving)

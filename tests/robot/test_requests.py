@@ -299,12 +299,22 @@ def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
     harness.step(DriverInput(False, "no bridge at 7447"))
     harness.odometry = None
     harness.advance(1.0)
-    reply = harness.answer(harness.request("estop"))
+    request = harness.request("estop")
+    reply = harness.answer(request)
+    assert reply.is_moving  # the driver may come back
+    assert reply.text.startswith("nothing was sent: driver lost: no bridge at 7447; measured ")
+    assert reply.text.endswith(" 1.0 s ago")
+    assert "commanded" not in reply.text
+    harness.advance(STOP_TIME)
+    reply = harness.answer(request)
     assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.NOT_STOPPED)
-    text = reply.text
-    assert text.startswith("nothing was sent: driver lost: no bridge at 7447; measured ")
-    assert text.endswith(" 1.0 s ago")
-    assert "commanded" not in text
+    assert "commanded" not in reply.text
+
+
+def test_a_robot_that_never_had_a_base_has_no_motion_to_end() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.step(DriverInput(False, "no bridge at 7447"))
+    assert harness.applied("estop").text.startswith("nothing was sent: driver lost: ")
 
 
 def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
