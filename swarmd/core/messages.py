@@ -115,6 +115,7 @@ class Refusal(StrEnum):
     MISSING_SENSOR = "missing_sensor"
     PATTERN_FAILED = "pattern_failed"  # the pattern's code raised, ended or took too long
     MEMBER_ALIVE = "member_alive"
+    NOT_STOPPED = "not_stopped"  # zero did not reach the base, or the base moves on
     REVOKED = "revoked"  # the robot is no longer on the roster
     NOT_WRITTEN = "not_written"  # the disk is full or read-only
     INVALID_ROSTER = "invalid_roster"  # of another swarm, older, or not signed by its authority
@@ -145,7 +146,10 @@ class ReplyHeader(Struct, frozen=True, kw_only=True):
 
 
 class Reply(Struct, frozen=True, kw_only=True):
-    """A robot's answer to a request: its ack. `refusal` is set unless `code` is applied."""
+    """A robot's answer to a request: its ack. `refusal` is set unless `code` is applied.
+
+    `is_moving`, of a stop: zero was commanded, and odometry does not show yet that the base rests.
+    """
 
     id: Name
     robot: Name
@@ -153,6 +157,7 @@ class Reply(Struct, frozen=True, kw_only=True):
     refusal: Refusal | None = None
     text: Line = ""
     epoch: Epoch | None = None
+    is_moving: bool = False
 
 
 class LimitingObstacle(Struct, frozen=True, gc=False):

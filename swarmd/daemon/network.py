@@ -495,6 +495,7 @@ class Network:
             code=reply.code,
             refusal=reply.refusal,
             text=reply.text.encode()[:MAX_ACK_TEXT].decode(errors="ignore"),
+            is_moving=reply.is_moving,
         )
         if self._guard is not None:
             ack = self._guard.proven(ack, stop)

@@ -214,10 +214,12 @@ class RequestServer:
                 self._handlers[request.verb](request, self.reply)
 
     def _keep(self, reply: Reply) -> bool:
-        """Keep a reply for repeats; True if the id had one."""
-        is_repeat = reply.id in self._replies
+        """Keep a reply for repeats; True if the id had one, and does not fail with this one."""
+        earlier = self._replies.get(reply.id)
         keep_newest(self._replies, reply.id, reply, MAX_REPLIES)
-        return is_repeat
+        if earlier is None:
+            return False
+        return reply.code is not Code.FAILED or earlier.code is Code.FAILED
 
     def _refuse(self, query: Query, code: Code, text: str) -> None:
         """Refuse a request that is malformed or of another version, or tell that it has failed.

@@ -246,7 +246,8 @@ class Ack(_Datagram, frozen=True, kw_only=True):
     """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`).
 
     `code` and `refusal` are values of `Code` and `Refusal`; a later version may send others.
-    `proof`: by which the operator knows that this robot made it (`signature.py`).
+    `is_moving` as of `Reply`. `proof`: by which the operator knows that this robot made it
+    (`signature.py`).
     """
 
     id: Name
@@ -258,6 +259,7 @@ class Ack(_Datagram, frozen=True, kw_only=True):
     text: Line = ""
     via: Annotated[str, Meta(max_length=63)] = ""
     proof: Annotated[bytes, Meta(max_length=8)] = b""
+    is_moving: bool = False
 
 
 class Latches(_Datagram, frozen=True, kw_only=True):

@@ -54,11 +54,13 @@ class Protection:
     """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
 
     `seed` decides the side on which recovery passes an obstacle. `events`: what the caller has yet
-    to log. `following`: whether the base of a running robot follows the safe commands.
+    to log. `following`: whether the base of a running robot follows the safe commands. `moved_at`:
+    the time in s of the last safe command that was not zero; -inf without one.
     """
 
     events = cython.declare(list, visibility="readonly")
     following = cython.declare(object, visibility="readonly")
+    moved_at = cython.declare(cython.double, visibility="readonly")
     _limits: object
     _arbiter = cython.declare(object, visibility="public")
     _monitor = cython.declare(object, visibility="public")
@@ -99,7 +101,7 @@ class Protection:
         self._monitor = monitors.AssumptionMonitor(platform) if is_barrier(self._arbiter) else None
         self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
         self._latency = platform.scan.latency
-        self.events, self._scan_seq = [], -1
+        self.events, self._scan_seq, self.moved_at = [], -1, -math.inf
         self._safe = self._allowed = self._wanted = ZERO
         self._is_recovering = False
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
@@ -157,6 +159,12 @@ class Protection:
     def findings(self) -> tuple[str, ...]:
         """The assumptions that were found violated, each with its evidence."""
         return () if self._monitor is None else self._monitor.findings
+
+    @property
+    def not_following(self) -> str:
+        """How the base does not follow its commands, or follows late; empty if it does."""
+        text = self.following.text
+        return text if text or self._monitor is None else self._monitor.late
 
     def forget_findings(self, findings: Collection[str]) -> None:
         """End these findings: they do not slow the robot until the monitor raises them again."""
@@ -291,6 +299,8 @@ class Protection:
             if text:
                 self.events.append(text)
         self.following.on_command(safe)
+        if safe is not _zero and not safe.is_zero:
+            self.moved_at = context.now
         self._safe, self._context = safe, None
         gap = self._min_gap
         if self._near is not None:

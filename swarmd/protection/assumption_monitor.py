@@ -95,17 +95,24 @@ _BESIDE = cython.declare(cython.double, 0.3)
 _MAX_COMMANDS = cython.declare(cython.Py_ssize_t, 40)
 _MAX_WAYS = cython.declare(cython.Py_ssize_t, 64)
 
-_NEAR = cython.declare(cython.double, 1.0)  # m within which an approach counts
+_NEAR = cython.declare(cython.double, 1.5)  # m within which an approach counts
 _APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans that tell a speed
-_MIN_SCANS = 5  # in that time
+_MIN_SCANS = 4  # in that time: a lidar of 5 Hz sees a pedestrian in no more
 _MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between scans
 _FASTER = 1.15  # times others_speed: what clearly is faster
 _RANGE_NOISE = 0.01  # m of the nearest range, at least
-_STEADY = 0.03  # m by which a scan may be off an even approach: things appear, and are lost
+# m, and share of the way, by which a scan may be off an even approach: things appear, and are lost.
+_STEADY, _STEADY_SHARE = 0.03, 0.05
 _CERTAIN = 3.0  # deviations by which an approach must be too fast
 _APART, _TOGETHER = 5.0, 600.0  # s between two approaches that are a violation
 
+RESPONSE = 0.05
+"""s after a command in which the base responds, as mode `barrier` assumes."""
+_RESPONSES = 9  # stops in a row: all but one must be late
+_LATER = 0.05  # s by which they must be: a reading shows a command late by up to a period
+
 _BRAKED = "braked at"
+_LATE_WHY = "commands, base or odometry are slow"
 _UNITS = "m/s2", "rad/s2", "m/s2 sideways"
 
 _turn = cython.declare(cython.double, math.tau)
@@ -156,12 +163,15 @@ class _Brake:
 
     `min_drop` in m/s or rad/s is the least fall of the command that begins a stop. `braking`: as
     declared, or measured and weaker. `evidence`: how it was measured; empty without a violation.
+    `late`: how late the base responds; empty if it is not too late.
     """
 
     declared: cython.double
     braking: cython.double
     evidence: object
+    late: object
     _unit: object
+    _delays: object
     _min_drop: cython.double
     _stop: _Stop
     _command: cython.double  # the last one
@@ -183,6 +193,7 @@ class _Brake:
         self._min_drop = max(min_drop, _MIN_DROP_TIME * declared)
         self.interrupt()
         self._variance, self._freedom = _SLIP**2, _SLIP_FREEDOM  # of a reading, as a share of it
+        self._delays, self.late = deque(maxlen=_RESPONSES), ""
         self.forget()
 
     def check_indices(self) -> None:
@@ -292,7 +303,8 @@ class _Brake:
             return False
         kept = [k % _MAX_COMMANDS for k in _last(self._given, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._levels[k]) for k in kept]
-        misfits, freedom = _misfits(stop, commands, self.braking)
+        misfits, freedom, delay = _misfits(stop, commands, self.braking)
+        self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.at) / len(stop.steps))
         least = float(misfits.min())
         own = least / freedom
         total = self._variance * self._freedom + min(own, _WORST * self._variance) * freedom
@@ -308,6 +320,18 @@ class _Brake:
         self._stops += 1
         self._misfits += misfits
         return self._sum >= ALARM and self._conclude()
+
+    def _respond(self, delay: float, period: float) -> None:
+        """Judge how late the base responded to the last stops, `period` s between readings."""
+        delays = self._delays
+        delays.append(delay - period)
+        is_late = len(delays) == _RESPONSES and sorted(delays)[1] > RESPONSE + _LATER
+        self.late = ""
+        if is_late:
+            self.late = (
+                f"the base responds {sorted(delays)[_RESPONSES // 2]:.2f} s or more after commands"
+                f" ({self._unit}, {_RESPONSES} stops), assumed are {RESPONSE:.2f} s: {_LATE_WHY}"
+            )
 
     def _conclude(self) -> bool:
         """Measure the braking by the stops that were summed up; always True."""
@@ -333,10 +357,11 @@ class _Brake:
 
 
 def _misfits(stop: _Stop, commands: list, declared: float):
-    """What each share of the declared braking leaves unexplained, and the degrees of freedom.
+    """What each share of the declared braking leaves unexplained, the degrees of freedom, a delay.
 
     (s,) sums of squares over the squared ways, for the best delay and scale of the speeds that the
-    `commands` name. The base rises with its command, and brakes evenly.
+    `commands` name. The base rises with its command, and brakes evenly. The delay in s is that of
+    the best share.
     """
     rows = np.array((*stop.cruise, *stop.steps))
     periods, ways = rows[:, 1] - rows[:, 0], stop.sign * rows[:, 2]
@@ -352,8 +377,8 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     stamps = _view(np.concatenate(([-np.inf], stamps)))
     levels = _view(np.concatenate(([0.0], levels)))
     rates = _view(_SHARES * declared * stop.begin / seen)  # in units of the command
-    left = _left(table, stamps, levels, rates, float(weights @ ways**2))
-    return np.asarray(left), max(len(ways) - 3.0, 1.0)
+    left, delays = np.asarray(_left(table, stamps, levels, rates, float(weights @ ways**2)))
+    return left, max(len(ways) - 3.0, 1.0), float(delays[left.argmin()])
 
 
 def _view(values):
@@ -371,7 +396,7 @@ def _left(
     rates: cython.double[::1],
     total: cython.double,
 ):
-    """(s,) sums of squares that bases which brake at `rates` (s,) leave, each for its best delay.
+    """(2, s) sums of squares that bases which brake at `rates` (s,) leave, and their best delays.
 
     `rows` (n, 4): begins, periods, ways times their weights, and weights.
     """
@@ -386,18 +411,18 @@ def _left(
     parts: cython.double[::1] = _view(_PARTS)
     # The speed at the stamp of each command, of a base that brakes from the commands before.
     before: cython.double[::1] = _view(np.zeros(count))
-    least: cython.double[::1] = _view(np.zeros(len(rates)))
+    least: cython.double[:, ::1] = _view(np.zeros((2, len(rates))))
     for j in range(len(rates)):
         rate: cython.double = rates[j]
         for k in range(2, count):
             fallen: cython.double = before[k - 1] - rate * (stamps[k] - stamps[k - 1])
             before[k] = max(levels[k - 1], fallen)
         best: cython.double = 0.0
-        least[j] = _inf
+        least[0, j] = _inf
         for k in range(len(delays) + len(near)):
             if k == len(delays):
                 rough: cython.double = best
-                least[j] = _inf
+                least[0, j] = _inf
             delay: cython.double = delays[k] if k < len(delays) else rough + near[k - len(delays)]
             both: cython.double = 0.0
             own: cython.double = 0.0
@@ -416,8 +441,9 @@ def _left(
                 own += modelled * modelled * rows[i, 3]
             # The scale of least squares: odometry and base may be off by a few percent.
             left: cython.double = total - both * both / max(own, 1e-12)
-            if left < least[j]:
-                least[j], best = left, delay
+            if left < least[0, j]:
+                least[0, j], best = left, delay
+        least[1, j] = best
     return least
 
 
@@ -484,6 +510,15 @@ class AssumptionMonitor:
         for brake in self._brakes():
             found.append(brake.evidence)
         return tuple(text for text in (*found, self._others) if text)
+
+    @property
+    def late(self) -> str:
+        """How late the base responds to its commands; empty if it is as fast as assumed."""
+        brake: _Brake
+        for brake in self._brakes():
+            if brake.late:
+                return str(brake.late)
+        return ""
 
     def _brakes(self) -> tuple[_Brake, ...]:
         """The brakes of all axes on which the base moves."""
@@ -602,10 +637,11 @@ class AssumptionMonitor:
         times -= times.mean()
         slope = float(times @ gaps / (times @ times))
         off = gaps - gaps.mean() - slope * times
-        if float(np.abs(off).max()) > _STEADY:
+        last = len(times) - 1
+        way = fabs(slope * float(times[last] - times[0]))
+        if float(np.abs(off).max()) > _STEADY + _STEADY_SHARE * way:
             return 0.0, 0.0
         noise = max(math.sqrt(float(off @ off) / (len(gaps) - 2)), _RANGE_NOISE)
-        last = len(times) - 1
         own = float(moved[last] - begun[0]) / float(times[last] - times[0])
         return -slope - own, noise / math.sqrt(float(times @ times))
 

@@ -42,6 +42,10 @@ if TYPE_CHECKING:
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
+STOP_TIME = 2.0
+"""Seconds after a stop in which a base comes to rest: all platforms need less."""
+_RESPONSE = 0.2  # s after it in which odometry may show a base that has yet to respond
+_REST = 0.02, 0.05  # m/s and rad/s: a base that rests shows at most that
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
@@ -112,9 +116,6 @@ class RequestHandler:
             return
         is_known = is_copy or issued <= self._stood
         self._stood = max(self._stood, issued)
-        self._executed.setdefault(request.id, now)
-        while len(self._executed) > MAX_STOPS:
-            del self._executed[next(iter(self._executed))]
         # Robots hand a stop on for a minute, and operators repeat it: what was asked of a robot
         # that has stood since, such as a trial or a reset, goes on.
         if run.wish is not None or not is_known:
@@ -122,7 +123,7 @@ class RequestHandler:
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.stop(Reason.OPERATOR, detail, effects)
         self._goals.on_stop(request, effects)
-        lifecycle.applied(effects, request, self._stop_text(now))
+        self._answer_stop(request, effects)
 
     def on_estop(self, request: verbs.EstopRequest, effects: Effects) -> None:
         """Latch, unless a relayed copy of this emergency stop was reset."""
@@ -135,7 +136,7 @@ class RequestHandler:
         self._lifecycle.latch(latch_id, latch, effects)
         self._stood = self._stopped = effects.now
         self._goals.on_stop(request, effects)
-        self._lifecycle.applied(effects, request, self._stop_text(effects.now))
+        self._answer_stop(request, effects)
 
     def on_run(self, request: verbs.RunRequest, effects: Effects) -> None:
         """Load the pattern; the reply follows when the pattern is ready."""
@@ -171,6 +172,33 @@ class RequestHandler:
     def on_label(self, request: verbs.LabelRequest, effects: Effects) -> None:
         """Replace the labels."""
         self._goals.set_labels(request, effects)
+
+    def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
+        """Acknowledge a stop, and never a base that zero does not reach, or that moves on.
+
+        A robot that has commanded no motion since its start has none to end without a driver.
+        """
+        now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
+        began = self._executed.setdefault(request.id, now)
+        while len(self._executed) > MAX_STOPS:
+            del self._executed[next(iter(self._executed))]
+        text, gets_zero = self._stop_text(now), sensors.is_driver_up or sensors.gets_zero
+        is_moving = not self._is_at_rest(now)
+        is_moving |= not gets_zero and self._protection.moved_at > -math.inf
+        if is_moving and now >= began + STOP_TIME:
+            lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
+        else:
+            lifecycle.applied(effects, request, text, is_moving=is_moving)
+
+    def _is_at_rest(self, now: float) -> bool:
+        """Whether odometry shows that the base rests; True without odometry, which the ack says."""
+        odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
+        if odometry is None or age is None:
+            return True
+        twist = odometry.twist
+        speeds = math.hypot(twist.linear, twist.lateral), abs(twist.angular)
+        is_slow = speeds[0] <= _REST[0] and speeds[1] <= _REST[1]
+        return is_slow and now - age >= self._protection.moved_at + _RESPONSE
 
     def _stop_text(self, now: float) -> str:
         """The text that acknowledges a stop: what was sent, and the measured speed with its age."""

@@ -210,16 +210,29 @@ class Lifecycle:
         """Record an event for `describe`."""
         self.events.append(LoggedEvent(at=max(now - self.born, 0.0), text=text[:MAX_TEXT]))
 
-    def applied(self, effects: Effects, request: Request, text: str) -> None:
+    def applied(
+        self, effects: Effects, request: Request, text: str, *, is_moving: bool = False
+    ) -> None:
         """Acknowledge a request; the reply carries the epoch that follows from it."""
-        self._reply(effects, request, Code.APPLIED, None, text)
+        self._reply(effects, request, Code.APPLIED, None, text, is_moving=is_moving)
+
+    def fail(self, effects: Effects, request: Request, refusal: Refusal, text: str) -> None:
+        """Tell that a request was taken and could not be carried out."""
+        self._reply(effects, request, Code.FAILED, refusal, text)
 
     def refuse(self, effects: Effects, request: Request, refusal: Refusal, text: str) -> None:
         """Refuse a request."""
         self._reply(effects, request, Code.REFUSED, refusal, text)
 
     def _reply(
-        self, effects: Effects, request: Request, code: Code, refusal: Refusal | None, text: str
+        self,
+        effects: Effects,
+        request: Request,
+        code: Code,
+        refusal: Refusal | None,
+        text: str,
+        *,
+        is_moving: bool = False,
     ) -> None:
         answer = Reply(
             id=request.id,
@@ -228,6 +241,7 @@ class Lifecycle:
             refusal=refusal,
             text=text[:MAX_TEXT],
             epoch=self.epoch,
+            is_moving=is_moving,
         )
         effects.replies = (*effects.replies, answer)
 
@@ -426,7 +440,7 @@ class Lifecycle:
         self._is_provisional(loading.generation, text, effects)
         detail = f"{loading.pattern}: {text}"
         if loading.request is not None:
-            self._reply(effects, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
+            self.fail(effects, loading.request, Refusal.PATTERN_FAILED, detail)
         self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, detail, effects)
 
     def _end(
@@ -636,7 +650,7 @@ class Lifecycle:
         if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
             request, self.params_request = self.params_request[0], None
             text = "the pattern did not answer"
-            self._reply(effects, request, Code.FAILED, Refusal.PATTERN_FAILED, text)
+            self.fail(effects, request, Refusal.PATTERN_FAILED, text)
         running = run.running
         if not self.is_running or running is None:
             return None

@@ -92,7 +92,7 @@ def make_status(
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
         findings=protection.findings,
-        not_following=protection.following.text,
+        not_following=protection.not_following,
         neighbors=tuple(one.id for one in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
     )

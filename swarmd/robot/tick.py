@@ -725,7 +725,7 @@ class Ticker:
             protection.on_odometry(odometry)
             if protection.events:
                 self._log_protection(now)
-            text = protection.following.text
+            text = protection.not_following
             if bool(text) != self._is_off_command:
                 self._log_following(text, now)
 

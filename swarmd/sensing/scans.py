@@ -163,7 +163,8 @@ _MIN_LIKENESS = cython.declare(cython.double, 0.6)
 # of earlier pairs, for each new one: some 50 count
 _FORGETTING = cython.declare(cython.double, 0.98)
 _MIN_PAIRS = cython.declare(cython.double, 8.0)
-_MIN_SPREAD = cython.declare(cython.double, 0.015)  # rad of one measured turn
+# rad of one measured turn: things that move by themselves turn a scene by that, for seconds
+_MIN_SPREAD = cython.declare(cython.double, 0.025)
 # factor on the spread, as errors of pairs are not independent: 1.7 in simulation
 _ALIKE = cython.declare(cython.double, 2.0)
 # s of candidates within three deviations: a wider one is no figure
@@ -1792,25 +1793,31 @@ class _Turns:
 
     @cython.cfunc
     def _keep(self, scan):
-        """Keep the ranges of a scan; no return counts as far away."""
+        """Keep the ranges of a scan about their mean; a ray without a return tells nothing.
+
+        As far away, it would be a feature: lost rays and a blind sector do not turn with the room.
+        """
         ranges: cython.const[cython.double][::1] = _view(
             np.ascontiguousarray(scan.ranges, np.float64)
         )
         least: cython.double = scan.range_min
-        farthest: cython.double = min(scan.range_max, _MAX_RANGE)
+        most: cython.double = scan.range_max
         n: cython.Py_ssize_t = self._n
         i: cython.Py_ssize_t
+        returns: cython.Py_ssize_t = 0
         mean: cython.double = 0.0
         square: cython.double = 0.0
         self._relief, self._old_relief = self._old_relief, self._relief
         self._old_norm = self._norm
         relief: cython.double[::1] = self._relief
         for i in range(n):
-            relief[i] = ranges[i] if least <= ranges[i] <= farthest else farthest
-            mean += relief[i]
-        mean /= n
+            if least <= ranges[i] <= most:
+                mean += min(ranges[i], _MAX_RANGE)
+                returns += 1
+        mean /= max(returns, 1)
         for i in range(n):
-            relief[i] -= mean
+            is_return: cython.bint = least <= ranges[i] <= most
+            relief[i] = min(ranges[i], _MAX_RANGE) - mean if is_return else 0.0
             relief[n + i] = relief[i]
             square += relief[i] * relief[i]
         self._norm = sqrt(square)

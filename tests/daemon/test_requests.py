@@ -246,6 +246,15 @@ def test_a_stop_is_audited_also_if_its_ack_cannot_be_sent() -> None:
     assert "applied" in lines[0]
 
 
+def test_a_stop_that_fails_after_its_first_ack_is_audited_as_failed_too() -> None:
+    lines: list[str] = []
+    server = server_of("r1", lambda request: None, lines.append)
+    for code in (Code.APPLIED, Code.APPLIED, Code.FAILED, Code.FAILED, Code.APPLIED):
+        server.stop(Stop(id="s1", verb="stop", operator="anna"), "10.0.0.5", lambda reply: None)
+        server.reply(Reply(id="s1", robot="r1", code=code))
+    assert [Code.FAILED in line for line in lines] == [False, True]
+
+
 def test_a_refusal_is_audited_also_if_it_cannot_be_sent() -> None:
     lines: list[str] = []
 

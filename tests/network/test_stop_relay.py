@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.messages import Code
 from swarmd.network.datagram import Ack, Address, Stop
@@ -24,8 +25,9 @@ def stop(**changes: object) -> Stop:
     return Stop(**fields)  # type: ignore[arg-type]
 
 
-def ack(robot: str) -> Ack:
-    return Ack(id="s", robot=robot, instance=b"abcdef", revision=1, code=Code.APPLIED)
+def ack(robot: str, *, is_moving: bool = False) -> Ack:
+    one = Ack(id="s", robot=robot, instance=b"abcdef", revision=1, code=Code.APPLIED)
+    return replace(one, is_moving=is_moving)
 
 
 def copies(relay: StopRelay, seconds: float, began: float = 0.0) -> list[Stop]:
@@ -47,6 +49,16 @@ def test_a_repeat_returns_few_acks_of_others_and_in_the_end_all() -> None:
         handed |= {body.robot for body, _ in sends if isinstance(body, Ack)}
     assert len(handed) == MAX_ACKS
     assert relay.on_stop(stop(targets=None), OPERATOR, 3.9 + ACK_PERIOD / 2) == []
+
+
+def test_the_ack_of_a_robot_that_rests_follows_that_of_a_robot_that_moved() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(targets=None), OPERATOR, 0.0)
+    acks = [ack("r2", is_moving=is_moving) for is_moving in (True, True, False, True, False)]
+    sent = [one for number, each in enumerate(acks) for one, _ in relay.on_ack(each, PEER, number)]
+    assert [isinstance(one, Ack) and one.is_moving for one in sent] == [True, False]
+    repeated = [one for one, _ in relay.on_stop(stop(targets=None), OPERATOR, 9.0)]
+    assert [isinstance(one, Ack) and one.is_moving for one in repeated] == [False]
 
 
 def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:

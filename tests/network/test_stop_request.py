@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.messages import Code, Presence
+from swarmd.core.messages import Code, Presence, Refusal
 from swarmd.network.datagram import Ack, Flag, Stop, pack, tag_of
 from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 from swarmd.network.stops.stop_request import STOP_CAP, STOP_WAIT, PendingStop
@@ -16,11 +16,9 @@ from tests.network.discovery_rig import Rig, heard, life
 REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")
 
 
-def ack(pending: PendingStop, robot: str, *, instance: int = 1, via: str = "") -> None:
-    code = Code.APPLIED
-    pending.on_ack(
-        Ack(id="q", robot=robot, instance=life(instance), revision=0, code=code, via=via), 0.0
-    )
+def ack(pending: PendingStop, robot: str, *, instance: int = 1, **fields: Any) -> None:
+    fields = {"code": Code.APPLIED, **fields}
+    pending.on_ack(Ack(id="q", robot=robot, instance=life(instance), revision=0, **fields), 0.0)
 
 
 def make(rig: Rig, **options: Any) -> PendingStop:
@@ -53,6 +51,32 @@ def test_it_is_done_when_all_have_acked(rig: Rig) -> None:
     assert pending.is_done(0.02)
     outcome = pending.outcome(0.02)
     assert (outcome.exit_code, outcome.reached) == (0, 2)
+
+
+def test_a_robot_that_does_not_rest_yet_is_waited_for_and_never_counts(rig: Rig) -> None:
+    pending = make(rig)
+    ack(pending, "a")
+    ack(pending, "b", is_moving=True)
+    assert (pending.lacking(0.02), pending.is_done(0.02)) == (("b",), False)
+    ((_, addresses),) = pending.datagrams(0.1)  # the stop is repeated to it
+    assert len(addresses) == 1
+    outcome = pending.outcome(0.1)
+    assert (outcome.applied, outcome.failed, outcome.missing) == (("a",), ("b",), ())
+    assert outcome.replies["b"].refusal is Refusal.NOT_STOPPED
+    assert outcome.exit_code == PARTIAL
+    ack(pending, "b", via="a")  # also if only another robot hears it by then
+    ack(pending, "b", via="a", is_moving=True)  # an older ack, handed on late
+    assert pending.is_done(0.5)
+    assert pending.outcome(0.5).exit_code == 0
+
+
+def test_a_robot_that_says_that_it_has_not_stopped_is_not_waited_for(rig: Rig) -> None:
+    pending = make(rig)
+    ack(pending, "a")
+    ack(pending, "b", is_moving=True)
+    ack(pending, "b", code=Code.FAILED, refusal=Refusal.NOT_STOPPED)
+    assert pending.is_done(2.5)
+    assert pending.outcome(2.5).failed == ("b",)
 
 
 def test_acks_do_not_suffice_before_robots_have_told_whom_they_know() -> None:

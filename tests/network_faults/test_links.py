@@ -36,6 +36,21 @@ def test_one_robot_is_cut_off_in_one_direction(swarm: FieldSwarm, is_mute: bool)
     check_all_alive(swarm)
 
 
+def test_an_operator_on_the_computer_of_a_robot_stops_that_robot_too(swarm: FieldSwarm) -> None:
+    """Also alone in its radio; a second emergency stop is no replay, and one reset ends both."""
+    prepare(swarm, "running")
+    swarm.field.set_between(ROBOTS[:1], (*ROBOTS[1:], FAR), is_cut=True)
+    for _ in range(2):
+        answer = swarm.ctl("r01", "estop", "--timeout", "2s", "-o", "json")
+        assert answer.json["replies"]["r01"]["code"] == "applied", answer
+        assert not {*answer.json["replies"]} & {*ROBOTS[1:]}
+    swarm.field.heal()
+    swarm.await_states(NEAR, "estopped")
+    assert [len(one["status"]["latches"]) for one in swarm.members(NEAR).values()] == [2] * 4
+    assert swarm.ctl("r01", "reset", "--all", "--yes").code == 0
+    swarm.await_states(NEAR, "idle")
+
+
 def line(swarm: FieldSwarm, *hops: Iterable[str]) -> None:
     """Each group hears itself and the groups beside it."""
     for number, some in enumerate(hops):

@@ -15,6 +15,7 @@ from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, Sta
 from swarmd.core.verbs import StopRequest
 from swarmd.patterns.drive.pattern import Drive
 from swarmd.robot.latches import MAX_HELD
+from swarmd.robot.requests import STOP_TIME
 from tests.support.kernel_forms import interpreted
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, idle, standing_state, started
@@ -289,7 +290,8 @@ def test_answer_to_a_stop_has_the_speed_to_the_left_of_a_base_that_moves_sideway
     harness = RobotHarness("rosbot_xl", patterns=PATTERNS)
     harness.odometry = Twist(0.0, 0.0, -0.3)
     harness.advance(0.2)
-    assert "measured 0.00 m/s, 0.00 rad/s, -0.30 m/s to the left" in harness.applied("stop").text
+    reply = harness.answer(harness.request("stop"))
+    assert "measured 0.00 m/s, 0.00 rad/s, -0.30 m/s to the left" in reply.text
 
 
 def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
@@ -297,10 +299,22 @@ def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
     harness.step(DriverInput(False, "no bridge at 7447"))
     harness.odometry = None
     harness.advance(1.0)
-    text = harness.applied("estop").text
-    assert text.startswith("nothing was sent: driver lost: no bridge at 7447; measured ")
-    assert text.endswith(" 1.0 s ago")
-    assert "commanded" not in text
+    request = harness.request("estop")
+    reply = harness.answer(request)
+    assert reply.is_moving  # the driver may come back
+    assert reply.text.startswith("nothing was sent: driver lost: no bridge at 7447; measured ")
+    assert reply.text.endswith(" 1.0 s ago")
+    assert "commanded" not in reply.text
+    harness.advance(STOP_TIME)
+    reply = harness.answer(request)
+    assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.NOT_STOPPED)
+    assert "commanded" not in reply.text
+
+
+def test_a_robot_that_never_had_a_base_has_no_motion_to_end() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.step(DriverInput(False, "no bridge at 7447"))
+    assert harness.applied("estop").text.startswith("nothing was sent: driver lost: ")
 
 
 def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
@@ -316,6 +330,44 @@ def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
 def test_answer_to_a_stop_without_odometry() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     assert harness.applied("stop").text == "commanded zero; no odometry"
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+@pytest.mark.parametrize(
+    ("measured", "final"),
+    [
+        (Twist(), Code.APPLIED),
+        (Twist(0.01, 0.03), Code.APPLIED),  # noise
+        (Twist(0.2), Code.FAILED),
+        (Twist(0.0, -0.4), Code.FAILED),
+        (None, Code.FAILED),  # odometry has ended: it may move
+    ],
+)
+def test_a_robot_has_stopped_once_odometry_shows_that_its_base_rests(
+    verb: str, measured: Twist | None, final: Code
+) -> None:
+    """It says at once that zero was commanded, and after two seconds that the base moves on."""
+    harness = started()
+    harness.odometry = Twist(0.2)
+    harness.advance(0.1)
+    request = harness.request(verb)
+    first = harness.answer(request)
+    assert (first.code, first.is_moving) == (Code.APPLIED, True)
+    harness.odometry = measured
+    harness.advance(0.1)
+    assert harness.answer(request).is_moving  # a base that has yet to respond may seem to rest
+    harness.advance(STOP_TIME)
+    reply = harness.answer(request)
+    assert (reply.code, reply.is_moving) == (final, False)
+    assert reply.refusal is (None if final is Code.APPLIED else Refusal.NOT_STOPPED)
+    assert harness.twist.is_zero
+
+
+def test_a_robot_that_stands_says_at_once_that_it_has_stopped() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(0.2)
+    reply = harness.applied("estop")
+    assert not reply.is_moving
 
 
 def test_latch_on_disk_holds_the_next_instance() -> None:

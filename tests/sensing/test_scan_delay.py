@@ -38,6 +38,7 @@ class Rig:
     """A robot on one spot of a room: odometry at 20 Hz, scans at 5 Hz that arrive `delay` s late.
 
     `delay` gives the mean age of the rays of each scan on arrival; scans are of one instant.
+    `lost`: the share of the rays within 30 degrees of ahead that return nothing.
     """
 
     def __init__(
@@ -51,7 +52,9 @@ class Rig:
         yaw_scale: float = 1.0,
         odometry_lag: Callable[[float], float] = lambda time: 0.0,
         platform: Platform = BURGER,
+        lost: float = 0.0,
     ) -> None:
+        self.lost = lost
         self.delays, self.time = ScanDelay(platform.scan), 0.0
         self.history = OdometryHistory(self.delays)
         self.delay, self.heading, self.discs, self.room = delay, heading, discs, room
@@ -92,8 +95,11 @@ class Rig:
         cos, sin = math.cos(yaw), math.sin(yaw)
         ox, oy = spec.offset
         at = Pose(cos * ox - sin * oy - ox, sin * ox + cos * oy - oy, yaw)
-        return scan_of(self.platform, self.discs, room=self.room, pose=Pose(0, 0, at.yaw),
+        scan = scan_of(self.platform, self.discs, room=self.room, pose=Pose(0, 0, at.yaw),
                        seq=self.seq, noise=0.01, rng=self.rng)  # fmt: skip
+        is_ahead = np.cos(scan.bearings) > math.cos(math.radians(30.0))
+        scan.ranges[is_ahead & (self.rng.random(len(is_ahead)) < self.lost)] = 0.0
+        return scan
 
     def figure(self, method: str) -> tuple[float | None, str]:
         figures = {one.method: one for one in self.delays.summary(self.time).figures}
@@ -274,6 +280,19 @@ def test_turns_tell_the_delay_where_clocks_differ(late: float, scale: float) -> 
     assert delay == pytest.approx(SPEC.latency + late, abs=TURN_ERROR)
     assert delays.added == (0.0 if late == 0.0 else pytest.approx(late, abs=2 * TURN_ERROR))
     assert delays.added >= 0.9 * late
+
+
+@pytest.mark.parametrize("lost", [0.3, 1.0])
+@pytest.mark.parametrize("late", [0.0, 0.25])
+def test_lost_rays_and_a_blind_sector_do_not_change_the_delay_by_turns(
+    lost: float, late: float
+) -> None:
+    """They stay with the sensor while the room turns."""
+    swing = lambda time: 0.3 * (math.sin(2.0 * time) + 0.5 * math.sin(3.4 * time))  # noqa: E731
+    rig = Rig(lambda seq: SPEC.latency + late, heading=swing, scan_clock=77.0, lost=lost)
+    delays = rig.run(20.0)
+    assert rig.figure("turns")[0] == pytest.approx(SPEC.latency + late, abs=TURN_ERROR)
+    assert delays.added == (0.0 if late == 0.0 else pytest.approx(late, abs=2 * TURN_ERROR))
 
 
 def test_a_quarter_of_the_scans_measures_turns_once_enough_are_known() -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Presence, Reason, Refusal, State
-from swarmd.core.verbs import ResetRequest
+from swarmd.core.values import Twist
+from swarmd.core.verbs import ResetRequest, StopRequest
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
@@ -146,6 +147,30 @@ def test_a_frozen_daemon_is_named_and_estopped_after_the_thaw(trio: Trio) -> Non
     status = swarm.await_state("r3", State.ESTOPPED)
     assert [latch.reason for latch in status.latches.values()] == ["smoke"]
     assert trio.bodies["r3"].moved_anew(thawed) == []
+
+
+def test_a_robot_whose_base_moves_on_is_never_counted_as_stopped(trio: Trio) -> None:
+    swarm, bodies = trio.swarm, trio.bodies
+    began = boottime()
+    swarm.run_drive("--all")
+    for body in bodies.values():
+        body.wait_moving(began)
+    bodies["r2"].odometry = Twist(0.2)
+    try:
+        for verb in ("stop", "estop"):
+            done = swarm.ctl(verb, "-o", "json")
+            replies = done.json["replies"]
+            codes = {robot: reply["code"] for robot, reply in replies.items()}
+            assert (done.code, codes) == (3, {"r1": "applied", "r2": "failed", "r3": "applied"})
+            assert replies["r2"]["refusal"] == Refusal.NOT_STOPPED
+            assert "0.20 m/s" in replies["r2"]["text"]
+        # As a program on Zenoh asks, too.
+        epochs = swarm.operator.members().epochs(ROBOTS)
+        asked = swarm.operator.request(StopRequest, epochs)
+        assert (asked.failed, asked.applied) == (("r2",), ("r1", "r3"))
+    finally:
+        bodies["r2"].odometry = Twist()
+    wait_until(lambda: swarm.ctl("stop").code == 0, "r2 rests")
 
 
 def test_a_daemon_that_thaws_hands_no_earlier_stop_on_to_a_later_run(trio: Trio) -> None:

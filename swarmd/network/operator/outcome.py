@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
@@ -129,7 +130,8 @@ class Acks:
     """Collects the replies to one request.
 
     Two replies of one robot come from two daemons that hold one id. The worse one counts, and the
-    name is among the outcome's `duplicates`.
+    name is among the outcome's `duplicates`. A robot that was stopped and is not known to rest has
+    failed: its ack counts once a later one says that it does.
     """
 
     def __init__(self, request_id: str) -> None:
@@ -155,6 +157,9 @@ class Acks:
         instance = ack.instance.hex()
         if ack.id != self._request_id or (ack.via and (ack.robot, instance) in self._direct):
             return False
+        earlier = self._replies.get(ack.robot, {}).get(instance)
+        if ack.is_moving and earlier is not None and not earlier.is_moving:
+            return False  # an older one, handed on
         text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
@@ -168,9 +173,10 @@ class Acks:
             refusal=refusal,
             text=text[:1000],
             epoch=Epoch(instance, ack.revision),
+            is_moving=ack.is_moving,
         )
         is_taken = self.on_reply(ack.robot, reply)
-        if is_taken and not ack.via:
+        if is_taken and not (ack.via or ack.is_moving):
             self._direct.add((ack.robot, instance))
         return is_taken
 
@@ -178,6 +184,10 @@ class Acks:
         """True unless the robot answered; if it has several instances, unless each did."""
         answered = self._replies.get(robot, {}).keys()
         return not answered or (len(instances) > 1 and not set(instances) <= answered)
+
+    def is_moving(self, robot: str) -> bool:
+        """True if the robot was stopped and is not known to rest."""
+        return any(reply.is_moving for reply in self._replies.get(robot, {}).values())
 
     def missing(self, expected: Iterable[str]) -> tuple[str, ...]:
         """The names in `expected` without a reply, sorted."""
@@ -198,7 +208,7 @@ class Acks:
         """
         answered = sorted(self._replies.keys() - set(silent))
         worst = {
-            name: max(self._replies[name].values(), key=lambda reply: _SEVERITY[reply.code])
+            name: max(map(_settled, self._replies[name].values()), key=lambda r: _SEVERITY[r.code])
             for name in answered
         }
         return Outcome(
@@ -209,3 +219,10 @@ class Acks:
             unlisted=unlisted,
             duplicates=tuple(sorted(name for name, all_ in self._replies.items() if len(all_) > 1)),
         )
+
+
+def _settled(reply: Reply) -> Reply:
+    """The reply as it counts when no later one is waited for."""
+    if not reply.is_moving:
+        return reply
+    return replace(reply, code=Code.FAILED, refusal=Refusal.NOT_STOPPED, is_moving=False)

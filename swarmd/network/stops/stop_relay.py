@@ -64,7 +64,7 @@ class _Relayed:
     heard_directly: float = -1e9
     acks: dict[str, Ack] = field(default_factory=dict)
     acks_sent: float = -1e9
-    handed_on: set[tuple[str, Address, bytes | None]] = field(default_factory=set)
+    handed_on: set[tuple[str, Address, bytes | None, str, bool]] = field(default_factory=set)
 
 
 class StopRelay:
@@ -157,10 +157,10 @@ class StopRelay:
                 if not ack.via:
                     sends += [(handed, address) for address in others]
                     continue
-            else:
+            elif not ack.is_moving or ack.robot not in relayed.acks:
                 relayed.acks[ack.robot] = ack
             for address in others:
-                key = ack.robot, address, origin
+                key = ack.robot, address, origin, ack.code, ack.is_moving
                 if key not in relayed.handed_on and len(relayed.handed_on) < MAX_HANDED_ON:
                     relayed.handed_on.add(key)
                     sends.append((handed, address))

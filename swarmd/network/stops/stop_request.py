@@ -1,4 +1,8 @@
-"""The state of a stop or estop on its way: which robots lack an ack, and when it is done. Pure."""
+"""The state of a stop or estop on its way: which robots lack an ack, and when it is done. Pure.
+
+A robot acks at once, and says so while its base is not known to rest: the stop is repeated to it
+until it rests, or says that it has not stopped.
+"""
 
 from __future__ import annotations
 
@@ -98,6 +102,15 @@ class PendingStop:
         return known if self._select is None else self._names | frozenset(self._select(known))
 
     def lacking(self, now: float) -> tuple[str, ...]:
+        """The expected robots without an ack, and those that have acked and do not rest yet."""
+        silent = set(self.silent(now))
+        return tuple(
+            name
+            for name in sorted(self._expected(now))
+            if name in silent or self.acks.is_moving(name)
+        )
+
+    def silent(self, now: float) -> tuple[str, ...]:
         """The expected robots without an ack; of an id that two daemons hold, both must ack."""
         return tuple(
             name
@@ -106,7 +119,7 @@ class PendingStop:
         )
 
     def is_done(self, now: float) -> bool:
-        """True once the membership is known and every expected robot has acked."""
+        """True once the membership is known and every expected robot has acked and rests."""
         is_known = self._discovery.has_all_lists(now) and bool(self._expected(now))
         return is_known and not self.lacking(now)
 
@@ -126,7 +139,7 @@ class PendingStop:
         is_open = self._select is None or not self.selected() <= self._names
         return self.acks.outcome(
             self._expected(now),
-            silent=self.lacking(now),
+            silent=self.silent(now),
             seconds=now - self._started,
             reached=len(self._discovery.heard),
             unlisted=self._discovery.unlisted if is_open else (),

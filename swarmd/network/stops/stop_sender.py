@@ -61,7 +61,7 @@ class StopSender:
                     if is_over or is_ended() or pending.is_done(now):
                         break
                     before, selected = selected, pending.selected()
-                    lacking = pending.lacking(now)
+                    silent, lacking = pending.silent(now), pending.lacking(now)
                     is_due, new = repeat.is_due(now), selected - before
                     # Robots that were just found get a copy of their own before the next repeat.
                     stops = tuple(pending.datagrams(now, None if is_due else new))
@@ -70,9 +70,10 @@ class StopSender:
                 self._rosters.begin()
                 if solicit.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                if until_all and lacking != shown and progress.is_due(now):
-                    shown = lacking
-                    on_progress(lacking)
+                is_new = silent != shown and bool(silent or not lacking)
+                if until_all and is_new and progress.is_due(now):
+                    shown = silent
+                    on_progress(silent)
                 pause = min(solicit.pause(now), repeat.pause(now))
                 self._arrivals.wait(count, min(pause, 0.05 if until is None else until - now))
         except KeyboardInterrupt:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
 
+from studies.safety.scenes import Scene, scenario
 from swarmd.core.messages import DelayFigure, ScanDelaySummary
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from tests.support.broken_assumptions import lose_rays
+from tests.support.examples import part
 
 STEP = 0.01  # s of the world, to which arrivals are rounded
 
@@ -52,3 +56,14 @@ def test_turns_tell_an_undeclared_delay_within_a_tenth_of_a_second() -> None:
 def test_jitter_counts_as_delay() -> None:
     for summary in measured(10.0, delay=0.05, jitter=0.1):
         assert 0.1 <= summary.added <= 0.15 + 1.5 * STEP
+
+
+@pytest.mark.parametrize(("seed", "seconds"), part([(7210, 12.0)], [(7233, 12.0), (7001, 60.0)]))
+def test_rays_lost_among_moving_robots_do_not_make_scans_late(seed: int, seconds: float) -> None:
+    """A third of the rays within 30 degrees of ahead; others move by themselves, for seconds."""
+    lab = Lockstep(scenario(Scene("lead", "burger", duration=seconds)), seed)
+    lose_rays(lab, share=0.3, half=math.radians(30.0), seed=seed)
+    robots = [shell.robot for shell in lab.shells if shell is not None]
+    added = set[float]()
+    lab.advance(seconds, lambda now: added.update(one._sensors.scan_delay.added for one in robots))
+    assert added == {0.0}
