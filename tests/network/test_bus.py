@@ -149,8 +149,8 @@ async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(
         handled.append(query.payload)
         query.drop()
 
-    await rig.serve(echo)
     rig.bus.serve("control", "param", on_query)
+    await rig.serve(echo)  # declared later: once it answers, the other session knows both
     total = 4 * CAPACITY
 
     def flood() -> None:
