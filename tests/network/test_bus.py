@@ -214,6 +214,7 @@ async def test_an_answer_is_in_json_where_the_selector_asks_for_it(
     assert reply.ok is not None
     payload = reply.ok.payload.to_bytes()
     assert reply.ok.encoding == encoding
+    assert reply.ok.timestamp is not None  # else a storage's old answer would replace it
     is_json = encoding == zenoh.Encoding.APPLICATION_JSON
     read = msgspec.json.decode(payload) if is_json else msgspec.msgpack.decode(payload[1:])
     answer = status if rest.endswith("status") else PeerView(robot="me", status=status, members=())

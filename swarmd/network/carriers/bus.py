@@ -93,7 +93,9 @@ class ZenohQuery:
         if query.parameters.get("_format") == "json":
             payload, encoding = as_json(payload), zenoh.Encoding.APPLICATION_JSON
         try:
-            query.reply(self._key, payload, encoding=encoding)
+            # Without it an asker gets a stored status, which has one, in place of this answer.
+            now = self._session.new_timestamp()
+            query.reply(self._key, payload, encoding=encoding, timestamp=now)
             query.drop()
         except zenoh.ZError:  # the asker or the session is gone
             return
