@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,11 +28,14 @@ def why_no_zenohd() -> str:
 
 
 class Zenohd:
-    """A router that finds robots by scouting, and stores the statuses of one swarm in memory."""
+    """A router that dials the robots of one swarm, and stores their statuses in memory.
 
-    def __init__(self, folder: Path, swarm: str) -> None:
+    Without scouting, by which it would join the swarms of other tests on loopback.
+    """
+
+    def __init__(self, folder: Path, swarm: str, robots: Sequence[str]) -> None:
         config, self.log = folder / "zenohd.json5", folder / "zenohd.log"
-        config.write_text(json.dumps(_config(swarm)))
+        config.write_text(json.dumps(_config(swarm, robots)))
         command = ["setpriv", "--pdeathsig", "KILL", str(ZENOHD), "-c", str(config)]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -70,16 +74,13 @@ class Zenohd:
         return self._ports.keys() == {_ZENOH, _REST}
 
 
-def _config(swarm: str) -> dict[str, Any]:
-    """The configuration of docs/zenoh.md, on loopback, for one swarm."""
+def _config(swarm: str, robots: Sequence[str]) -> dict[str, Any]:
     storage = {"key_expr": f"swarm/{swarm}/*/state/status", "volume": "memory"}
     return {
         "mode": "router",
         "listen": {"endpoints": [f"tcp/{_ZENOH}:0"]},
-        "scouting": {
-            "gossip": {"enabled": False},
-            "multicast": {"interface": "lo", "autoconnect": {"router": ["peer"]}},
-        },
+        "connect": {"endpoints": [*robots]},
+        "scouting": {"gossip": {"enabled": False}, "multicast": {"enabled": False}},
         "adminspace": {"enabled": True},
         "plugins_loading": {"enabled": True},
         "plugins": {

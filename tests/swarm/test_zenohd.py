@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgpack
 import pytest
@@ -36,19 +37,27 @@ def voting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Swarm]:
         yield swarm
 
 
-@pytest.fixture(scope="module")
-def zenohd(voting: Swarm) -> Iterator[Zenohd]:
-    """A router that has found both robots."""
-    with contextlib.closing(Zenohd(voting.folder, voting.name)) as router:
-        statuses = build(voting.name, ANY, STATE, "status")
-        keys = {build(voting.name, robot, STATE, "status") for robot in ROBOTS}
-        wait_until(lambda: router.values(statuses).keys() >= keys, "zenohd finds the robots")
-        yield router
+@contextlib.contextmanager
+def router(swarm: Swarm, folder: Path, *robots: str) -> Iterator[Zenohd]:
+    """A router that is linked to these robots."""
+    found: dict[str, str] = {}
+
+    def are_found() -> bool:
+        found.update((swarm.ctl("zenoh", "--dial", "-o", "json").json or {}).get("robots", {}))
+        return found.keys() >= {*robots}
+
+    wait_until(are_found, f"endpoints of {robots}")
+    endpoints = [found[robot] for robot in robots]
+    with contextlib.closing(Zenohd(folder, swarm.name, endpoints)) as made:
+        statuses = build(swarm.name, ANY, STATE, "status")
+        keys = {build(swarm.name, robot, STATE, "status") for robot in robots}
+        wait_until(lambda: made.values(statuses).keys() >= keys, f"REST reads {robots}")
+        yield made
 
 
-@pytest.fixture
-def client(zenohd: Zenohd) -> Iterator[zenoh.Session]:
-    """A client of the router alone."""
+@contextlib.contextmanager
+def client_of(zenohd: Zenohd) -> Iterator[zenoh.Session]:
+    """A client of that router alone."""
     options = {
         "mode": "client",
         "scouting/multicast/enabled": False,
@@ -58,8 +67,21 @@ def client(zenohd: Zenohd) -> Iterator[zenoh.Session]:
         yield session
 
 
+@pytest.fixture(scope="module")
+def zenohd(voting: Swarm) -> Iterator[Zenohd]:
+    with router(voting, voting.folder, *ROBOTS) as made:
+        yield made
+
+
+@pytest.fixture
+def client(zenohd: Zenohd) -> Iterator[zenoh.Session]:
+    with client_of(zenohd) as session:
+        yield session
+
+
 def run(swarm: Swarm) -> None:
     """Let all robots vote on what they hear."""
+    swarm.ctl("reset", "--all", "--yes")
     done = swarm.ctl("run", "voter_model", "--all", "-p", "share_period=0.2")
     assert done.code == 0, done
 
@@ -131,24 +153,6 @@ def test_rest_reads_robots_in_json(voting: Swarm, zenohd: Zenohd, client: zenoh.
     )
 
 
-def test_a_storage_keeps_the_last_status_of_a_robot_that_ended(
-    voting: Swarm, zenohd: Zenohd, client: zenoh.Session
-) -> None:
-    late = voting.start("late", voting.body("late"))
-    key = build(voting.name, "late", STATE, "status")
-    await_stored(client, key)
-    late.terminate()
-    payload = bytearray()
-
-    def is_stored() -> bool:
-        payload[:] = zenohd.get(f"{key}?_raw=true")
-        return bool(payload)
-
-    wait_until(is_stored, "the storage has a status")
-    assert msgpack.unpackb(payload[1:])["robot"] == "late"
-    voting.ctl("members", "forget", "late")
-
-
 def test_a_program_in_rust_lists_votes_and_stops(voting: Swarm) -> None:
     def example(*words: str) -> list[str]:
         command = [str(RUST_EXAMPLE), voting.name, *words]
@@ -167,3 +171,23 @@ def test_a_program_in_rust_lists_votes_and_stops(voting: Swarm) -> None:
     wait_until(lambda: {*example("stop")} >= applied, "both robots answer one stop")
     for robot in ROBOTS:
         voting.await_state(robot, State.STOPPED)
+
+
+def test_a_storage_keeps_the_last_status_of_a_robot_that_ended(
+    voting: Swarm, tmp_path: Path
+) -> None:
+    late = voting.start("late", voting.body("late"))
+    key = build(voting.name, "late", STATE, "status")
+    with router(voting, tmp_path, "late") as zenohd:
+        with client_of(zenohd) as client:
+            await_stored(client, key)
+        late.terminate()
+        payload = bytearray()
+
+        def is_stored() -> bool:
+            payload[:] = zenohd.get(f"{key}?_raw=true")
+            return bool(payload)
+
+        wait_until(is_stored, "the storage has a status")
+    assert msgpack.unpackb(payload[1:])["robot"] == "late"
+    voting.ctl("members", "forget", "late")
