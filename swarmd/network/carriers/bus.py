@@ -93,7 +93,7 @@ class ZenohQuery:
         if query.parameters.get("_format") == "json":
             payload, encoding = as_json(payload), zenoh.Encoding.APPLICATION_JSON
         try:
-            # Without it an asker gets a stored status, which has one, in place of this answer.
+            # Without a timestamp the asker gets the status of a storage in place of this answer.
             now = self._session.new_timestamp()
             query.reply(self._key, payload, encoding=encoding, timestamp=now)
             query.drop()
