@@ -29,7 +29,7 @@ JOBS ?= 5
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
@@ -61,6 +61,7 @@ help:
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
 	@echo "make kernel-mutants  the same for the kernels; ARGS=40 draws so many; 2 min each if no test notices"
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
+	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
 	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros.md; six minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
@@ -260,17 +261,31 @@ $(VENV)/complete: $(VENV)/interpreted
 	@$(COMPILE)
 	@touch $@
 
-# Built in the cache, so that Cargo.lock and what is compiled serve every checkout. Its last step puts
-# the whole program in place, since tests may be using the one before.
+# Built in the cache, so that Cargo.lock and what is compiled serve every checkout.
+# $(call build_router,TOOLS,PACKAGES,OPTIONS)
+define build_router
+	@for tool in $(1); do command -v $$tool >/dev/null || { echo \
+	  "no $$tool here; $@ needs cargo, as rustup installs it, and on Debian: apt install $(2)" >&2; exit 1; }; done
+	@mkdir -p $(ROUTER)/src $(ROUTER)/example/src
+	@for file in Cargo.toml src/main.rs; do \
+	  cmp -s tests/support/zenoh_router/$$file $(ROUTER)/$$file || cp tests/support/zenoh_router/$$file $(ROUTER)/$$file; \
+	  cmp -s examples/zenoh/rust/$$file $(ROUTER)/example/$$file || cp examples/zenoh/rust/$$file $(ROUTER)/example/$$file; done
+	@cargo build --quiet --manifest-path $(ROUTER)/Cargo.toml --target-dir $(ROUTER)/target $(3)
+endef
+# The whole program is put in place at once, since tests may be using the one before.
+# $(call put_program,BUILT,NAME)
+put_program = @cmp -s $(ROUTER)/target/$(1) $(ROUTER)/$(2) || \
+	  { cp $(ROUTER)/target/$(1) $(ROUTER)/new && mv $(ROUTER)/new $(ROUTER)/$(2); }
+
 ros2-router:
-	@for tool in cargo cmake c++; do command -v $$tool >/dev/null || { echo \
-	  "no $$tool here; ros2-router needs cargo, as rustup installs it, and on Debian: apt install cmake g++ libclang-dev" >&2; exit 1; }; done
-	@mkdir -p $(ROUTER)/src
-	@for file in Cargo.toml src/main.rs; do cmp -s tests/support/ros2_router/$$file $(ROUTER)/$$file || \
-	  cp tests/support/ros2_router/$$file $(ROUTER)/$$file; done
-	@cargo build --quiet --release --manifest-path $(ROUTER)/Cargo.toml --target-dir $(ROUTER)/target
-	@cmp -s $(ROUTER)/target/release/ros2-router $(ROUTER)/ros2-router || \
-	  { cp $(ROUTER)/target/release/ros2-router $(ROUTER)/new && mv $(ROUTER)/new $(ROUTER)/ros2-router; }
+	$(call build_router,cargo cmake c++,cmake g++ libclang-dev,--release --features ros2dds)
+	$(call put_program,release/zenoh-router,ros2-router)
+
+# Not optimized, and without TLS: five minutes of processor time at first, on a busy machine.
+zenohd:
+	$(call build_router,cargo cc,gcc,--workspace --features zenohd)
+	$(call put_program,debug/zenoh-swarm,zenoh-swarm)
+	$(call put_program,debug/zenoh-router,zenohd)
 
 $(VENV)/tools: $(VENV)/installed
 	@echo "Installing the tools for tests and checks."

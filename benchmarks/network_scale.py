@@ -1,8 +1,10 @@
 """The network of N robots: packets, bytes, CPU and memory, idle, voting at 2 Hz, chatting at 10 Hz.
 
 Each robot is a daemon with a fake body in a network namespace of its own, on a bridge of the
-kernel; its interface counts what it sends. Needs root. Group packets are multicast and broadcast,
-IPv4 only; the rest is unicast. Bytes are those of Ethernet frames without preamble and checksum.
+kernel; its interface counts what it sends. Zenoh programs (`--programs 0 1 4`) are together on one
+more: each is linked to all robots, and sends on the channel of the load twice a second. Needs root.
+Group packets are multicast and broadcast, IPv4 only; the rest is unicast. Bytes are those of
+Ethernet frames without preamble and checksum.
 
 Air time is that of one channel with one access point, which every frame passes twice: a frame to
 or from a station takes `SMALL_FRAME` (`AGGREGATED_FRAME` where frames are aggregated), and what the
@@ -13,6 +15,7 @@ quantity by a constant and a term a peer, and extrapolates.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import statistics
@@ -29,7 +32,7 @@ from benchmarks.resources import cpu_seconds, memory
 from benchmarks.swarm import PLUGINS
 from benchmarks.table import markdown
 from tests.support.field import Field, lacks
-from tests.support.field_swarm import FieldSwarm
+from tests.support.field_swarm import FieldSwarm, Lines
 from tests.support.processes import children, wait_until
 
 LOADS: dict[str, tuple[str, ...]] = {
@@ -37,10 +40,13 @@ LOADS: dict[str, tuple[str, ...]] = {
     "voting": ("majority_rule", "-p", "share_period=0.5"),
     "chat": ("chat",),
 }
+CHANNELS = {"idle": (), "voting": ("majority_rule/opinion", "1"), "chat": ("chat/text", '"x"')}
+"""Where programs send under a load, and what, in JSON."""
 ETHERNET = 14  # bytes of a frame's header
 READY_TIMEOUT = 180.0
 SMALL_FRAME, AGGREGATED_FRAME, GROUP_OVERHEAD = 200e-6, 60e-6, 100e-6  # s of air time
 GROUP_RATE = 6e6  # bit/s
+PROGRAM = "benchmarks.zenoh_program"
 LARGE = (100, 300)  # robots
 
 
@@ -58,10 +64,16 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Means over the robots: packets and bytes a second that a robot sends, % of a core, MB."""
+    """Means over the robots: packets and bytes a second that a robot sends, % of a core, MB.
+
+    `program_packets` and `program_size` are those of all programs together.
+    """
 
     robots: int
     load: str
+    programs: int
+    program_packets: float
+    program_size: float
     packets: float
     size: float
     group_packets: float
@@ -77,12 +89,15 @@ class Measured:
         """The texts of the columns of `HEAD`."""
         pairs = max(1, self.robots - 1)
         unicast = self.packets - self.group_packets
+        packets = self.robots * self.packets + self.program_packets
+        size = self.robots * self.size + self.program_size
         return (
-            *(str(self.robots), self.load, f"{self.packets:.1f}", f"{self.size:.0f}"),
+            *(str(self.robots), self.load, str(self.programs)),
+            *(f"{self.packets:.1f}", f"{self.size:.0f}"),
             *(f"{self.group_packets:.2f}", f"{self.group_size:.0f}", f"{unicast:.1f}"),
             *(f"{self.packets / pairs:.2f}", f"{self.size / pairs:.0f}"),
-            f"{self.robots * self.packets:.0f}",
-            f"{self.robots * self.size * 8e-6:.2f}",
+            f"{packets:.0f}",
+            f"{size * 8e-6:.3f}",
             *(f"{self.daemon_cpu:.2f}", f"{self.host_cpu:.2f}"),
             *(f"{self.daemon_rss:.0f}", f"{self.host_rss:.0f}", f"{self.machine_load:.0f}"),
         )
@@ -100,7 +115,7 @@ LAW_HEAD = ("load", "a robot", "alone", "a peer", *(f"at {robots} robots" for ro
 def laws(found: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
     """Rows of the second table: the law of each quantity, and the air time at `LARGE`."""
     for load in LOADS:
-        some = [one for one in found if one.load == load]
+        some = [one for one in found if one.load == load and not one.programs]
         if len({one.robots for one in some}) < 2:
             continue
 
@@ -132,36 +147,48 @@ def laws(found: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
 
 
 HEAD = (
-    *("robots", "load", "packets/s a robot", "bytes/s", "group packets/s", "group bytes/s"),
+    *("robots", "load", "programs", "packets/s a robot", "bytes/s"),
+    *("group packets/s", "group bytes/s"),
     *("unicast packets/s", "packets/s a pair", "bytes/s a pair", "packets/s in all"),
     *("Mbit/s in all", "CPU daemon %", "CPU host %", "RSS daemon MB", "RSS host MB"),
     "load average",
 )
 
 
+def sent(pid: int) -> tuple[int, int]:
+    """The packets and bytes that the host of a process has sent."""
+    lines = Path(f"/proc/{pid}/net/dev").read_text().splitlines()
+    [line] = [one for one in lines if "eth0:" in one]
+    words = [int(word) for word in line.partition(":")[2].split()]
+    return words[9], words[8]
+
+
 def counters(pid: int) -> Counters:
     """The counters of the namespace and the processes of the daemon `pid`."""
-    net = Path(f"/proc/{pid}/net")
-    [line] = [one for one in (net / "dev").read_text().splitlines() if "eth0:" in one]
-    sent = [int(word) for word in line.partition(":")[2].split()]
     names, values = (
         one.split()
-        for one in (net / "netstat").read_text().splitlines()
+        for one in Path(f"/proc/{pid}/net/netstat").read_text().splitlines()
         if one.startswith("IpExt:")
     )
     extra = {name: int(value) for name, value in zip(names[1:], values[1:], strict=True)}
     group = extra["OutMcastPkts"] + extra["OutBcastPkts"]
     group_size = extra["OutMcastOctets"] + extra["OutBcastOctets"] + ETHERNET * group
     host = sum(cpu_seconds(child) for child in children(pid))
-    return Counters(sent[9], sent[8], group, group_size, cpu_seconds(pid), host)
+    return Counters(*sent(pid), group, group_size, cpu_seconds(pid), host)
 
 
-def measure(swarm: FieldSwarm, load: str, seconds: float) -> Measured:
-    """Means over `seconds` of what each robot sends and uses."""
+def measure(swarm: FieldSwarm, load: str, programs: Sequence[Lines], seconds: float) -> Measured:
+    """Means over `seconds` of what each robot sends and uses, and what the programs send."""
     pids = [daemon.process.pid for daemon in swarm.daemons.values()]
+
+    def sent_by_programs() -> tuple[int, int]:
+        return sent(programs[0].pid) if programs else (0, 0)
+
+    earlier = sent_by_programs()
     before, began = [counters(pid) for pid in pids], time.monotonic()
     time.sleep(seconds)
     after, passed = [counters(pid) for pid in pids], time.monotonic() - began
+    later = sent_by_programs()
 
     def rate(name: str) -> float:
         pairs = zip(before, after, strict=True)
@@ -171,6 +198,9 @@ def measure(swarm: FieldSwarm, load: str, seconds: float) -> Measured:
     return Measured(
         robots=len(pids),
         load=load,
+        programs=len(programs),
+        program_packets=(later[0] - earlier[0]) / passed,
+        program_size=(later[1] - earlier[1]) / passed,
         packets=rate("packets"),
         size=rate("size"),
         group_packets=rate("group_packets"),
@@ -200,8 +230,26 @@ def run(swarm: FieldSwarm, load: str) -> None:
         wait_until(try_it, f"{load} by all", READY_TIMEOUT)
 
 
-def measured(robots: int, loads: Sequence[str], seconds: float, settle: float) -> list[Measured]:
-    """A swarm of that many robots under each load."""
+@contextlib.contextmanager
+def programs_beside(
+    swarm: FieldSwarm, number: int, channel: Sequence[str]
+) -> Iterator[list[Lines]]:
+    """So many Zenoh programs on the laptop, each linked to all robots; prints their times."""
+    command = (*swarm.field.prefix("laptop"), sys.executable, "-m", PROGRAM, swarm.name)
+    with contextlib.ExitStack() as left:
+        found = []
+        for index in range(number):
+            words = (f"program{number}-{index}", str(len(swarm.robots)), *channel)
+            found.append(Lines([*command, *words]))
+            left.callback(found[-1].close)
+            print(f"program {index}, s after open: {found[-1].hear()}", file=sys.stderr)
+        yield found
+
+
+def measured(
+    robots: int, loads: Sequence[str], programs: Sequence[int], seconds: float, settle: float
+) -> list[Measured]:
+    """A swarm of that many robots under each load, beside each number of programs."""
     names = [f"r{number:02d}" for number in range(1, robots + 1)]
     field = Field([*names, "laptop"], is_switched=False, neighbours=True)
     found = []
@@ -219,9 +267,11 @@ def measured(robots: int, loads: Sequence[str], seconds: float, settle: float) -
                 print(f"{robots}: all met after {time.monotonic() - began:.0f} s", file=sys.stderr)
                 for load in loads:
                     run(swarm, load)
-                    time.sleep(settle)
-                    found.append(measure(swarm, load, seconds))
-                    print("; ".join(found[-1].cells), file=sys.stderr)
+                    for number in programs:
+                        with programs_beside(swarm, number, CHANNELS[load]) as beside:
+                            time.sleep(settle)
+                            found.append(measure(swarm, load, beside, seconds))
+                        print("; ".join(found[-1].cells), file=sys.stderr)
     finally:
         field.close()
     return found
@@ -231,6 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, nargs="+", default=[10, 20, 40])
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=list(LOADS))
+    parser.add_argument("--programs", type=int, nargs="+", default=[0], help="Zenoh programs")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--settle", type=float, default=15.0, help="s before each measurement")
     parser.add_argument("--json", type=Path, help="write a JSON line a row to this file")
@@ -240,7 +291,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = [
         one
         for robots in options.robots
-        for one in measured(robots, options.loads, options.seconds, options.settle)
+        for one in measured(
+            robots, options.loads, options.programs, options.seconds, options.settle
+        )
     ]
     print(markdown([HEAD, *(one.cells for one in found)]))
     if law := list(laws(found)):

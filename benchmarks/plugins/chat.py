@@ -14,7 +14,10 @@ class ChatParams(Params, frozen=True):
 
 
 class Chat(Pattern[ChatParams]):
-    """Says a text of 32 bytes every `PERIOD`; a scan between two steps adds none."""
+    """Says a text of 32 bytes every `PERIOD`; a scan between two steps adds none.
+
+    It reports how many robots and programs it has `heard`.
+    """
 
     params_type = ChatParams
     channels = {"text": str}  # noqa: RUF012
@@ -23,10 +26,13 @@ class Chat(Pattern[ChatParams]):
         """Nothing said yet."""
         super().__init__(params, context)
         self._due = -math.inf
+        self._senders: set[str] = set()
 
     def step(self, inputs: Inputs) -> Outputs:
         """A new text if one is due."""
+        self._senders.update(message.sender for message in inputs.messages)
+        report = {"heard": len(self._senders)}
         if inputs.now < self._due:
-            return Outputs()
+            return Outputs(report=report)
         self._due = max(self._due + PERIOD, inputs.now)
-        return Outputs(messages={"text": f"{inputs.now:032.9f}"})
+        return Outputs(messages={"text": f"{inputs.now:032.9f}"}, report=report)

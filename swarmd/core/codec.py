@@ -33,6 +33,11 @@ def encode(message: msgspec.Struct) -> bytes:
     return _prefix() + _encoder.encode(message)
 
 
+def as_json(payload: bytes) -> bytes:
+    """The bytes of an encoded struct as JSON, for programs without MessagePack; bytes in base64."""
+    return msgspec.json.encode(msgspec.msgpack.decode(payload[1:]))
+
+
 def version_of(payload: bytes) -> int | None:
     """The version byte of a payload; None if it is empty."""
     return payload[0] if payload else None

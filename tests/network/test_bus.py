@@ -6,6 +6,7 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Iterator
 
+import msgspec
 import pytest
 import zenoh
 
@@ -148,8 +149,8 @@ async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(
         handled.append(query.payload)
         query.drop()
 
-    await rig.serve(echo)
     rig.bus.serve("control", "param", on_query)
+    await rig.serve(echo)  # declared later: once it answers, the other session knows both
     total = 4 * CAPACITY
 
     def flood() -> None:
@@ -189,6 +190,35 @@ async def test_the_view_has_the_members_and_is_not_sent_twice_to_one_asker(rig: 
     assert await rig.get("me/control/members/eve", encode(MembersQuery(answered=("me",)))) == []
     assert await rig.get("me/control/members/eve", b"junk") == []
     assert rig.drops.counts() == {"control/members:malformed": 1}
+
+
+@pytest.mark.parametrize("rest", ["me/state/status", "*/control/members/eve"])
+@pytest.mark.parametrize(
+    ("selector", "encoding"),
+    [
+        ("?_format=json", zenoh.Encoding.APPLICATION_JSON),
+        ("?a=1;_format=json", zenoh.Encoding.APPLICATION_JSON),
+        ("?_format=xml", zenoh.Encoding.ZENOH_BYTES),
+        ("", zenoh.Encoding.ZENOH_BYTES),
+    ],
+)
+async def test_an_answer_is_in_json_where_the_selector_asks_for_it(
+    rig: BusRig, rest: str, selector: str, encoding: zenoh.Encoding
+) -> None:
+    status = light_status("me", "a")
+    rig.bus.serve_view(lambda: status, lambda: ())
+    while not await rig.get(rest):
+        continue
+    ask = rig.foreign.get
+    (reply,) = await asyncio.to_thread(lambda: list(ask(rig.key(rest + selector), timeout=5.0)))
+    assert reply.ok is not None
+    payload = reply.ok.payload.to_bytes()
+    assert reply.ok.encoding == encoding
+    assert reply.ok.timestamp is not None  # else a storage's old answer would replace it
+    is_json = encoding == zenoh.Encoding.APPLICATION_JSON
+    read = msgspec.json.decode(payload) if is_json else msgspec.msgpack.decode(payload[1:])
+    answer = status if rest.endswith("status") else PeerView(robot="me", status=status, members=())
+    assert read == msgspec.msgpack.decode(msgspec.msgpack.encode(answer))
 
 
 async def test_the_status_is_published_to_viewers_and_made_for_nobody_else(

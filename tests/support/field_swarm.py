@@ -28,6 +28,10 @@ class Lines:
         pipe = subprocess.PIPE
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT)
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def say(self, *words: str) -> None:
         assert self._process.stdin is not None
         self._process.stdin.write(" ".join(words) + "\n")

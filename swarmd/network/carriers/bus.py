@@ -23,7 +23,7 @@ from typing import Protocol
 import zenoh
 from zenoh.handlers import Callback
 
-from swarmd.core.codec import MAX_CONTROL, Decoder, encode
+from swarmd.core.codec import MAX_CONTROL, Decoder, as_json, encode
 from swarmd.core.key_table import PUBLISHED, is_queried
 from swarmd.core.keys import ANY, CONTROL, SHARED, STATE, Key, build, parse
 from swarmd.core.messages import Member, PeerView, Status
@@ -82,12 +82,20 @@ class ZenohQuery:
         return "an unknown address"
 
     def reply(self, payload: bytes) -> None:
-        """Answer; nothing happens for a plain put or after the first time."""
+        """Answer; nothing happens for a plain put or after the first time.
+
+        In JSON for a selector with `_format=json`, since `zenohd` serves MessagePack as base64.
+        """
         query, self._query = self._query, None
         if query is None:
             return
+        encoding = None
+        if query.parameters.get("_format") == "json":
+            payload, encoding = as_json(payload), zenoh.Encoding.APPLICATION_JSON
         try:
-            query.reply(self._key, payload)
+            # Without a timestamp the asker gets the status of a storage in place of this answer.
+            now = self._session.new_timestamp()
+            query.reply(self._key, payload, encoding=encoding, timestamp=now)
             query.drop()
         except zenoh.ZError:  # the asker or the session is gone
             return
