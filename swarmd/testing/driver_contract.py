@@ -452,15 +452,21 @@ class DriverContract:
     async def test_garbage_is_counted_and_survived(self, harness: DriverHarness) -> None:
         """No bytes from outside end a driver or hide what follows them."""
         rig, sink = _scripted(harness), harness.sink
-        await asyncio.sleep(SETTLE_TIME)
-        before = len(sink.scans), len(sink.odometries)
+
+        def received() -> tuple[int, int]:
+            return len(sink.scans), len(sink.odometries)
+
+        before = -1, -1
+        while before != received():  # what was published may still arrive
+            before = received()
+            await asyncio.sleep(SETTLE_TIME)
 
         def is_counted() -> bool:
             rig.publish_garbage()
             return len(sink.lost) >= _MIN_GARBAGE
 
         await harness.until(is_counted)
-        known = len(sink.scans), len(sink.odometries)
+        known = received()
         assert known == before, "garbage was handed on"
         await harness.until(lambda: len(sink.scans) > known[0] + 2, publishing=True)
         await harness.until(lambda: len(sink.odometries) > known[1] + 2, publishing=True)
@@ -474,9 +480,7 @@ class DriverContract:
         some = np.full(n, 1.5)
         some[:2] = (np.nan, np.inf)
         for seq, ranges in enumerate((np.full(n, np.nan), some, np.full(n, np.inf)), 1000):
-            scan = await _sent_scan(harness, rig, seq, ranges)
-            assert scan.ranges.shape == ranges.shape
-            assert np.allclose(scan.ranges, ranges, rtol=1e-6, equal_nan=True)
+            await _sent_scan(harness, rig, seq, ranges)
 
     @_connected
     async def test_the_number_of_rays_may_change(self, harness: DriverHarness) -> None:
@@ -486,8 +490,6 @@ class DriverContract:
         for seq, count in enumerate((n, n + 3, n - 2, n + 1), 1000):
             ranges = np.linspace(0.5, 2.0, count)
             scan = await _sent_scan(harness, rig, seq, ranges)
-            assert scan.ranges.shape == ranges.shape
-            assert np.allclose(scan.ranges, ranges, rtol=1e-6)
             wanted = _regular(harness, count)
             assert scan.bearings.shape == ranges.shape
             off = np.abs((scan.bearings - wanted + np.pi) % (2.0 * np.pi) - np.pi)
@@ -527,22 +529,30 @@ class DriverContract:
 
         async def story(harness: DriverHarness) -> None:
             rig, sink, loop = _scripted(harness), harness.sink, asyncio.get_running_loop()
-            spec, n = harness.rig.platform.scan, len(_bearings(harness))
-            known, begin, sent = len(sink.scans), loop.time(), 0
-            while (passed := loop.time() - begin) < seconds:
-                rig.publish_odometry()
-                if passed * rate >= sent:
-                    bearings, seq = _regular(harness, n), 1000 + sent
-                    ranges = np.linspace(0.5, 2.0 + 0.01 * (sent % 7), n)
-                    rig.publish_scan(
-                        Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
-                    )
-                    sent += 1
-                await asyncio.sleep(min(0.05, 1.0 / rate))
-            await harness.until(lambda: len(sink.scans) > known, publishing=True)
+            spec, n, numbers = harness.rig.platform.scan, len(_bearings(harness)), itertools.count()
+
+            async def arrives() -> bool:
+                """Whether half of the scans of some seconds arrive: the newest counts, not each."""
+                known, begin, sent = len(sink.scans), loop.time(), 0
+                while (passed := loop.time() - begin) < seconds:
+                    rig.publish_odometry()
+                    if passed * rate >= sent:
+                        bearings, number = _regular(harness, n), next(numbers)
+                        ranges, seq = np.linspace(0.5, 2.0 + 0.01 * (number % 7), n), 1000 + number
+                        rig.publish_scan(
+                            Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
+                        )
+                        sent += 1
+                    await asyncio.sleep(min(0.05, 1.0 / rate))
+                await asyncio.sleep(SETTLE_TIME)
+                return len(sink.scans) - known >= max(sent // 2, 1)
+
+            for _ in range(_MAX_CHECKS):
+                if has_arrived := await arrives():
+                    break  # else again: on a busy machine a newer scan overtakes one that waits
+            assert has_arrived
             assert sink.is_up
             assert "lost" not in sink.order[sink.order.index("up") :]
-            assert len(sink.scans) - known >= sent // 2  # the newest counts, not each
 
         self.play(story)
 
@@ -691,14 +701,31 @@ async def _ends_with_zero(harness: DriverHarness, taken: list[Twist]) -> None:
 
 
 async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges: Array) -> Scan:
-    """The driver's scan for these ranges, spread evenly, once it has come."""
+    """The driver's scan with these ranges, spread evenly; TimeoutError if none comes.
+
+    It is published again every second: a message that waits for too long may be dropped.
+    """
     spec, bearings = harness.rig.platform.scan, _regular(harness, len(ranges))
     scan = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
-    known = len(harness.sink.scans)
-    rig.publish_scan(scan)
-    rig.publish_odometry()
-    await harness.until(lambda: len(harness.sink.scans) > known)
-    return harness.sink.scans[-1]
+    known, loop, due = len(harness.sink.scans), asyncio.get_running_loop(), -math.inf
+    found: list[Scan] = []
+
+    def has_ranges(scan: Scan) -> bool:
+        return scan.ranges.shape == ranges.shape and np.allclose(
+            scan.ranges, ranges, rtol=1e-6, equal_nan=True
+        )
+
+    def has_come() -> bool:
+        nonlocal due
+        if loop.time() >= due:
+            due = loop.time() + 1.0
+            rig.publish_scan(scan)
+            rig.publish_odometry()
+        found.extend(filter(has_ranges, harness.sink.scans[known:]))
+        return bool(found)
+
+    await harness.until(has_come)
+    return found[0]
 
 
 def _bearings(harness: DriverHarness) -> Array:

@@ -169,8 +169,9 @@ def test_a_quality_that_the_first_node_of_a_topic_had_not_is_named(
     )
     session = open_session("client", "connect/endpoints", robot.endpoint)
     wait_until(lambda: any(session.liveliness().get(f"@/*/@ros2_lv/*/{topic}/**")), "the route")
-    session.close()
     robot.start()
+    wait_until(lambda: any(session.get("@/*/ros2/node/*/base")), "the bridge lists the base")
+    session.close()
     found = check(robot, robot.publish, seconds=4.0)[subject]
     other.close()
     assert not found.is_well

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores
 from swarmd.core.values import Value
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.testing.driver_contract import DriverHarness, play
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness, play
 from tests.drivers.ros.contract import DOCKED, docked
 from tests.drivers.ros2.harness import check
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
@@ -22,15 +22,14 @@ from tests.support import ros2_types as dds
 from tests.support.stories import story
 from tests.support.vendor_messages import PACKAGE, vendor_folder
 
-OPTION: dict[str, Value] = {
-    "temperature": {
-        "topic": "/temp",
-        "type": "sensor_msgs/Temperature",
-        "field": "temperature",
-        "unit": "degC",
-        "stale_after": 0.3,
-    }
+ENTRY: dict[str, Value] = {
+    "topic": "/temp",
+    "type": "sensor_msgs/Temperature",
+    "field": "temperature",
+    "unit": "degC",
+    "stale_after": 0.3,
 }
+OPTION: dict[str, Value] = {"temperature": ENTRY}
 
 
 @story(BridgedRobot, ZenohRobot, connected=False, readings=OPTION)
@@ -60,7 +59,8 @@ def test_a_check_tells_value_unit_and_age() -> None:
         robot.publish()
         robot.put("temp", dds.Temperature(temperature=20.5))
 
-    found = check(robot, publish, readings=OPTION)["readings.temperature"]
+    lasting: dict[str, Value] = {"temperature": {**ENTRY, "stale_after": TIMEOUT}}
+    found = check(robot, publish, readings=lasting)["readings.temperature"]
     assert found.is_well, found.text
     assert "/temp (sensor_msgs/msg/Temperature)" in found.text
     assert "temperature 20.5 degC" in found.text

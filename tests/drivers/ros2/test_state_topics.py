@@ -25,7 +25,7 @@ from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros2.state_topics import DIAGNOSTICS, MARKERS, POSE
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import check, drive
-from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
+from tests.drivers.ros2.robots import CLOCKS_APART, BridgedRobot, Robot, ZenohRobot
 from tests.support import ros2_types as dds
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.statuses import status
@@ -143,7 +143,7 @@ async def test_a_place_has_the_time_of_its_measurement_and_ends_with_the_odometr
         return all(listener.taken.values())
 
     await harness.until(has_all, publishing=True)
-    last = robot._published_count * 0.1 + 100.0  # the stamp of the last odometry
+    last = CLOCKS_APART + robot._published_count * 0.1 + 100.0  # the stamp of the last odometry
     await harness.until(lambda: harness.sink.odometries[-1].stamp > last - 0.05)
     odometry_at = time.time()
     told = counts(listener)
