@@ -468,7 +468,9 @@ def test_compiled_and_interpreted_code_measure_the_same(axis: str) -> None:
         if step % 25 == 0:
             wanted = float(rng.choice((0.0, TOP)))
         coming.append(wanted)
-        speed += min(max(coming.pop(0) - speed, -0.015), 0.1)  # it brakes at a third of what is declared
+        speed += min(
+            max(coming.pop(0) - speed, -0.015), 0.1
+        )  # it brakes at a third of what is declared
         moved += 0.05 * speed * float(rng.uniform(0.99, 1.01))
         pose = Pose(0.0, moved) if axis == "lateral" else Pose(moved)
         odometry = Odometry(0.05 * step, pose, Twist(**{axis: speed}))
