@@ -388,8 +388,8 @@ class Status(Struct, frozen=True, kw_only=True):
     beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
     `passage`: what protection lets it through; None if its mode has no such width. `findings`: the
     violated assumptions for which it drives slower, each with its evidence. `not_following`: how
-    its base does not follow its commands. `goal`: None before the robot has seen any. `keys`: None
-    in an insecure swarm.
+    its base does not follow its commands, or follows late. `goal`: None before the robot has
+    seen any. `keys`: None in an insecure swarm.
     """
 
     robot: Name

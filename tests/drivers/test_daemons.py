@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
+from swarmd.core.messages import Refusal
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
@@ -220,7 +221,10 @@ def test_an_estopped_robot_gets_zero_after_each_command_of_another_node(
             wait_until(lambda: shows(operator, "someone else drives"), "its status says so")
             reply = operator.send_stop("estop", reason="test").replies[ROBOT]
             assert reply.text.startswith("commanded zero; someone else drives: ")
-            assert re.search(r"measured 0\.10 m/s, 0\.30 rad/s, \d\.\d s ago$", reply.text), reply
+            assert re.search(r"measured 0\.10 m/s, 0\.30 rad/s, \d\.\d s ago: not", reply.text), (
+                reply
+            )
+            assert reply.refusal is Refusal.NOT_STOPPED  # the robot moves on
             since = boottime()
             wait_until(lambda: course.commands[-1][0] > since + 2.0, "two seconds of commands")
             speeds = [twist.linear for t, twist in course.commands if t > since]
