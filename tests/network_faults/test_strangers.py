@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.support.field import Field
-from tests.support.field_swarm import FieldSwarm
+from tests.support.field_swarm import FieldSwarm, Lines
 from tests.support.network_matrix import FAR, NEAR
 from tests.support.processes import wait_until
 
@@ -17,6 +18,7 @@ pytestmark = pytest.mark.integration
 
 COUNT = 10
 STRANGERS = "tests.support.zenoh_strangers"
+STRANGER = (sys.executable, "-m", STRANGERS, "1")
 
 
 @pytest.mark.parametrize(
@@ -84,3 +86,36 @@ def test_strangers_are_no_flood(
         if is_secured:
             dialled = swarm.ctl(FAR, "zenoh", "--dial", "-o", "json")
             assert len(dialled.json["config"]["connect"]["endpoints"]) == len(robots), dialled
+
+
+def test_a_robot_answers_scouts_once_it_has_an_ipv4_address(
+    namespaces_permitted: None, tmp_path: Path
+) -> None:
+    """Also again, after it had none for a while: Zenoh's scouts are of IPv4 alone."""
+    with contextlib.ExitStack() as left:
+        field = left.enter_context(contextlib.closing(Field(("r1", NEAR))))
+        swarm = left.enter_context(FieldSwarm(tmp_path, field, ("r1",)))
+        address = f"{field.address('r1')}/24 dev eth0"
+        field.ip("r1", f"addr del {address}")
+        swarm.start()
+        assert "no IPv4 address" in swarm.daemons["r1"].text()
+
+        def change(wanted: str, *lines: str) -> None:
+            """Change the addresses, and wait until the daemon has told so."""
+            field.ip("r1", *lines)
+            text = swarm.daemons["r1"].text
+            wait_until(lambda: wanted in text().rpartition("eth0: ")[2], f"r1 tells {wanted}")
+
+        def check_found() -> None:
+            with contextlib.closing(Lines((*field.prefix(NEAR), *STRANGER))) as stranger:
+                wait_until(lambda: stranger.ask(swarm.name)["tokens"] == [["r1"]], "r1 is found")
+
+        change("up, 10.80", f"addr add {address}")
+        check_found()
+        change("no IPv4 address yet", f"addr del {address}")
+        change("up, 10.80", f"addr add {address}")
+        check_found()
+        change("no address yet", "addr flush dev eth0")
+        change("-> 10.80.0.77", "addr add 10.80.0.77/24 dev eth0")
+        check_found()
+        assert swarm.is_alive("r1")
