@@ -82,7 +82,7 @@ class NetworkConnection:
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None
         self._is_stale = False  # the sockets belong to an earlier state of the interface
-        # IPv4 addresses of the interface when the first session opened, and the present one.
+        # IPv4 addresses of the interface when the first session opened, and the last one.
         self._first_ipv4: tuple[str, ...] | None = None
         self._ipv4: tuple[str, ...] = ()
 
@@ -191,8 +191,12 @@ class NetworkConnection:
     def _follow_ipv4(self, state: InterfaceState) -> None:
         """Renew the session for an IPv4 address on which it answers no scouts yet."""
         is_new, self._ipv4 = not {*state.ipv4} <= {*self._ipv4}, state.ipv4
-        if is_new and self._answers_scouts:
-            self._begin_renewal() if self._reopening is None else self._begin_reopening()
+        if not (is_new and self._answers_scouts):
+            return
+        if self._reopening is None:
+            self._begin_renewal()
+        else:  # it may have opened the session before the address came
+            self._begin_reopening()
 
     def _opening(self, settings: NetworkSettings) -> Callable[[], zenoh.Session]:
         """What opens a session that answers scouts on the present IPv4 addresses."""
@@ -201,7 +205,8 @@ class NetworkConnection:
             self._ipv4 = read_state(settings.interface_name).ipv4
             if self._first_ipv4 is None:
                 self._first_ipv4 = self._ipv4
-            late = tuple(one for one in self._ipv4 if one not in self._first_ipv4)
+            first = self._first_ipv4
+            late = tuple(address for address in self._ipv4 if address not in first)
         return partial(open_session, settings, self._identity, late=late)
 
     async def _reopen(self, delay: float = 0.0) -> None:
