@@ -250,6 +250,7 @@ class VirtualOperator(Node):
             outcome = yield from self.stop("stop", tuple(stand))
             assert outcome is not None
             outcomes.append(outcome)
+            self.swarm.issued[goal.id] = self.swarm.now  # its age counts from the request
         if run and goal.pattern is None:
             outcomes.append((yield from self._request(GoalRequest, view, run, goal=goal)))
         elif run:
