@@ -84,7 +84,8 @@ def test_strangers_are_no_flood(
             assert "connections wait" not in swarm.daemons[robot].text()
         assert have_tried()
         if is_secured:
-            dialled = swarm.ctl(FAR, "zenoh", "--dial", "-o", "json")
+            words = ("--dial",) if discoverable else ()  # else it dials without being asked to
+            dialled = swarm.ctl(FAR, "zenoh", *words, "-o", "json")
             assert len(dialled.json["config"]["connect"]["endpoints"]) == len(robots), dialled
 
 
