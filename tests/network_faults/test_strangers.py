@@ -99,7 +99,6 @@ def test_a_robot_answers_scouts_once_it_has_an_ipv4_address(
         address = f"{field.address('r1')}/24 dev eth0"
         field.ip("r1", f"addr del {address}")
         swarm.start()
-        assert "no IPv4 address" in swarm.daemons["r1"].text()
 
         def change(wanted: str, *lines: str) -> None:
             """Change the addresses, and wait until the daemon has told so."""
@@ -111,6 +110,9 @@ def test_a_robot_answers_scouts_once_it_has_an_ipv4_address(
             with contextlib.closing(Lines((*field.prefix(NEAR), *STRANGER))) as stranger:
                 wait_until(lambda: stranger.ask(swarm.name)["tokens"] == [["r1"]], "r1 is found")
 
+        text = swarm.daemons["r1"].text
+        # At first it may have no address at all: its link-local one is being probed.
+        wait_until(lambda: "no IPv4 address yet" in text(), "r1 tells that it has none")
         change("up, 10.80", f"addr add {address}")
         check_found()
         change("no IPv4 address yet", f"addr del {address}")
