@@ -50,6 +50,7 @@ class TraceSource:
 
     kind = "run"
     patterns: Sequence[str] = ()
+    programs: Sequence[str] = ()
     descriptions: Mapping[str, Mapping[str, Any]] = {}
 
     def __init__(

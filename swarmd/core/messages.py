@@ -389,7 +389,8 @@ class Status(Struct, frozen=True, kw_only=True):
     `passage`: what protection lets it through; None if its mode has no such width. `findings`: the
     violated assumptions for which it drives slower, each with its evidence. `not_following`: how
     its base does not follow its commands, or follows late. `goal`: None before the robot has
-    seen any. `keys`: None in an insecure swarm.
+    seen any. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness
+    tokens it sees.
     """
 
     robot: Name
@@ -429,6 +430,7 @@ class Status(Struct, frozen=True, kw_only=True):
     recording: RecordingSummary | None = None
     goal: GoalStatus | None = None
     keys: KeySummary | None = None
+    programs: tuple[Name, ...] = ()
 
 
 class Motion(Struct, frozen=True, array_like=True):
@@ -560,12 +562,10 @@ class Member(Struct, frozen=True, kw_only=True):
 class PeerView(Struct, frozen=True, kw_only=True):
     """A daemon's answer to `members`: itself, and every other robot that it knows.
 
-    Alive members come without their status, since they answer for themselves. `programs`: the Zenoh
-    programs whose liveliness tokens it sees.
+    Alive members come without their status, since they answer for themselves.
     """
 
     robot: Name
     status: Status
     members: tuple[Member, ...]
     roster: tuple[Name, ...] = ()
-    programs: tuple[Name, ...] = ()

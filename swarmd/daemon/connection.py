@@ -19,7 +19,12 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.carriers.interface_watch import InterfaceChange, InterfaceWatch
+from swarmd.network.carriers.interface_watch import (
+    InterfaceChange,
+    InterfaceState,
+    InterfaceWatch,
+    read_state,
+)
 from swarmd.network.carriers.link_gate import LinkFlood, LinkGate, open_files, watch_links
 from swarmd.network.carriers.routed import RoutedCarrier
 from swarmd.network.carriers.session import default_listen, open_in_thread, open_session
@@ -77,6 +82,9 @@ class NetworkConnection:
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None
         self._is_stale = False  # the sockets belong to an earlier state of the interface
+        # IPv4 addresses of the interface when the first session opened, and the last one.
+        self._first_ipv4: tuple[str, ...] | None = None
+        self._ipv4: tuple[str, ...] = ()
 
     @property
     def interface_text(self) -> str:
@@ -84,6 +92,10 @@ class NetworkConnection:
         if self._watch is None:
             return ""
         return f"{self._settings.interface_name}: {self._watch.state.text}"
+
+    @property
+    def _answers_scouts(self) -> bool:
+        return self._settings.answers_scouts(is_secured=self._identity is not None)
 
     def local(self, address: Address) -> Address:
         """The address, with the scope of this machine if it is local to the link."""
@@ -105,6 +117,9 @@ class NetworkConnection:
             )
             if not self._watch.state.is_usable:
                 log.warning("%s", self.interface_text)
+            elif self._answers_scouts and not self._watch.state.ipv4:
+                log.warning("%s: until then no Zenoh program finds it", self.interface_text)
+            self._follow_ipv4(self._watch.state)
 
     def watch_for_flood(self, now: float) -> None:
         """Let only known hosts connect while too many connections wait; call it on each tick."""
@@ -118,9 +133,7 @@ class NetworkConnection:
                 " datagram"
             )
             self._set_gate(now)
-            if self._reopening is None:
-                self._reopening = self._loop.create_task(self._renew_session())
-                self._reopening.add_done_callback(self._end_reopening)
+            self._begin_renewal()
         elif self._gate is not None and self._gate.is_closed and not flood.is_closed(now):
             self._gate.admit(None)
 
@@ -153,6 +166,12 @@ class NetworkConnection:
         self._identity = identity
         self._begin_reopening(ANSWER_TIME)
 
+    def _begin_renewal(self) -> None:
+        """Renew the session, unless both are being opened again."""
+        if self._reopening is None:
+            self._reopening = self._loop.create_task(self._renew_session())
+            self._reopening.add_done_callback(self._end_reopening)
+
     def _begin_reopening(self, delay: float = 0.0) -> None:
         self._is_stale = True
         if self._reopening is None:
@@ -166,6 +185,29 @@ class NetworkConnection:
             self._begin_reopening()
         elif change.must_rejoin and self.carrier is not None:
             self.carrier.rejoin()
+        if not change.must_reopen:
+            self._follow_ipv4(change.state)
+
+    def _follow_ipv4(self, state: InterfaceState) -> None:
+        """Renew the session for an IPv4 address on which it answers no scouts yet."""
+        is_new, self._ipv4 = not {*state.ipv4} <= {*self._ipv4}, state.ipv4
+        if not (is_new and self._answers_scouts):
+            return
+        if self._reopening is None:
+            self._begin_renewal()
+        else:  # it may have opened the session before the address came
+            self._begin_reopening()
+
+    def _opening(self, settings: NetworkSettings) -> Callable[[], zenoh.Session]:
+        """What opens a session that answers scouts on the present IPv4 addresses."""
+        late: tuple[str, ...] = ()
+        if self._answers_scouts and settings.profile == "field":
+            self._ipv4 = read_state(settings.interface_name).ipv4
+            if self._first_ipv4 is None:
+                self._first_ipv4 = self._ipv4
+            first = self._first_ipv4
+            late = tuple(address for address in self._ipv4 if address not in first)
+        return partial(open_session, settings, self._identity, late=late)
 
     async def _reopen(self, delay: float = 0.0) -> None:
         """Close carrier and session, and open them again as soon as that is possible."""
@@ -195,8 +237,7 @@ class NetworkConnection:
             await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
         while not self._is_stale:
             try:
-                opening = partial(open_session, self._opened, self._identity)
-                self._use(await open_in_thread(opening))
+                self._use(await open_in_thread(self._opening(self._opened)))
                 self._on_reopened()
                 break
             except (NetworkError, zenoh.ZError, OSError) as error:
@@ -262,7 +303,7 @@ class NetworkConnection:
             endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
             opening = self._opened = replace(settings, listen=(endpoint, *listen[1:]))
             try:
-                return carrier, await open_in_thread(partial(open_session, opening, self._identity))
+                return carrier, await open_in_thread(self._opening(opening))
             except BaseException as error:
                 carrier.close()
                 is_retried = isinstance(error, NetworkError) and not first.port

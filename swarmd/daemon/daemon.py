@@ -611,7 +611,11 @@ class Daemon:
             sandbox=self._runner.sandbox,
         )
         return replace(
-            status, health=health, recording=self._recording.summary, keys=self._rosters.summary
+            status,
+            health=health,
+            recording=self._recording.summary,
+            keys=self._rosters.summary,
+            programs=self._network.programs,
         )
 
     def _dropped_frames(self) -> Mapping[str, int]:

@@ -181,6 +181,12 @@ class Network:
             return ()
         return tuple(robot for robot, _ in self._peer.membership.alive_addresses())
 
+    @property
+    def programs(self) -> tuple[str, ...]:
+        """The Zenoh programs whose tokens this robot sees."""
+        bus = self._connection.bus
+        return () if bus is None or bus.programs is None else bus.programs.names
+
     def links(self) -> Iterator[tuple[str, LinkQuality, tuple[str, ...]]]:
         """Each robot that is heard or was: how well, and by which ways its datagrams come."""
         if self._peer is None:

@@ -199,7 +199,9 @@ class RequestServer:
         is_pending = request.id in self._pending
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
         if isinstance(request, verbs.EstopRequest):
-            request = msgspec.structs.replace(request, is_relayed=False)
+            # As `swarmctl` asks: other robots take over no latch of an estop of named ones.
+            scope = request.scope if request.targets is None else "robots"
+            request = msgspec.structs.replace(request, is_relayed=False, scope=scope)
         is_dropped = not is_pending and not is_stop and len(self._pending) >= MAX_PENDING
         if not is_for_this or is_dropped:
             query.drop()
@@ -230,7 +232,9 @@ class RequestServer:
             header = _header(query.payload)
         except CodecError:
             header = verbs.RequestHeader(id="", verb="")
-        if not 0 < len(header.id) <= MAX_ID or self._robot not in (header.targets or ()):
+        is_stop_of_all = header.targets is None and header.verb in ("stop", "estop")
+        is_for_this = is_stop_of_all or self._robot in (header.targets or ())
+        if not (0 < len(header.id) <= MAX_ID and is_for_this):
             query.drop()
             return
         pending = self._pending.get(header.id)

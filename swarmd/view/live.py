@@ -18,7 +18,7 @@ from swarmd.client.swarm_watch import SwarmWatch
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.keys import is_id
-from swarmd.core.messages import Motion, Presence, Status, Tracks
+from swarmd.core.messages import STATUS_SILENCE, Motion, Presence, Status, Tracks
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
 from swarmd.network.operator.members_view import MembersView, SeenMember
@@ -115,6 +115,12 @@ class LiveSource:
     def revision(self) -> int:
         """Changes when a robot is found, or its platform, and when patterns are described."""
         return self._revision + self._described
+
+    @property
+    def programs(self) -> Sequence[str]:
+        """The Zenoh programs that any robot sees."""
+        heard = [status for status, age in self.statuses().values() if age <= STATUS_SILENCE]
+        return sorted({name for status in heard for name in status.programs})
 
     def frame(self) -> tuple[float, Array]:
         """The last pose of each robot."""

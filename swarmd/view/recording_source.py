@@ -31,6 +31,7 @@ class RecordingSource:
     kind = "recording"
     arena: ShownArena | None = None
     patterns: Sequence[str] = ()
+    programs: Sequence[str] = ()
     descriptions: Mapping[str, Mapping[str, Any]] = {}
     link: float | None = None
     revision = 0

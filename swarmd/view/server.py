@@ -1,10 +1,10 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `playback`, `plots`, `marks`, `notice`,
-`answer` and `estop` as JSON, frames and scans as bytes (see `source.pack_frame`). From the page:
-`ack` of a frame, `select`, `play`, `seek`, `choose`, `past`, a time to look back at, and `act`, a
-command. The server keeps the emergency stop that lacks acknowledgements, so that a page which opens
-later shows it too.
+To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `programs`, `playback`, `plots`, `marks`,
+`notice`, `answer` and `estop` as JSON, frames and scans as bytes (see `source.pack_frame`). From
+the page: `ack` of a frame, `select`, `play`, `seek`, `choose`, `past`, a time to look back at, and
+`act`, a command. The server keeps the emergency stop that lacks acknowledgements, so that a page
+which opens later shows it too.
 """
 
 from __future__ import annotations
@@ -326,6 +326,7 @@ class ViewServer:
                 whole[name] = json_of(fields)
             short[name] = json_of({k: v for k, v in fields.items() if k not in DETAIL_KEYS})
         others = [json_of({"kind": "links", "links": list(self.source.links())})]
+        others.append(json_of({"kind": "programs", "programs": self.source.programs}))
         boxes = [{"shape": shape.tolist(), "pose": pose} for shape, pose in self.source.boxes()]
         others.append(json_of({"kind": "boxes", "boxes": boxes}))
         marks = [(*mark, robots[:MAX_NAMES], len(robots)) for *mark, robots in self.source.marks()]

@@ -105,6 +105,10 @@ class Source(Protocol):
         """The time of recorded runs; None for what happens now."""
 
     @property
+    def programs(self) -> Sequence[str]:
+        """The Zenoh programs beside the robots, sorted."""
+
+    @property
     def link(self) -> float | None:
         """The distance in m within which two robots are of one cluster; None: no shared frame."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Literal
 
 import msgpack
 import msgspec
@@ -152,6 +152,32 @@ def test_a_malformed_request_is_refused_by_the_robots_that_it_targets() -> None:
     ]
     assert (other.replies, other.is_dropped) == ([], True)
     assert (rubbish.replies, rubbish.is_dropped) == ([], True)
+
+
+@pytest.mark.parametrize("targets", [None, ("tb3-01",), ("tb3-02",)])
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_a_stop_of_a_program_asks_for_what_the_datagram_asks_for(
+    verb: Literal["stop", "estop"], targets: tuple[str, ...] | None
+) -> None:
+    """A named emergency stop latches the named robots alone: no other one takes the latch over."""
+    taken: list[Request] = []
+    server = server_of("tb3-01", taken.append)
+    scope: Literal["robots", "swarm"] = "swarm" if targets is None else "robots"
+    stop = Stop(id="s1", verb=verb, operator="anna", targets=targets, scope=scope)
+    named: dict[str, Any] = {} if targets is None else {"targets": dict.fromkeys(targets)}
+    server.stop(stop, "10.0.0.5", lambda reply: None)
+    server.handle(verb, RecordingQuery(raw(id="s1", verb=verb, operator="anna", **named)))
+    assert taken[1:] == taken[:1]
+    assert bool(taken) == (targets != ("tb3-02",))
+
+
+@pytest.mark.parametrize("targets", [{}, {"targets": None}, {"targets": {"tb3-01": None}}])
+def test_a_malformed_stop_of_all_is_refused_by_each_robot(targets: dict[str, Any]) -> None:
+    taken: list[Request] = []
+    nameless = RecordingQuery(raw(id="s1", verb="estop", **targets))
+    server_of("tb3-01", taken.append).handle("estop", nameless)
+    assert taken == []
+    assert [reply.refusal for reply in nameless.replies] == [Refusal.INVALID_REQUEST]
 
 
 def test_pending_requests_are_bounded_and_a_stop_is_always_taken() -> None:

@@ -23,7 +23,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from swarmd.core.errors import CoreFault
 from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants
@@ -31,6 +31,7 @@ from tests.histories.operators import Command, VirtualOperator
 from tests.histories.swarm import DELAY, DISK_TIME, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
 
 OPERATORS = ("anna", "bob")
+PROGRAM = "teacher"
 STEPS = 12
 LONGEST_COMMAND = 90.0  # s
 BOOT_TIME = 2.0  # s until all robots are ready
@@ -140,6 +141,19 @@ class History:
 
     def estop(self, by: str, targets: tuple[str, ...] = ()) -> None:
         self._begin(by, "estop", lambda one: one.stop("estop", targets))
+
+    def program_stop(
+        self,
+        by: str,
+        verb: Literal["stop", "estop"] = "stop",
+        targets: tuple[str, ...] = (),
+        is_repeat: bool = False,
+    ) -> None:
+        """A stop over Zenoh; `is_repeat`: the last one of this operator's program again."""
+        self._begin(by, verb, lambda one: one.program_stop(verb, targets, is_repeat=is_repeat))
+
+    def put(self, by: str, sender: str, count: int = 1, payload: bytes | None = None) -> None:
+        self._begin(by, "put", lambda one: one.put(sender, count, payload))
 
     def reset(self, by: str, targets: tuple[str, ...] = ()) -> None:
         self._begin(by, "reset", lambda one: one.reset(targets))
@@ -313,6 +327,22 @@ def _command(name: str) -> Callable[[random.Random, tuple[str, ...]], HistorySte
     return make
 
 
+def _program_stop(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    """Of a Zenoh program, which may also repeat its last one, seconds later."""
+    verb, targets = chance.choice(("stop", "stop", "estop")), _some(chance, robots)
+    more: dict[str, Any] = {"is_repeat": True} if chance.random() < 0.3 else {}
+    if targets:
+        more["targets"] = targets
+    return step(0.0, "program_stop", by=_by(chance), verb=verb, **more)
+
+
+def _put(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    """A Zenoh program's messages, in its own name or that of a robot, some beyond the limits."""
+    sender = chance.choice((PROGRAM, PROGRAM, *robots))
+    more: dict[str, Any] = {} if chance.random() < 0.7 else {"payload": chance.randbytes(3)}
+    return step(0.0, "put", by=_by(chance), sender=sender, count=chance.choice((1, 200)), **more)
+
+
 def _goal(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     return step(0.0, "goal", by=_by(chance), pattern=chance.choice((None, "drive")))
 
@@ -397,7 +427,8 @@ def _withdrawn(chance: random.Random, robots: tuple[str, ...]) -> Steps:
 
 def _burst(chance: random.Random, robots: tuple[str, ...]) -> Steps:
     """Commands of both operators within half a second."""
-    makes = (_run, _run, _command("stop"), _command("estop"), _command("reset"), _goal, _undo)
+    stops = (_command("stop"), _command("estop"), _program_stop)
+    makes = (_run, _run, *stops, _command("reset"), _goal, _undo)
     pair = _both(chance)
     return tuple(
         _after(chance, 0.0, 0.25, replace(one, args=one.args | {"by": pair[number % 2]}))
@@ -444,6 +475,8 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_run, 5.0),
     (_command("stop"), 3.0),
     (_command("estop"), 2.5),
+    (_program_stop, 2.0),
+    (_put, 0.7),
     (_command("reset"), 3.0),
     (_command("resume"), 1.0),
     (_goal, 0.5),
@@ -536,7 +569,7 @@ def shrink(
     return count, best
 
 
-_NEEDED = frozenset({"by", "robot", "groups", "senders", "receivers", "shift", "valid"})
+_NEEDED = frozenset({"by", "robot", "groups", "senders", "receivers", "sender", "shift", "valid"})
 
 
 def _with(steps: Steps, at: int, one: HistoryStep) -> Steps:

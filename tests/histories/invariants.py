@@ -28,10 +28,13 @@
    within one life.
 10. *A robot commands its base in `running` alone*: zero in each other state.
 11. *No exception*: no code of a robot, a peer or an operator raises one, or logs one as an error.
+12. *A message of a program is none of a robot*: no robot takes one in the name of a robot that it
+   knows, or more of a sender on a channel within a second than the limits allow.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
-later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. Rules 5
-and 7 count this time (`_unseen_age`).
+later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. So does
+that of a Zenoh program by the time for which its query waits in a daemon that stalls, since a query
+has no stamp of its arrival. Rules 5 and 7 count these times (`_unseen_by`, `_unseen_age`).
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
 robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
@@ -43,6 +46,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from swarmd.core.goal import Goal, GoalState
+from swarmd.core.message_limits import CHANNEL_BURST, CHANNEL_RATE
 from swarmd.core.messages import Code, Reason, Reply, State
 from swarmd.core.verbs import (
     EstopRequest,
@@ -100,6 +104,7 @@ class Invariants:
         self._swarm = swarm
         self._robots: dict[str, _Memory] = {}
         self._issued = swarm.issued
+        self._taken: dict[tuple[str, int, str], list[float]] = {}
 
     def forget(self, robot: str) -> None:
         """A robot has lost its disk."""
@@ -156,7 +161,7 @@ class Invariants:
             is_ended = known.was_running and isinstance(request, StopRequest)
             is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
             late = 0.0 if cause is None else self._wanted(cause) - issued
-            if is_ended and late > AGE_SHIFT + self._unseen_age(daemon.hops.get(request.id, 0)):
+            if is_ended and late > AGE_SHIFT + self._unseen_by(daemon, request.id):
                 raise BrokenRuleError(
                     5,
                     f"the run of {daemon.name} is ended by a stop that was issued"
@@ -205,6 +210,17 @@ class Invariants:
             raise BrokenRuleError(
                 7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
             )
+
+    def on_program(self, daemon: VirtualDaemon, sender: str) -> None:
+        """Rule 12."""
+        if sender in self._swarm.robots and daemon.knows(sender):
+            raise BrokenRuleError(12, f"{daemon.name} takes a message in the name of {sender}")
+        taken = self._taken.setdefault((daemon.name, daemon.lives, sender), [])
+        taken.append(self._swarm.now)
+        most = CHANNEL_BURST + CHANNEL_RATE
+        recent = [at for at in taken if self._swarm.now - at < 1.0]
+        if len(recent) > most:
+            raise BrokenRuleError(12, f"{daemon.name} takes {len(recent)} messages of {sender}")
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """Rule 3: what the robot that hands a goal on has obeyed."""
@@ -268,6 +284,10 @@ class Invariants:
         """When an operator asked for a run: of a robot that joins, when the goal was set."""
         return self._issued[cause.goal_id if cause.request is None else cause.request.id]
 
+    def _unseen_by(self, daemon: VirtualDaemon, id: str) -> float:
+        """The longest time, in s, by which a stop may be older than its robot can tell."""
+        return self._unseen_age(daemon.hops.get(id, 0)) + daemon.waits.get(id, 0.0)
+
     def _unseen_age(self, hops: int) -> float:
         """The longest time for which a stop that `hops` robots handed on was on its way, in s."""
         return (hops + 1) * MOST_DELAY * self._swarm.slowest
@@ -300,7 +320,7 @@ class Invariants:
         if before is None or goal.pattern is not None or is_found:
             return
         late = self._issued[before.id] - self._issued[goal.id]
-        shift = AGE_SHIFT + self._unseen_age(daemon.hops.get(goal.id, 0))
+        shift = AGE_SHIFT + self._unseen_by(daemon, goal.id)
         if late > shift and not isinstance(found, GoalRequest):
             raise BrokenRuleError(
                 5,

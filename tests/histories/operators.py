@@ -13,9 +13,10 @@ from functools import partial
 from types import SimpleNamespace
 from typing import Any, Literal
 
+import msgspec
 from msgspec.structs import replace
 
-from swarmd.core.codec import MAX_CONTROL, Decoder, encode
+from swarmd.core.codec import MAX_CONTROL, VERSION, Decoder, encode
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Epoch, Reply
@@ -52,6 +53,7 @@ from tests.histories.swarm import Node, VirtualSwarm
 
 POLL = 0.1  # s
 LEASE_PARTS = 3.0
+PROGRAM_TIME = 5.0  # s for which a Zenoh program repeats a stop
 _reply = Decoder(Reply, MAX_CONTROL)
 Command = Generator[None, None, Outcome | None]
 
@@ -82,6 +84,7 @@ class VirtualOperator(Node):
         self._origin, self._counter = self._random.randbytes(4), 0
         self._discoveries: list[Discovery] = []
         self._pending: list[PendingStop] = []
+        self._program_stop: dict[str, Any] = {}
         swarm.add(self)
 
     def begin(self, verb: str, command: Command) -> None:
@@ -182,6 +185,42 @@ class VirtualOperator(Node):
         self._pending.remove(pending)
         return pending.outcome(now)
 
+    def program_stop(
+        self,
+        verb: Literal["stop", "estop"],
+        targets: tuple[str, ...] = (),
+        *,
+        is_repeat: bool = False,
+    ) -> Command:
+        """As examples/zenoh/stop.py: the same query until each robot has answered.
+
+        `is_repeat`: of the last one once more, with its id and its age.
+        """
+        swarm, began = self.swarm, self.swarm.now
+        if not (is_repeat and self._program_stop):
+            fields = {"verb": verb, "id": self._new_id(), "operator": self.name}
+            named = {"targets": dict.fromkeys(targets)} if targets else {}
+            self._program_stop = fields | named
+        request = self._program_stop
+        acks, repeat = Acks(request["id"]), RepeatTimer(began, ((1e9, REPEAT_PERIOD),))
+        asked = [name for name in swarm.robots if name in request.get("targets", swarm.robots)]
+        while acks.missing(asked) and swarm.now - began < PROGRAM_TIME:
+            if repeat.is_due(swarm.now):
+                age = swarm.now - swarm.issued[request["id"]]
+                self._ask(request["verb"], _raw(request | {"age": age}), tuple(swarm.robots), acks)
+            yield
+        return acks.outcome(dict.fromkeys(asked), seconds=swarm.now - began, reached=len(asked))
+
+    def put(self, sender: str, count: int = 1, payload: bytes | None = None) -> Command:
+        """A Zenoh program puts messages of the pattern `drive` in the name `sender`."""
+        swarm = self.swarm
+        for robot in swarm.robots:
+            for number in range(count):
+                content = bytes([VERSION, number % 128]) if payload is None else payload
+                swarm.ask(self.name, robot, partial(_put, sender=sender, payload=content))
+        yield
+        return None
+
     def reset(self, targets: tuple[str, ...] = ()) -> Command:
         view = yield from self._look()
         names = _chosen(view, targets)
@@ -211,6 +250,7 @@ class VirtualOperator(Node):
             outcome = yield from self.stop("stop", tuple(stand))
             assert outcome is not None
             outcomes.append(outcome)
+            self.swarm.issued[goal.id] = self.swarm.now  # its age counts from the request
         if run and goal.pattern is None:
             outcomes.append((yield from self._request(GoalRequest, view, run, goal=goal)))
         elif run:
@@ -282,16 +322,16 @@ class VirtualOperator(Node):
         while (robots := acks.missing(asked)) and swarm.now - began < timeout:
             if repeat.is_due(swarm.now):
                 age = swarm.now - began + view.round_trip
-                payload = encode(aged(request, age))
-                for robot in robots:
-                    if robot in swarm.robots:
-                        answer = partial(_take_reply, robot, acks)
-                        call = partial(
-                            _hand, verb=request.verb, payload=payload, asker=self.name, take=answer
-                        )
-                        swarm.ask(self.name, robot, call)
+                self._ask(request.verb, encode(aged(request, age)), robots, acks)
             yield
         return acks.outcome(targets, seconds=swarm.now - began, reached=len(asked))
+
+    def _ask(self, verb: str, payload: bytes, robots: Iterable[str], acks: Acks) -> None:
+        for robot in robots:
+            if robot in self.swarm.robots:
+                answer = partial(_take_reply, robot, acks)
+                call = partial(_hand, verb=verb, payload=payload, asker=self.name, take=answer)
+                self.swarm.ask(self.name, robot, call)
 
     def _solicit(self, discovery: Discovery, timer: RepeatTimer) -> None:
         now = self.swarm.now
@@ -365,6 +405,15 @@ def _hand(daemon: Any, *, verb: str, payload: bytes, asker: str, take: Any) -> N
 
 def _take_reply(robot: str, acks: Acks, payload: bytes) -> None:
     acks.on_reply(robot, _reply(payload))
+
+
+def _put(daemon: Any, *, sender: str, payload: bytes) -> None:
+    daemon.put(sender, payload)
+
+
+def _raw(fields: Mapping[str, Any]) -> bytes:
+    """A request as a program packs it, without the structs."""
+    return bytes([VERSION]) + msgspec.msgpack.encode(fields)
 
 
 def _push(daemon: Any, *, pattern: str, request: str, operator: str) -> None:

@@ -15,13 +15,16 @@ import heapq
 import itertools
 import math
 import random
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, Protocol
+from unittest.mock import Mock
 
 import numpy as np
+import zenoh
 from msgspec.structs import replace as struct_replace
 
 from swarmd.core.errors import CodecError, CoreFault
@@ -35,6 +38,7 @@ from swarmd.core.events import (
     LatchesInput,
     LeaseInput,
     LeaveInput,
+    MessageInput,
     NoteInput,
     OdometryInput,
     RequestInput,
@@ -55,6 +59,7 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
+from swarmd.core.keys import MESSAGE, build
 from swarmd.core.messages import Code, PeerView, Refusal, Reply
 from swarmd.core.values import ZERO, Array, Odometry, Outputs, Platform, Pose, Scan, Twist
 from swarmd.core.verbs import (
@@ -69,6 +74,7 @@ from swarmd.daemon.audit import Audit
 from swarmd.daemon.goal_service import STORE_TIME
 from swarmd.daemon.requests import RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.programs import MAX_TAKEN, Programs
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.members.admission import Admission
 from swarmd.network.peer import Peer, PeerActions, Summary
@@ -115,6 +121,9 @@ class Judge(Protocol):
     def forget_stops(self, robot: str) -> None:
         """A robot has ended before what it obeyed was on its disk; it has acked none of that."""
 
+    def on_program(self, daemon: VirtualDaemon, sender: str) -> None:
+        """A robot takes a message of a Zenoh program."""
+
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """A robot is about to be handed the goal of a peer."""
 
@@ -158,12 +167,33 @@ class StrictDrops(DropCounter):
 class VirtualQuery:
     """A request of an operator as a daemon's bus hands it over."""
 
-    def __init__(self, payload: bytes, asker: str, answer: Callable[[bytes], None]) -> None:
-        self.payload, self.asker, self.source = payload, asker, asker
+    def __init__(
+        self, payload: bytes, asker: str, source: str, answer: Callable[[bytes], None]
+    ) -> None:
+        self.payload, self.asker, self.source = payload, asker, source
         self.reply = answer
 
     def drop(self) -> None:
         """No answer."""
+
+
+class VirtualSession:
+    """What `Programs` needs of a Zenoh session; `messages` are the puts that wait for a tick."""
+
+    def __init__(self) -> None:
+        self.messages: deque[Any] = deque(maxlen=MAX_TAKEN)
+
+    def liveliness(self) -> Any:
+        """Tokens are not played."""
+        return Mock()
+
+    def declare_publisher(self, key: str) -> Any:
+        """No program subscribes."""
+        return Mock(matching_status=Mock(matching=False))
+
+    def declare_subscriber(self, key: str, handler: object) -> Any:
+        """The messages of programs."""
+        return Mock(try_recv=lambda: self.messages.popleft() if self.messages else None)
 
 
 class VirtualSwarm:
@@ -260,7 +290,8 @@ class VirtualSwarm:
         """What an operator asks a robot by a link: both directions must pass."""
         daemon = self.robots[robot]
         if daemon.is_up and self.reaches(asker, robot) and self.reaches(robot, asker):
-            self.at(self.now + 2.0 * self.delay, partial(daemon.take, partial(call, daemon)))
+            when = self.now + 2.0 * self.delay
+            self.at(when, partial(daemon.take, partial(daemon.take_query, call, when)))
 
     def answer(self, robot: str, asker: str, call: Callable[[], object]) -> None:
         """The answer of a robot comes back by a link."""
@@ -303,6 +334,8 @@ class VirtualDaemon(Node):
         self.cause: Cause | None = None  # of the pattern that runs
         self.event: object = None  # the request or the goal that is handed to the robot now
         self.hops: dict[str, int] = {}  # of the stops that were carried out, the greatest
+        self.waits: dict[str, float] = {}  # s for which a query waited while the daemon stalled
+        self._waited = 0.0
         self._waiting: list[Callable[[], object]] = []
         self._due = math.inf
         self._unwritten: GoalRecord | None = None  # what the write under way is to leave
@@ -330,7 +363,7 @@ class VirtualDaemon(Node):
         self.instance = instance
         self.is_up, self.is_frozen, self.is_settled = True, False, False
         self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
-        self.hops = {}
+        self.hops, self.waits = {}, {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
@@ -359,6 +392,15 @@ class VirtualDaemon(Node):
             now=now,
             admission=self.admission,
         )
+        self._session = VirtualSession()
+        self._programs = Programs(
+            self._session,  # type: ignore[arg-type]  # has what `Programs` calls
+            "lab",
+            self.name,
+            self.knows,
+            StrictDrops(),
+            takes_messages=True,
+        )
         audit = Audit(
             lambda line: self._step(NoteInput(line)),
             wall=lambda: self.swarm.wall + self.wall,
@@ -369,6 +411,7 @@ class VirtualDaemon(Node):
             audit,
             FakeServices(),
             drops=StrictDrops(),
+            is_secured=swarm.is_secured,
         )
         self._observe()
         self._tick_at(now)
@@ -459,6 +502,12 @@ class VirtualDaemon(Node):
         """A datagram arrives at its socket."""
         self.take(partial(self._on_datagram, body, sender, self.swarm.now, self.lives))
 
+    def take_query(self, call: Callable[[VirtualDaemon], object], arrived: float) -> None:
+        """What came by a link is handled; unlike a datagram it has no stamp of its arrival."""
+        self._waited = self.swarm.now - arrived
+        call(self)
+        self._waited = 0.0
+
     def on_request(
         self, verb: str, payload: bytes, asker: str, answer: Callable[[bytes], None]
     ) -> None:
@@ -469,8 +518,22 @@ class VirtualDaemon(Node):
         def reply(content: bytes) -> None:
             self.swarm.answer(self.name, asker, partial(answer, content))
 
-        query: Any = VirtualQuery(payload, asker, reply)
+        source = str(self.swarm.nodes[asker].address)
+        query: Any = VirtualQuery(payload, asker, source, reply)
         self.server.handle(verb, query)
+
+    def put(self, sender: str, payload: bytes) -> None:
+        """A message of a program comes by a link."""
+        key = build("lab", sender, MESSAGE, "drive", "vote")
+        kind, content = zenoh.SampleKind.PUT, zenoh.ZBytes(payload)
+        self._session.messages.append(Mock(key_expr=key, kind=kind, payload=content))
+
+    def knows(self, name: str) -> bool:
+        """As `Network._is_robot`."""
+        is_listed = self.swarm.is_secured and name in ROSTER
+        if is_listed or name == self.name:
+            return True
+        return self.peer.membership.member(name, self.swarm.now) is not None
 
     def view(self) -> PeerView | None:
         """The answer to a question of an operator for the members."""
@@ -507,6 +570,7 @@ class VirtualDaemon(Node):
         self._tick_soon()
 
     def _on_request(self, request: Request) -> None:
+        self.waits[request.id] = max(self._waited, self.waits.get(request.id, 0.0))
         self.event = request
         self._step(RequestInput(request))
         self.event = None
@@ -589,6 +653,10 @@ class VirtualDaemon(Node):
             self._measure()
         self._step(TICK_INPUT)
         self._apply(self.peer.advance(now, self._summary()))
+        for message in self._programs.take(now):
+            if self.swarm.judge is not None:
+                self.swarm.judge.on_program(self, message.sender)
+            self._step(MessageInput(*message, is_program=True))
         if self.admission is not None and self.admission.stops.counters != self.disk.counters:
             self._store(replace(self.disk, counters=dict(self.admission.stops.counters)))
         if not self.is_settled and self.peer.owns_id and self.peer.is_in_sync(now):

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from swarmd.core.events import Input, RequestInput, decode_input, encode_input
 from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
+from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -131,6 +132,15 @@ def test_a_fault_breaks_its_rule(
     monkeypatch.setattr(swarm, "Robot", FaultyRobot)
     fault = fault_of(2, [step(0.0, "run", by="anna"), step(2.0, "stop", by="bob")])
     assert (None if fault is None else fault.rule) == rule
+
+
+def test_messages_of_a_program_beyond_the_limits_break_a_rule(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(SenderLimits, "passes", lambda *_: True)
+    fault = fault_of(2, [step(0.0, "put", by="anna", sender="teacher", count=200)])
+    assert fault is not None
+    assert fault.rule == 12
 
 
 def test_a_rule_that_breaks_within_a_request_is_not_hidden(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -217,3 +217,34 @@ def test_a_robot_that_something_fast_comes_to_twice_goes_on_with_its_run() -> No
     robot = history.swarm.robots["r1"].robot
     assert robot.status(history.swarm.now).findings[0].startswith("2 things came at")
     assert robot.is_running
+
+
+@pytest.mark.parametrize("targets", [(), ("r1",)])
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+@pytest.mark.parametrize("seed", [1, 2], ids=["insecure", "secured"])
+def test_a_stop_of_a_zenoh_program_leaves_what_a_datagram_leaves(
+    verb: str, targets: tuple[str, ...], seed: int
+) -> None:
+    """The same acks, and events in the same order with the same audit line."""
+    traces = []
+    for name, words in (("program_stop", {"verb": verb}), (verb, {})):
+        history = replay(
+            2,
+            [
+                step(0.0, "run", by="anna", has_goal=False),
+                step(2.0, name, by="bob", targets=targets, **words),
+                step(3.0, "heal"),
+            ],
+            seed=seed,
+        )
+        swarm, outcome = history.swarm, history.operators["bob"].done[-1].outcome
+        assert outcome is not None
+        acks = [
+            (robot, reply.code, reply.text.partition(";")[0])  # its odometry is of the last repeat
+            for robot, reply in sorted(outcome.replies.items())
+        ]
+        robots = [one.robot.status(swarm.now) for one in swarm.robots.values()]
+        events = [[event.text for event in robot.events] for robot in robots]
+        traces.append((acks, events, [(robot.state, len(robot.latches)) for robot in robots]))
+    assert traces[0] == traces[1]
+    assert "by bob from ('10.0.1.2', 5000): applied" in traces[0][1][0][-1]

@@ -78,7 +78,8 @@ class Stranger:
 class SecuredSwarm:
     """Daemons `r1` and `r2`; `names` are the robots on the roster, `anna` is an operator of it.
 
-    `listens`: `r1` listens at `endpoint`. A process is gone once `left` is closed.
+    `listens`: `r1` listens at `endpoint`. `bodies`: endpoints of the robots' bodies, if they have
+    any. A process is gone once `left` is closed.
     """
 
     def __init__(
@@ -97,6 +98,7 @@ class SecuredSwarm:
         )
         self.settings = NetworkSettings(swarm=self.name)
         self.endpoint = free_endpoint()
+        self.bodies: dict[str, str] = {}
         self.daemons: dict[str, DaemonProcess] = {}
         self._folder, self._left, self._lives, self._listens = folder, left, 0, listens
         self.tag = tag_of("dev", self.name, self.keys["anna"].info.authority)
@@ -119,7 +121,7 @@ class SecuredSwarm:
             self._folder / f"life{self._lives}",
             swarm=self.name,
             robot=robot,
-            endpoint="tcp/127.0.0.1:9",
+            endpoint=self.bodies.get(robot, "tcp/127.0.0.1:9"),
             options={
                 "identity": str(self.keys.folder_of(robot)),
                 "state_dir": str(self._folder / "state"),

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
+import zenoh
 
+from swarmd.core.keys import token
 from swarmd.core.messages import State
 from tests.support.chromium import FOUND, Page
 from tests.support.processes import free_port
@@ -150,6 +152,20 @@ def test_tokens_decide_who_may_command(swarm: Swarm, page: Page) -> None:
         page.until("document.getElementById('banner').textContent.includes('token')", "refused")
         page.open(whole)
         shown(page, "tb3-01", "idle")
+
+
+def test_the_list_names_zenoh_programs_until_they_leave(swarm: Swarm, page: Page) -> None:
+    swarm.start("tb3-01")
+    with served(swarm) as [address], zenoh.open(zenoh.Config()) as program:
+        page.open(address)
+        shown(page, "tb3-01", "idle")
+        line = "document.getElementById('programs')"
+        assert page.evaluate(f"{line}.hidden")
+        held = program.liveliness().declare_token(token(swarm.name, "teacher"))
+        page.until(f"{line}.textContent.includes('teacher') && !{line}.hidden", "the program")
+        assert page.evaluate("document.querySelectorAll('tr[data-name]').length") == 1
+        held.undeclare()
+        page.until(f"{line}.hidden", "the program has left")
 
 
 def test_another_interface_needs_a_token(swarm: Swarm) -> None:

@@ -34,6 +34,7 @@ class OneRobot:
 
     kind, swarm, arena, playback, revision = "live", "one", None, None, 1
     patterns: Sequence[str] = ()
+    programs: Sequence[str] = ()
     descriptions: Mapping[str, Mapping[str, Any]] = {}
     link = None
 

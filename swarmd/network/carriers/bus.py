@@ -228,14 +228,7 @@ class ZenohBus:
             if self._is_excused(query.payload):
                 query.drop()
                 return
-            programs = () if self.programs is None else self.programs.names
-            view = PeerView(
-                robot=self.robot,
-                status=status(),
-                members=members(),
-                roster=roster,
-                programs=programs,
-            )
+            view = PeerView(robot=self.robot, status=status(), members=members(), roster=roster)
             query.reply(encode(view))
 
         self.serve(STATE, "status", lambda query: query.reply(encode(status())))

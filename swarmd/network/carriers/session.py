@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
+from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.network.access import asker_access, robot_access
@@ -57,9 +58,22 @@ Address = tuple[str, int]
 S = TypeVar("S", bound=zenoh.Session | None)
 
 
-def open_session(settings: NetworkSettings, identity: Identity | None = None) -> zenoh.Session:
-    """Open the session of a daemon, which listens only. Raises NetworkError in one line."""
-    return _open(settings, session_options(settings, identity))
+def open_session(
+    settings: NetworkSettings, identity: Identity | None = None, *, late: Sequence[str] = ()
+) -> zenoh.Session:
+    """Open the session of a daemon, which listens only. Raises NetworkError in one line.
+
+    `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
+    reads the addresses of interfaces once: it joins the group of scouts on others only by their
+    numbers, and tells programs of none at which it listens by the name of the interface.
+    """
+    options = session_options(settings, identity)
+    if late:
+        options["scouting/multicast/interface"] = ",".join(late)
+        if identity is None:  # the gate of a secured robot is at the port of `listen` alone
+            more = tuple(f"tcp/{address}:0" for address in late)
+            options["listen/endpoints"] = _listen(replace(settings, listen=settings.listen + more))
+    return _open(settings, options)
 
 
 def open_operator_session(

@@ -155,7 +155,7 @@ class Discovery:
         if len(self._roster) < MAX_MEMBERS:
             self._roster.update(name for name in view.roster if is_id(name))
         if len(self._programs) < MAX_MEMBERS:
-            self._programs.update(name for name in view.programs if is_id(name))
+            self._programs.update(name for name in view.status.programs if is_id(name))
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
 
     def on_header(self, header: StatusHeader, now: float) -> None:

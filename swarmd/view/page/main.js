@@ -42,7 +42,10 @@ const link = new Link(model, {
     if (message.kind === 'hello') model.hello(message);
     else if (message.kind === 'rows') { model.rows(message, now); lost(); }
     else if (message.kind === 'links') { model.links = message.links; map.wake(); }
-    else if (message.kind === 'detail') {
+    else if (message.kind === 'programs') {
+      show('programs', message.programs.length ? `Zenoh programs: ${message.programs.join(', ')}` : '');
+      element('programs').hidden = !message.programs.length;
+    } else if (message.kind === 'detail') {
       const robot = model.robots.get(message.name);
       if (robot) robot.detail = message;
       model.tell('detail');
