@@ -16,7 +16,7 @@ from msgspec import structs
 from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED
+from swarmd.protection.barrier import CREEP_SPEED, SIDE_RESERVE
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext
@@ -170,12 +170,12 @@ def return_beside(gap: float, side: float) -> Scan:
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
 def test_nearer_obstacle_is_passed_more_slowly(side: float, way: float) -> None:
-    """Half of the gap each until the next scan of both, less a quarter of `others_speed`.
+    """Half of the gap each until the next scan of both, less a share of `others_speed`.
 
     In directions 60 degrees aside.
     """
-    reserve = 0.25 * WAFFLE.protection["barrier"]["others_speed"]
-    for gap in (0.02, 0.05, 0.09, 0.1):
+    reserve = SIDE_RESERVE * WAFFLE.protection["barrier"]["others_speed"]
+    for gap in (0.02, 0.05, 0.095, 0.1):
         seconds = WAFFLE.scan.latency + REACTION_TIME + TICK
         closing = max(0.5 * (gap - MARGIN) / seconds - reserve, CREEP_SPEED)
         safe = decided(WAFFLE, return_beside(gap, side), Twist(way * TOP)).safe
