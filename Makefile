@@ -241,6 +241,7 @@ $(VENV)/made:
 # What a simulated swarm needs. CPython runs the kernels, and compiles what it imports.
 $(VENV)/interpreted: $(VENV)/made pyproject.toml setup.py constraints.txt
 	@echo "Installing swarmd into $(VENV), with the packages that a simulated swarm needs."
+	@rm -rf swarmd.egg-info  # of an earlier wheel: its entry points would hide those of this checkout
 	@$(call install,packages,project.dependencies project.optional-dependencies.sim,setuptools)
 	@$(call timed,swarmd,SWARMD_COMPILED=0 $(PIP) install --no-compile --no-deps --no-build-isolation --editable .)
 	@touch $@
