@@ -2,11 +2,11 @@
 
 They are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
 `swarmd.commands`). An entry of patterns names a class, or a package whose folders are patterns:
-`<package>/<name>/pattern.py`, with the class of that name. A file `<plugin_dir>/<name>.py` with
-exactly one Pattern is a pattern too, unless it is called `test_*.py`. So is a mission: a
-`<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that comes with swarmd. Reading the
-metadata of all installed packages takes 40 ms and more, so the command line calls these functions
-only where it must.
+`<package>/<name>/pattern.py`, with the class of that name. A file `<plugin_dir>/<name>.py` or
+`<plugin_dir>/<name>/pattern.py` with exactly one Pattern is a pattern too, unless it is called
+`test_*.py`. So is a mission: a `<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that
+comes with swarmd. Reading the metadata of all installed packages takes 40 ms and more, so the
+command line calls these functions only where it must.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
+PATTERN_FILE = "pattern.py"
+"""Of a pattern that has a folder; the folder has its name."""
 IN_WHEEL = "//"
 """Between the path of a wheel and the `module:Class` that is imported from it."""
 MAX_MISSION_SIZE = 1 << 20
@@ -76,8 +78,18 @@ class PatternFolder:
     @property
     def origin(self) -> Origin:
         """The class in its file: BestOfN for best_of_n."""
-        name = "".join(word.capitalize() for word in self.path.name.split("_"))
-        return Origin(f"{self.package}.{self.path.name}.pattern:{name}", self.source)
+        name = self.path.name
+        return Origin(f"{self.package}.{name}.pattern:{class_name(name)}", self.source)
+
+
+def class_name(pattern: str) -> str:
+    """The name of the class of a pattern in a package."""
+    return "".join(word.capitalize() for word in pattern.split("_"))
+
+
+def pattern_name(file: Path) -> str:
+    """The name of the pattern in a file: its folder's for `pattern.py`, else the file's own."""
+    return file.resolve().parent.name if file.name == PATTERN_FILE else file.stem
 
 
 def pattern_folders() -> Mapping[str, PatternFolder]:
@@ -92,7 +104,7 @@ def pattern_folders() -> Mapping[str, PatternFolder]:
 
 def _folders(point: EntryPoint) -> Iterator[PatternFolder]:
     file, source = _source_file(point.module), _source(point)
-    for path in sorted(file.parent.glob("*/pattern.py")) if file is not None else ():
+    for path in sorted(file.parent.glob(f"*/{PATTERN_FILE}")) if file is not None else ():
         if is_id(path.parent.name):
             yield PatternFolder(path.parent, point.module, source)
 
@@ -252,9 +264,10 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
         raise PluginError(
             f"plugin_dir is {plugin_dir}, which is no folder; make it or leave the option out"
         )
-    for path in sorted(plugin_dir.glob("*.py")):
-        if is_id(path.stem) and path.is_file() and not path.stem.startswith("test_"):
-            yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+    for path in sorted((*plugin_dir.glob("*.py"), *plugin_dir.glob(f"*/{PATTERN_FILE}"))):
+        name = pattern_name(path)
+        if is_id(name) and path.is_file() and not name.startswith("test_"):
+            yield name, Origin(str(path.resolve()), str(path), is_file=True)
     for path in mission_files(plugin_dir):
         yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
 

@@ -29,7 +29,7 @@ from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
-from swarmd.plugins import check_module_name, installed_patterns
+from swarmd.plugins import PATTERN_FILE, check_module_name, class_name, installed_patterns
 from swarmd.texts.values import printable
 
 # A trial on a robot may take 10 s, and loading again 3 s more.
@@ -41,7 +41,7 @@ _NAME_WIDTH = 43
 
 @click.group(cls=VerbGroup)
 def plugin() -> None:
-    """Patterns of your own, a file each."""
+    """Patterns of your own, a file or a folder each."""
 
 
 @plugin.command("new")
@@ -60,10 +60,23 @@ def plugin() -> None:
     type=EXISTING_FILE,
     help="A learned policy, .npz or .onnx of docs/learning.md: NAME.py holds it and runs it.",
 )
+@click.option(
+    "--folder",
+    "has_folder",
+    is_flag=True,
+    help="Write NAME/pattern.py, its test, a scenario and a page, as packages have them.",
+)
 @local_options
-def new(options: CommonOptions, name: str, folder: Path, kind: str, policy: Path | None) -> None:
+def new(
+    options: CommonOptions,
+    name: str,
+    folder: Path,
+    kind: str,
+    policy: Path | None,
+    has_folder: bool,
+) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
-    written = write_plugin(name, folder, kind, policy)
+    written = write_plugin(name, folder, kind, policy, has_folder=has_folder)
     python = shlex.quote(sys.executable)
     get = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
     steps = [
@@ -71,15 +84,19 @@ def new(options: CommonOptions, name: str, folder: Path, kind: str, policy: Path
         (f"{get}{python} -m pytest {written[1]}", "the same, and tests of its own"),
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
+    if has_folder:
+        run = f"swarmctl exp run {written[2]} --seeds 20 --out runs/{name}"
+        steps.append((run, "twenty runs of its scenario"))
     if options.is_json:
         files = [str(path) for path in written]
         print_json("Plugin", {"name": name, "files": files, "next": [line for line, _ in steps]})
         return
-    click.echo(f"wrote {written[0]} and {written[1]}; next:\n")
+    click.echo(f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}; next:\n")
     width = max(len(line) for line, _ in steps)
     for line, text in steps:
         click.echo(f"  {line.ljust(width)}  # {text}")
-    click.echo(f"\nOn a robot, put {name}.py into the folder that its plugin_dir names.")
+    what = f"the folder {name}" if has_folder else f"{name}.py"
+    click.echo(f"\nOn a robot, put {what} into the folder that its plugin_dir names.")
 
 
 @plugin.command("check")
@@ -142,33 +159,42 @@ plugin.add_command(remove)
 
 
 def write_plugin(
-    name: str, folder: Path, kind: str, policy: Path | None = None
-) -> tuple[Path, Path]:
-    """Write both files and return their paths; UsageError, and no file, for an unusable name.
+    name: str, folder: Path, kind: str, policy: Path | None = None, *, has_folder: bool = False
+) -> tuple[Path, ...]:
+    """Write pattern and test and return their paths; with `has_folder` also scenario and page.
 
-    The texts are those of `templates/`; with `policy` the pattern is that of the network in it.
-    ConfigError, and no file, if it holds none.
+    The texts are those of `templates/`. With `policy` the pattern is that of the network in it.
+    UsageError for an unusable name and ConfigError without a network: no file is written then.
     """
     if policy is not None and kind != "movement":
         raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
     network = "" if policy is None else _network_text(policy)
     kind = kind if policy is None else "policy"
     _check_name(name)
-    paths = (folder / f"{name}.py", folder / f"test_{name}.py")
+    heads, module = ["", "test_"], name
+    paths = [folder / f"{name}.py", folder / f"test_{name}.py"]
+    if has_folder:
+        heads, module = [*heads, "scenario", "page"], "pattern"
+        names = (PATTERN_FILE, f"test_{name}.py", "scenario.yaml", "page.md")
+        paths = [folder / name / file for file in names]
     for path in paths:
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
     _check_free(name)
     folder_of_texts = files("swarmd.cli") / "templates"
-    texts = [(folder_of_texts / f"{head}{kind}.txt").read_text() for head in ("", "test_")]
-    class_name = "".join(word.capitalize() for word in name.split("_"))
-    if class_name in "".join(texts):  # such as Twist, which it imports
-        class_name += "Pattern"
-    folder.mkdir(parents=True, exist_ok=True)
+    texts = [
+        (folder_of_texts / f"{head if head.isalpha() else head + kind}.txt").read_text()
+        for head in heads
+    ]
+    title = class_name(name)
+    if title in "".join(texts):  # such as Twist, which it imports
+        title += "Pattern"
+    paths[0].parent.mkdir(parents=True, exist_ok=True)
     for path, text in zip(paths, texts, strict=True):
         with path.open("x", encoding="utf-8") as file:
-            file.write(Template(text).substitute(name=name, kind=class_name, network=network))
-    return paths
+            fields = {"name": name, "module": module, "kind": title, "network": network}
+            file.write(Template(text).substitute(fields))
+    return tuple(paths)
 
 
 def _network_text(policy: Path) -> str:

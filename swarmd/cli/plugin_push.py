@@ -29,6 +29,7 @@ from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import Code
 from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply, PushRequest
 from swarmd.network.exit_codes import PARTIAL, TIMEOUT, code_of_answers
+from swarmd.plugins import pattern_name
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
@@ -223,13 +224,14 @@ def read_source(file: Path) -> Source:
         return Source(found.name, "wheel", found.version, found.value, code)
     if file.suffix != ".py":
         raise PluginError(f"{file}: expected a .py or a .whl")
-    check_id(file.stem, f"{file}: the pattern's name")
+    name = pattern_name(file)
+    check_id(name, f"{file}: the pattern's name")
     try:
         ast.parse(code)
     except (SyntaxError, ValueError) as error:
         line = getattr(error, "lineno", None)
         raise PluginError(f"{file}:{line or 1}: {getattr(error, 'msg', error)}") from error
-    return Source(file.stem, "file", "", "", code)
+    return Source(name, "file", "", "", code)
 
 
 def greatest_of(replies: Iterable[BehavioursReply], identity: Identity | None) -> int:

@@ -21,7 +21,7 @@ from typing import Any, get_args
 from swarmd.core.errors import ChangedCodeError, PluginError, UnknownPatternError, unknown
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
-from swarmd.plugins import IN_WHEEL, MISSION
+from swarmd.plugins import IN_WHEEL, MISSION, pattern_name
 
 _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
@@ -199,7 +199,7 @@ def import_file(path: Path, digest: bytes = b"") -> ModuleType:
 
     ChangedCodeError if the SHA-256 of the file differs from `digest`; empty: any.
     """
-    name = f"swarmd_plugin_{path.stem}"
+    name = f"swarmd_plugin_{pattern_name(path)}"
     loader = _UncachedLoader(name, str(path), digest)
     spec = importlib.util.spec_from_loader(name, loader)
     if spec is None:

@@ -54,6 +54,7 @@ from swarmd.plugins import (
     check_module_name,
     is_mission,
     is_same_file,
+    pattern_name,
     pattern_names,
     places_of,
 )
@@ -226,8 +227,9 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
     loaded: list[type[Pattern[Any]]] = []
 
     def load() -> None:
-        check_module_name(path.stem)
-        loaded.append(PatternLoader({path.stem: (str(path), True)})(path.stem))
+        name = pattern_name(path)
+        check_module_name(name)
+        loaded.append(PatternLoader({name: (str(path), True)})(name))
 
     answer.send(begin=LOADING)
     fault = _fault_of(load, path)

@@ -21,6 +21,7 @@ from swarmd.cli.plugin_check import (
     describe_patterns,
     used_by,
 )
+from swarmd.cli.plugin_push import read_source
 from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.kit.observation import NeighborsPart, PolicySpec, ReadingPart, ScanPart, TwistPart
@@ -29,6 +30,8 @@ from swarmd.pattern_host.loader import import_file
 from swarmd.pattern_host.plugin_inspector import IMPORTS, LOADING, MIRRORED, readable_beside
 from swarmd.plugins import pattern_names
 from swarmd.settings.platforms import platform_names
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.processes import wait_until
 
@@ -144,6 +147,23 @@ def test_an_unusable_name_is_refused_in_one_line(
     assert text in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_folder_has_a_pattern_its_test_a_scenario_and_a_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert swarmctl("plugin", "new", "swirl", "--dir", str(tmp_path), "--folder") == 0
+    folder = tmp_path / "swirl"
+    wanted = {"pattern.py", "test_swirl.py", "scenario.yaml", "page.md"}
+    assert {path.name for path in folder.iterdir()} == wanted
+    assert "from pattern import Swirl" in (folder / "test_swirl.py").read_text()
+    assert f"exp run {folder / 'scenario.yaml'}" in capsys.readouterr().out
+    assert swarmctl("plugin", "check", str(folder / "pattern.py")) == 0
+    assert pattern_names(tmp_path, {})["swirl"].value == str(folder / "pattern.py")
+    assert read_source(folder / "pattern.py").name == "swirl"
+    trace = simulate_run(load_scenario(folder / "scenario.yaml", {"duration": 1.0}), 0)
+    assert trace.state is not None
+    assert trace.state[-1].tolist() == ["running"] * 5
 
 
 @pytest.mark.parametrize("there", ["own.py", "test_own.py"])
