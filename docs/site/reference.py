@@ -120,14 +120,16 @@ def patterns() -> Iterator[str]:
 
 def films() -> Iterator[str]:
     """Each pattern with its film and the first sentence of its page, for `patterns/README.md`."""
-    rows = []
+    lines = ["| film | pattern |", "|---|---|"]
     for page in sorted((ROOT / "patterns").glob("*/page.md")):
         name, film = page.parent.name, page.parent / "film.gif"
         text = page.read_text(encoding="utf-8").partition("\n\n")[2].partition("\n\n")[0]
         first = re.split(r"(?<=\.) (?=[A-Z])", " ".join(text.split()))[0]
-        shown = f'<img src="{name}/film.gif" width="300" alt="film of {name}">'
-        rows.append((shown if film.exists() else "", f"[**{name}**]({name}/page.md): {first}"))
-    yield _table(("film", "pattern"), rows)
+        image = f'<img src="{name}/film.gif" width="300" alt="film of {name}">'
+        lines.append(
+            f"| {image if film.exists() else ''} | [**{name}**]({name}/page.md): {first} |"
+        )
+    yield "\n".join(lines)
 
 
 def comparison() -> Iterator[str]:

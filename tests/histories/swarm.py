@@ -94,6 +94,7 @@ DELAY = 0.005  # s
 MOST_DELAY = 1.2  # of a datagram, as a share of the delay
 JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.4  # s
 LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
+REST_TIME = 0.25  # s from the ack of a stop until odometry shows that the base rests
 SCAN_PERIOD = 0.5
 RAM_SPEED, RAM_DISTANCE, RAM_PERIOD, RAM_AGAIN = 1.0, 1.2, 0.1, 6.0  # m/s, m, s and s
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/carriers/udp.py`
@@ -586,6 +587,7 @@ class VirtualDaemon(Node):
             code=reply.code,
             refusal=reply.refusal,
             text=reply.text[:300],
+            is_moving=reply.is_moving,
         )
         self._send(ack, source)
 
@@ -664,6 +666,10 @@ class VirtualDaemon(Node):
             self._step(DriverInput(True, "connected"))
         self._tick_at(self._next_tick())
 
+    def _rest(self, life: int) -> None:
+        if life == self.lives and self.is_up and not self.is_frozen:
+            self._measure()
+
     def _see(self, distance: float, life: int) -> None:
         if life == self.lives:
             self._measure(np.where(np.arange(len(NO_DATA)) == len(NO_DATA) // 2, distance, np.inf))
@@ -698,6 +704,8 @@ class VirtualDaemon(Node):
             if command is not None:
                 self._command(command)
         for reply in actions.replies:
+            if reply.is_moving:
+                self.swarm.at(self.swarm.now + REST_TIME, partial(self._rest, self.lives))
             if self.swarm.judge is not None:
                 pending = self.server._pending.get(reply.id)
                 if pending is not None and not isinstance(
