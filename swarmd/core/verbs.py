@@ -225,12 +225,11 @@ AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushReque
 
 
 class RequestHeader(Struct, frozen=True, kw_only=True):
-    """The fields of a request that suffice to refuse it by name, whatever its version."""
+    """The fields of a request with which it is refused, of any types and version."""
 
-    id: str
-    verb: str
-    operator: str = ""
-    targets: dict[str, object] | None = None
+    id: object = ""
+    operator: object = ""
+    targets: object = None
 
 
 # Questions and their answers

@@ -1,8 +1,8 @@
 """Reads what operators ask, hands it to the robot or to a service, and sends the replies.
 
 The table of `core/verbs.py` names who answers a verb. The daemon refuses a request of another
-version, or with a field that is missing, of a wrong type or out of bounds, as long as its id and
-its targets can be read.
+version, or with a field that is missing, of a wrong type or out of bounds, if its payload is a map
+that targets the robot.
 """
 
 from __future__ import annotations
@@ -33,12 +33,15 @@ MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out bef
 MAX_ID = 63
 MAX_OPERATOR = 128
 MAX_TEXT = 300
+UNREADABLE = "?"
+"""The id in the refusal of a request of which it cannot be read."""
 
 MAX_ANSWERS = 8
 """Answers from threads to one verb at a time; further questions are dropped, and repeated."""
 
 _DECODERS = {row.name: Decoder(row.asked) for row in verbs.VERBS.values()}
 _header = Decoder(verbs.RequestHeader, any_version=True)
+_NO_FIELDS = encode(verbs.Nothing())
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +167,7 @@ class RequestServer:
 
     def handle(self, verb: str, query: Query) -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`."""
-        with self._drops.refusing(f"control/{verb}", partial(self._refuse, query)):
+        with self._drops.refusing(f"control/{verb}", partial(self._refuse, verb, query)):
             self._carry_out(_DECODERS[verb](query.payload), query)
 
     def ask(self, verb: str, query: Query) -> None:
@@ -172,7 +175,7 @@ class RequestServer:
         asked = (
             verbs.Nothing()
             if verbs.VERBS[verb].asked is verbs.Nothing
-            else _DECODERS[verb](query.payload)
+            else _DECODERS[verb](query.payload or _NO_FIELDS)
         )
         found = self._handlers[verb](asked)
         if not callable(found):
@@ -223,42 +226,44 @@ class RequestServer:
             return False
         return reply.code is not Code.FAILED or earlier.code is Code.FAILED
 
-    def _refuse(self, query: Query, code: Code, text: str) -> None:
+    def _refuse(self, verb: str, query: Query, code: Code, text: str) -> None:
         """Refuse a request that is malformed or of another version, or tell that it has failed.
 
-        The reply is not kept if its id is that of another request that is pending or was answered.
+        The reply is not kept if its id is that of another request that is pending or was answered,
+        or is none: then it is UNREADABLE in the reply.
         """
         try:
             header = _header(query.payload)
         except CodecError:
-            header = verbs.RequestHeader(id="", verb="")
-        is_stop_of_all = header.targets is None and header.verb in ("stop", "estop")
-        is_for_this = is_stop_of_all or self._robot in (header.targets or ())
-        if not (0 < len(header.id) <= MAX_ID and is_for_this):
             query.drop()
             return
-        pending = self._pending.get(header.id)
+        targets = header.targets
+        names = targets if isinstance(targets, dict | list) else (targets,)
+        is_stop_of_all = targets is None and verb in ("stop", "estop")
+        if not (is_stop_of_all or self._robot in names):
+            query.drop()
+            return
+        is_readable = isinstance(header.id, str) and 0 < len(header.id) <= MAX_ID
+        id = str(header.id) if is_readable else UNREADABLE
+        pending = self._pending.get(id) if is_readable else None
         if pending is not None and pending.query is query:  # its handler has failed
-            del self._pending[header.id]
+            del self._pending[id]
             pending = None
-        verb = header.verb[:MAX_ID]
-        operator = query.asker if self._is_secured else header.operator[:MAX_OPERATOR]
+        operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
         refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
         text = f"{verb}: {text}"
         if version != codec.VERSION:
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
-        reply = Reply(
-            id=header.id, robot=self._robot, code=code, refusal=refusal, text=text[:MAX_TEXT]
-        )
-        is_repeat = header.id in self._replies
-        if not is_repeat and pending is None:
+        reply = Reply(id=id, robot=self._robot, code=code, refusal=refusal, text=text[:MAX_TEXT])
+        is_repeat = is_readable and id in self._replies
+        if is_readable and not is_repeat and pending is None:
             self._keep(reply)
         with self._drops.refusing("control/reply"):
             query.reply(encode(reply))
         if not is_repeat:
-            count = len(header.targets or ())
+            count = 0 if targets is None else len(names)
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
 
 

@@ -24,6 +24,7 @@ trial that fails, leaves everything as it is.
 from __future__ import annotations
 
 import math
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
 from swarmd.core import verbs
@@ -127,7 +128,9 @@ class RequestHandler:
 
     def on_estop(self, request: verbs.EstopRequest, effects: Effects) -> None:
         """Latch, unless a relayed copy of this emergency stop was reset."""
-        latch_id = request.id if is_id(request.id) else "unnamed"
+        # A common name would be known as reset from the second time on, and latch no peer.
+        is_name = is_id(request.id)
+        latch_id = request.id if is_name else sha256(request.id.encode()).hexdigest()[:32]
         if request.is_relayed and self._lifecycle.latches.is_cleared(latch_id):
             lifecycle = self._lifecycle
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, "reset since it was issued")

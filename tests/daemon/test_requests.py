@@ -12,8 +12,18 @@ import pytest
 from swarmd.core import codec
 from swarmd.core.bounds import Seconds
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
-from swarmd.core.verbs import VERBS, EstopRequest, Request, RunRequest, StopRequest
+from swarmd.core.verbs import (
+    VERBS,
+    AuditQuery,
+    EstopRequest,
+    LinksQuery,
+    LogsQuery,
+    Request,
+    RunRequest,
+    StopRequest,
+)
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.requests import MAX_PENDING, RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -178,6 +188,48 @@ def test_a_malformed_stop_of_all_is_refused_by_each_robot(targets: dict[str, Any
     server_of("tb3-01", taken.append).handle("estop", nameless)
     assert taken == []
     assert [reply.refusal for reply in nameless.replies] == [Refusal.INVALID_REQUEST]
+
+
+@pytest.mark.parametrize(
+    ("fields", "id"),
+    [
+        ({"targets": ["tb3-01"]}, "s1"),
+        ({"targets": "tb3-01"}, "s1"),
+        ({"operator": 5}, "s1"),
+        ({"id": 5}, "?"),
+        ({"id": None}, "?"),
+        ({"id": "x" * 64}, "?"),
+        ({"targets": ["tb3-02"]}, None),
+        ({"targets": 5}, None),
+        ({"verb": 5, "targets": ["tb3-01"]}, "s1"),
+    ],
+)
+def test_a_field_of_a_wrong_type_is_refused_with_an_answer(
+    fields: dict[str, Any], id: str | None
+) -> None:
+    taken: list[Request] = []
+    query = RecordingQuery(raw(**{"id": "s1", "verb": "stop", "operator": "a"} | fields))
+    server_of("tb3-01", taken.append).handle("stop", query)
+    assert taken == []
+    assert [(one.id, one.refusal) for one in query.replies] == (
+        [] if id is None else [(id, Refusal.INVALID_REQUEST)]
+    )
+
+
+class UnreadQuery(RecordingQuery):
+    def reply(self, payload: bytes) -> None:
+        """Take an answer of any type."""
+
+
+def test_a_question_without_a_payload_has_the_defaults_of_its_type() -> None:
+    services = FakeServices()
+    audit = Audit(lambda line: None)
+    server = RequestServer("tb3-01", lambda request: None, audit, services, drops=DropCounter())
+    for verb, asked in (("logs", LogsQuery()), ("audit", AuditQuery()), ("links", LinksQuery())):
+        server.ask(verb, UnreadQuery(b""))
+        assert services.calls.pop() == (verb, asked)
+    with pytest.raises(CodecError):
+        server.ask("fetch", UnreadQuery(b""))
 
 
 def test_pending_requests_are_bounded_and_a_stop_is_always_taken() -> None:

@@ -188,11 +188,11 @@ class VirtualSession:
         """Tokens are not played."""
         return Mock()
 
-    def declare_publisher(self, key: str) -> Any:
+    def declare_publisher(self, key: str, **_: object) -> Any:
         """No program subscribes."""
         return Mock(matching_status=Mock(matching=False))
 
-    def declare_subscriber(self, key: str, handler: object) -> Any:
+    def declare_subscriber(self, key: str, handler: object, **_: object) -> Any:
         """The messages of programs."""
         return Mock(try_recv=lambda: self.messages.popleft() if self.messages else None)
 

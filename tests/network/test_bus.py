@@ -279,3 +279,21 @@ def test_a_name_that_the_table_of_keys_lacks_is_refused(rig: BusRig) -> None:
             rig.bus.serve(plane, name, lambda query: query.drop())
     with pytest.raises(KeyError):
         rig.bus.publish("dance", lambda: b"")
+
+
+async def test_messages_of_the_own_pattern_go_to_programs_alone(rig: BusRig, until: Until) -> None:
+    """Without a program none is sent, and none comes back to be counted."""
+    rig.bus.meet_programs(lambda name: name == "me", takes_messages=True)
+    programs = rig.bus.programs
+    assert programs is not None
+    programs.publish("voter_model/opinion", b"\x01\x01")
+    taken: list[str] = []
+
+    def has_come() -> bool:
+        rig.foreign.put(rig.key("prog/message/voter_model/opinion"), b"\x01\x02")
+        taken.extend(message.sender for message in programs.take(time.monotonic()))
+        return bool(taken)
+
+    await until(has_come)
+    assert {*taken} == {"prog"}
+    assert "message:robot" not in rig.drops.counts()

@@ -11,6 +11,7 @@ from swarmd.api import Outputs, Twist
 from swarmd.core.events import DriverInput, DuplicateInput, LatchesInput, NetworkInput, RosterInput
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
+from swarmd.core.keys import is_id
 from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
 from swarmd.core.verbs import StopRequest
 from swarmd.patterns.drive.pattern import Drive
@@ -273,6 +274,19 @@ def test_estop_latches_and_is_written_before_the_ack() -> None:
     assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
     harness.refused("run", pattern="forward")
     harness.applied("stop")
+
+
+def test_an_estop_with_an_id_that_is_no_name_of_a_latch_gets_one_of_its_own() -> None:
+    """A name that was reset would latch no peer again."""
+    harness = started()
+    names = []
+    for id in ("5C1E-A", "5C1E-B", "5C1E-A"):
+        harness.applied("estop", id=id)
+        [latch_id] = harness.written[-1].held
+        assert is_id(latch_id)
+        names.append(latch_id)
+        harness.applied("reset", ids=(latch_id,))
+    assert names[0] == names[2] != names[1]
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])

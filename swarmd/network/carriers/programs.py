@@ -71,10 +71,16 @@ class Programs:
         self._messages: Any = None
         self._is_unsure, self._is_heard = takes_messages, False
         if takes_messages:
+            # Without REMOTE the two match each other: each message would be put without a program,
+            # and come back.
             self._messages = session.declare_subscriber(
-                build(swarm, ANY, MESSAGE, ANY, ANY), RingChannel(MAX_TAKEN)
+                build(swarm, ANY, MESSAGE, ANY, ANY),
+                RingChannel(MAX_TAKEN),
+                allowed_origin=zenoh.Locality.REMOTE,
             )
-            self._publisher = session.declare_publisher(build(swarm, robot, MESSAGE, ANY, ANY))
+            self._publisher = session.declare_publisher(
+                build(swarm, robot, MESSAGE, ANY, ANY), allowed_destination=zenoh.Locality.REMOTE
+            )
             on_change = Callback(self._on_subscribers, indirect=False)
             self._publisher.declare_matching_listener(on_change)
             self._entities += [self._messages, self._publisher]
@@ -97,7 +103,11 @@ class Programs:
         key = build(self._swarm, self._robot, MESSAGE, pattern, name)
         try:
             self._session.put(
-                key, payload, congestion_control=zenoh.CongestionControl.DROP, express=True
+                key,
+                payload,
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=True,
+                allowed_destination=zenoh.Locality.REMOTE,
             )
         except zenoh.ZError:
             self._drops.add("message:unsent")
