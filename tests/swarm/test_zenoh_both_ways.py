@@ -65,7 +65,7 @@ def stop_all(swarm: Swarm) -> None:
         done = example("stop", swarm.name)
         lines = [line.split()[:2] for line in done.stdout.splitlines()]
         applied = {robot for robot, code in lines if code == "applied"}
-        assert done.returncode == (0 if applied else 1), done
+        assert bool(done.returncode) == (not applied or "has not stopped" in done.stdout), done
         return applied >= {*ROBOTS}
 
     wait_until(all_answer, "stop.py has the answers of all robots")

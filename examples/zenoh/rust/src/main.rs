@@ -26,24 +26,28 @@ fn vote(session: &Session, swarm: &str, program: &str, opinion: i64) -> Result<(
 
 fn stop(session: &Session, swarm: &str) -> Result<()> {
     let id = session.zid().to_string(); // a new one for each request
-    let fields = [("verb", "stop"), ("id", &id), ("operator", "main.rs")];
-    let request = payload(Value::Map(fields.map(|(a, b)| (a.into(), b.into())).to_vec()))?;
     let (start, mut known, mut answered) = (Instant::now(), BTreeSet::new(), BTreeSet::new());
     // Scouting finds robots one by one: ask for 1 s, and for 5 s while a name lacks an answer.
     while start.elapsed().as_secs() < if known.is_empty() || known != answered { 5 } else { 1 } {
         known.append(&mut names(session, swarm)?);
-        let query = session.get(format!("swarm/{swarm}/*/control/stop/anyone")).payload(&request);
+        let age = start.elapsed().as_secs_f64().into(); // a repeat ends no run that began meanwhile
+        let words = [("verb", "stop"), ("id", &id), ("operator", "main.rs")];
+        let mut fields = words.map(|(key, word)| (key.into(), word.into())).to_vec();
+        fields.push(("age".into(), age));
+        let query = session.get(format!("swarm/{swarm}/*/control/stop/anyone"));
+        let query = query.payload(payload(Value::Map(fields))?);
         for reply in query.target(QueryTarget::All).timeout(Duration::from_secs(1)).wait()? {
             let Ok(sample) = reply.into_result() else { continue };
             let answer = read_value(&mut &sample.payload().to_bytes()[1..])?;
             let [robot, code] = ["robot", "code"].map(|key| answer[key].as_str().unwrap_or("?"));
-            if answered.insert(robot.to_string()) {
+            let is_at_rest = answer["is_moving"].as_bool() != Some(true);
+            if is_at_rest && answered.insert(robot.to_string()) {
                 println!("{robot} {code}");
             }
         }
         sleep(Duration::from_millis(100));
     }
-    known.difference(&answered).for_each(|name| println!("{name} did not answer"));
+    known.difference(&answered).for_each(|name| println!("{name} has not stopped"));
     (!answered.is_empty()).then_some(()).ok_or(format!("no robot of {swarm} answered").into())
 }
 
