@@ -61,6 +61,17 @@ def test_the_ack_of_a_robot_that_rests_follows_that_of_a_robot_that_moved() -> N
     assert [isinstance(one, Ack) and one.is_moving for one in repeated] == [False]
 
 
+def test_a_stop_is_handed_on_to_a_robot_that_moved_until_it_says_that_it_rests() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(), OPERATOR, 0.0)
+    relay.on_ack(ack("r2", is_moving=True), PEER, 0.1)  # the copies after that are lost
+    copies(relay, 3.0)
+    assert copies(relay, 2 * LAST_INTERVAL, began=3.0)
+    relay.on_ack(ack("r2"), PEER, 16.0)
+    copies(relay, 2 * LAST_INTERVAL, began=16.0)
+    assert not copies(relay, 2 * LAST_INTERVAL, began=16.0 + 2 * LAST_INTERVAL)
+
+
 def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
     """Three robots that have heard the stop from each other hear the refusal of a fourth."""
     addresses = {name: (f"10.0.0.{number}", 7440) for number, name in enumerate("abc", 11)}

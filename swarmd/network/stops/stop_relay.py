@@ -4,9 +4,9 @@ A stop that reaches one robot reaches all that this robot hears: it repeats the 
 algorithm does (RFC 6206): at intervals that double, at a random moment of each,
 and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
 operator send little, and a robot that only one of them reaches gets it. It goes on until LIFETIME
-after the operator sent its last copy, or until all named targets have acked. Each copy has the age
-at which the operator sent it, so that no copy that travels in a circle prolongs that. A robot hands
-on no stop that it would refuse itself.
+after the operator sent its last copy, or until all named targets have acked and rest. Each copy has
+the age at which the operator sent it, so that no copy that travels in a circle prolongs that. A
+robot hands on no stop that it would refuse itself.
 
 Acks travel back the same way: a robot hands those that it gets to the sender of the stop, with its
 own name as `via`.
@@ -206,4 +206,5 @@ class StopRelay:
             return True
         others = {*stop.targets} - {self._own}
         is_new = now - relayed.heard < TRUSTLESS_TIME and bool(others)
-        return is_new or not others <= relayed.acks.keys()
+        rest = {name for name, ack in relayed.acks.items() if not ack.is_moving}
+        return is_new or not others <= rest
