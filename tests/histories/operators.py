@@ -192,7 +192,7 @@ class VirtualOperator(Node):
         *,
         is_repeat: bool = False,
     ) -> Command:
-        """As examples/zenoh/stop.py: the same query until each robot has answered.
+        """As examples/zenoh/stop.py: the same query until each robot has answered and rests.
 
         `is_repeat`: of the last one once more, with its id and its age.
         """
@@ -204,7 +204,9 @@ class VirtualOperator(Node):
         request = self._program_stop
         acks, repeat = Acks(request["id"]), RepeatTimer(began, ((1e9, REPEAT_PERIOD),))
         asked = [name for name in swarm.robots if name in request.get("targets", swarm.robots)]
-        while acks.missing(asked) and swarm.now - began < PROGRAM_TIME:
+        while swarm.now - began < PROGRAM_TIME:
+            if not (acks.missing(asked) or any(map(acks.is_moving, asked))):
+                break
             if repeat.is_due(swarm.now):
                 age = swarm.now - swarm.issued[request["id"]]
                 self._ask(request["verb"], _raw(request | {"age": age}), tuple(swarm.robots), acks)

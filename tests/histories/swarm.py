@@ -365,6 +365,7 @@ class VirtualDaemon(Node):
         self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
         self.hops, self.waits = {}, {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
+        self._moved_at = -math.inf
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
         self._pattern = ""
@@ -649,7 +650,9 @@ class VirtualDaemon(Node):
 
     def _tick(self) -> None:
         now = self.swarm.now
-        if self.is_active and now - self._scan_at >= SCAN_PERIOD:
+        # Odometry goes on after a stop, so that the robot knows that its base rests.
+        is_read = self.is_active or self._scan_at < self._moved_at + SCAN_PERIOD
+        if is_read and now - self._scan_at >= SCAN_PERIOD:
             self._measure()
         self._step(TICK_INPUT)
         self._apply(self.peer.advance(now, self._summary()))
@@ -684,8 +687,10 @@ class VirtualDaemon(Node):
     def _carry_out(self, actions: Actions) -> None:
         """As `Daemon._carry_out`."""
         self.twist = actions.twist
-        if not self.twist.is_zero and self.swarm.judge is not None:
-            self.swarm.judge.on_twist(self)
+        if not self.twist.is_zero:
+            self._moved_at = self.swarm.now
+            if self.swarm.judge is not None:
+                self.swarm.judge.on_twist(self)
         if actions.is_quiet:
             return
         if actions.goals is not None:
