@@ -20,7 +20,7 @@ with zenoh.open(zenoh.Config()) as session:
         request = b"\x01" + msgpack.packb(REQUEST | {"age": age})  # the version, and MessagePack
         for reply in session.get(KEY, target=zenoh.QueryTarget.ALL, payload=request, timeout=1):
             answer = msgpack.unpackb(reply.ok.payload.to_bytes()[1:]) if reply.ok else {}
-            if answer and not answer["is_moving"] and answer["robot"] not in codes:
+            if answer and not answer.get("is_moving") and answer["robot"] not in codes:
                 codes[answer["robot"]] = answer["code"]
                 print(answer["robot"], answer["code"], answer["text"])
         missing = names - codes.keys()

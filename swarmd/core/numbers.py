@@ -11,6 +11,7 @@ FLOAT = re.compile(
     r"|[-+]?\.(?:inf|Inf|INF)\Z|\.(?:nan|NaN|NAN)\Z"
 )
 _BASES = {"0o": 8, "0x": 16}
+_MAX_BITS = 14000  # str() refuses more than 4300 digits
 _MAX_EXACT = 2**53  # JSON's readers keep integers up to here
 
 
@@ -21,7 +22,8 @@ def read_number(text: str) -> int | float | None:
     """
     try:
         if INTEGER.match(text):
-            return int(text, _BASES.get(text[:2], 10))
+            whole = int(text, _BASES.get(text[:2], 10))
+            return None if whole.bit_length() > _MAX_BITS else whole
         if FLOAT.match(text):
             number = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
             return None if math.isinf(number) and text[-1].isdigit() else number

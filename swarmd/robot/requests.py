@@ -60,6 +60,7 @@ class RequestHandler:
         goals: GoalHandler,
         protection: Protection,
         sensors: Sensors,
+        now: float,
     ) -> None:
         self._robot = robot
         self._goals = goals
@@ -67,6 +68,7 @@ class RequestHandler:
         self._lifecycle = lifecycle
         self._sensors = sensors
         self._trials = 0
+        self._heard_by = now + STOP_TIME  # until then a base may be there that is not heard yet
         self._executed: dict[str, float] = {}  # ids of stops, and when each was carried out first
         # A robot that stands has stood since stops that were issued before this time.
         self._stood = -math.inf
@@ -179,7 +181,8 @@ class RequestHandler:
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
         """Acknowledge a stop, and never a base that zero does not reach, or that moves on.
 
-        A robot that has commanded no motion since its start has none to end without a driver.
+        A robot that has commanded no motion since its start has none to end without a driver. Its
+        base may move on from the life before: the driver and odometry have STOP_TIME to come.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         began = self._executed.setdefault(request.id, now)
@@ -187,7 +190,8 @@ class RequestHandler:
             del self._executed[next(iter(self._executed))]
         text, gets_zero = self._stop_text(now), sensors.is_driver_up or sensors.gets_zero
         is_moving = not self._is_at_rest(now)
-        is_moving |= not gets_zero and self._protection.moved_at > -math.inf
+        is_new = now < self._heard_by
+        is_moving |= not gets_zero and (is_new or self._protection.moved_at > -math.inf)
         if is_moving and now >= began + STOP_TIME:
             lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
         else:
@@ -197,7 +201,7 @@ class RequestHandler:
         """Whether odometry shows that the base rests; True without odometry, which the ack says."""
         odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
         if odometry is None or age is None:
-            return True
+            return now >= self._heard_by
         twist = odometry.twist
         speeds = math.hypot(twist.linear, twist.lateral), abs(twist.angular)
         is_slow = speeds[0] <= _REST[0] and speeds[1] <= _REST[1]

@@ -98,7 +98,7 @@ class Robot(Ticker):
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
         self._requests = RequestHandler(
-            id, self._lifecycle, self._goals, self._protection, self._sensors
+            id, self._lifecycle, self._goals, self._protection, self._sensors, now
         )
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()

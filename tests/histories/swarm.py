@@ -94,7 +94,6 @@ DELAY = 0.005  # s
 MOST_DELAY = 1.2  # of a datagram, as a share of the delay
 JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.4  # s
 LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
-REST_TIME = 0.25  # s from the ack of a stop until odometry shows that the base rests
 SCAN_PERIOD = 0.5
 RAM_SPEED, RAM_DISTANCE, RAM_PERIOD, RAM_AGAIN = 1.0, 1.2, 0.1, 6.0  # m/s, m, s and s
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/carriers/udp.py`
@@ -366,6 +365,7 @@ class VirtualDaemon(Node):
         self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
         self.hops, self.waits = {}, {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
+        self._moved_at = -math.inf
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
         self._pattern = ""
@@ -651,7 +651,9 @@ class VirtualDaemon(Node):
 
     def _tick(self) -> None:
         now = self.swarm.now
-        if self.is_active and now - self._scan_at >= SCAN_PERIOD:
+        # Odometry goes on after a stop, so that the robot knows that its base rests.
+        is_read = self.is_active or self._scan_at < self._moved_at + SCAN_PERIOD
+        if is_read and now - self._scan_at >= SCAN_PERIOD:
             self._measure()
         self._step(TICK_INPUT)
         self._apply(self.peer.advance(now, self._summary()))
@@ -665,10 +667,6 @@ class VirtualDaemon(Node):
             self.is_settled = True
             self._step(DriverInput(True, "connected"))
         self._tick_at(self._next_tick())
-
-    def _rest(self, life: int) -> None:
-        if life == self.lives and self.is_up and not self.is_frozen:
-            self._measure()
 
     def _see(self, distance: float, life: int) -> None:
         if life == self.lives:
@@ -690,8 +688,10 @@ class VirtualDaemon(Node):
     def _carry_out(self, actions: Actions) -> None:
         """As `Daemon._carry_out`."""
         self.twist = actions.twist
-        if not self.twist.is_zero and self.swarm.judge is not None:
-            self.swarm.judge.on_twist(self)
+        if not self.twist.is_zero:
+            self._moved_at = self.swarm.now
+            if self.swarm.judge is not None:
+                self.swarm.judge.on_twist(self)
         if actions.is_quiet:
             return
         if actions.goals is not None:
@@ -704,8 +704,6 @@ class VirtualDaemon(Node):
             if command is not None:
                 self._command(command)
         for reply in actions.replies:
-            if reply.is_moving:
-                self.swarm.at(self.swarm.now + REST_TIME, partial(self._rest, self.lives))
             if self.swarm.judge is not None:
                 pending = self.server._pending.get(reply.id)
                 if pending is not None and not isinstance(

@@ -14,6 +14,7 @@ from swarmd.network.stops.stop_relay import (
     LAST_INTERVAL,
     LIFETIME,
     MAX_ACKS,
+    TRUSTLESS_TIME,
     StopRelay,
 )
 
@@ -59,6 +60,17 @@ def test_the_ack_of_a_robot_that_rests_follows_that_of_a_robot_that_moved() -> N
     assert [isinstance(one, Ack) and one.is_moving for one in sent] == [True, False]
     repeated = [one for one, _ in relay.on_stop(stop(targets=None), OPERATOR, 9.0)]
     assert [isinstance(one, Ack) and one.is_moving for one in repeated] == [False]
+
+
+def test_a_stop_is_handed_on_to_a_robot_that_moved_until_it_says_that_it_rests() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(), OPERATOR, 0.0)
+    relay.on_ack(ack("r2", is_moving=True), PEER, 0.1)  # the copies after that are lost
+    assert len(copies(relay, TRUSTLESS_TIME)) >= 12  # its base rests or it fails by then
+    assert 1 <= len(copies(relay, 2 * LAST_INTERVAL, began=3.0)) <= 6
+    relay.on_ack(ack("r2"), PEER, 16.0)
+    copies(relay, 2 * LAST_INTERVAL, began=16.0)
+    assert not copies(relay, 2 * LAST_INTERVAL, began=16.0 + 2 * LAST_INTERVAL)
 
 
 def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:

@@ -79,6 +79,18 @@ def test_a_robot_that_says_that_it_has_not_stopped_is_not_waited_for(rig: Rig) -
     assert pending.outcome(2.5).failed == ("b",)
 
 
+def test_a_daemon_that_ended_before_its_base_rested_is_not_waited_for(rig: Rig) -> None:
+    pending = make(rig)
+    ack(pending, "a")
+    ack(pending, "b", is_moving=True)
+    rig.hear("b", instance=2, at=0.5)
+    assert pending.lacking(0.5) == ("b",)  # the next daemon has not answered
+    ack(pending, "b", instance=2)
+    assert pending.is_done(2.0)
+    outcome = pending.outcome(2.0)
+    assert (outcome.applied, outcome.failed, outcome.duplicates) == (("a", "b"), (), ())
+
+
 def test_acks_do_not_suffice_before_robots_have_told_whom_they_know() -> None:
     rig = Rig()
     rig.hear("a")

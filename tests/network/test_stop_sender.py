@@ -109,6 +109,22 @@ def test_until_all_goes_on_until_the_last_robot_has_acked(
     assert ("late",) in shown
 
 
+def test_until_all_names_a_robot_that_moved_when_it_was_heard_last(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    robots("a")["a"].is_moving = True
+    shown: list[tuple[str, ...]] = []
+    with Operator(settings) as operator:
+        outcome = operator.send_stop(
+            "estop",
+            until_all=True,
+            on_progress=shown.append,
+            is_ended=lambda: bool(shown),
+        )
+    assert shown == [("a",)]
+    assert outcome.failed == ("a",)
+
+
 def test_an_interrupt_of_until_all_gives_what_was_reached(
     settings: NetworkSettings, robots: Robots
 ) -> None:

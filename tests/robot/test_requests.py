@@ -331,6 +331,22 @@ def test_a_robot_that_never_had_a_base_has_no_motion_to_end() -> None:
     assert harness.applied("estop").text.startswith("nothing was sent: driver lost: ")
 
 
+def test_a_daemon_that_starts_gives_its_base_time_to_be_heard() -> None:
+    """The base may move on from the life before: a stop meanwhile is asked again."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.step(DriverInput(False, "not connected yet"))
+    request = harness.request("estop")
+    assert harness.answer(request).is_moving
+    harness.step(DriverInput(True, ""))
+    harness.odometry = None
+    harness.advance(0.1)
+    assert harness.answer(request).is_moving
+    harness.odometry = Twist(0.3)
+    harness.advance(STOP_TIME)
+    reply = harness.answer(request)
+    assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.NOT_STOPPED)
+
+
 def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
     harness = started()
     words = "someone else drives: " + "x" * 999

@@ -64,6 +64,7 @@ def test_reads_values_by_type(file: Path, text: str, data: object) -> None:
         ("a: !!bool maybe", "x.yaml:1: the tag tag:yaml.org,2002:bool is not read here"),
         ("010: 1", "x.yaml:1: key 010 is not text; put it in quotes"),
         ("a: 1e999", "x.yaml:1: the number '1e999' is too large"),
+        ("a: 0x" + "f" * 4000, "x.yaml:1: the number '0xff"),  # more digits than str() gives
         ("- a\n- b", "x.yaml: holds ['a', 'b']; expected keys and values, such as `id: r1`"),
         ("hello", "x.yaml: holds 'hello'; expected keys and values, such as `id: r1`"),
         ("a: " + "[" * 5000, "x.yaml"),

@@ -63,6 +63,7 @@ class FakeDaemon:
         self.robot = robot
         self._identity = None if keys is None else keys[robot]
         self.instance = secrets.token_hex(6)
+        self.is_moving = False  # as its acks say
         self.settings = settings
         self.requests: list[AnyRequest | Stop] = []
         self.network: Network
@@ -178,7 +179,16 @@ class FakeDaemon:
         code, epoch = self._answer(request), self.status().epoch
         if code is not None:
             why = Refusal.BUSY if code is Code.REFUSED else None
-            answer(Reply(id=request.id, robot=self.robot, code=code, refusal=why, epoch=epoch))
+            answer(
+                Reply(
+                    id=request.id,
+                    robot=self.robot,
+                    code=code,
+                    refusal=why,
+                    epoch=epoch,
+                    is_moving=self.is_moving,
+                )
+            )
 
 
 class FakeSwarm:

@@ -189,6 +189,14 @@ class Acks:
         """True if the robot was stopped and is not known to rest."""
         return any(reply.is_moving for reply in self._replies.get(robot, {}).values())
 
+    def forget_ended(self, robot: str, instances: Collection[str]) -> None:
+        """Drop what an ended daemon said of a base that moved, once one of `instances` answered."""
+        replies = self._replies.get(robot, {})
+        if not replies.keys().isdisjoint(instances):
+            for instance in replies.keys() - set(instances):
+                if replies[instance].is_moving:
+                    del replies[instance]
+
     def missing(self, expected: Iterable[str]) -> tuple[str, ...]:
         """The names in `expected` without a reply, sorted."""
         return tuple(sorted(set(expected) - self._replies.keys()))

@@ -4,9 +4,9 @@ A stop that reaches one robot reaches all that this robot hears: it repeats the 
 algorithm does (RFC 6206): at intervals that double, at a random moment of each,
 and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
 operator send little, and a robot that only one of them reaches gets it. It goes on until LIFETIME
-after the operator sent its last copy, or until all named targets have acked. Each copy has the age
-at which the operator sent it, so that no copy that travels in a circle prolongs that. A robot hands
-on no stop that it would refuse itself.
+after the operator sent its last copy, or until all named targets have acked and rest. Each copy has
+the age at which the operator sent it, so that no copy that travels in a circle prolongs that. A
+robot hands on no stop that it would refuse itself.
 
 Acks travel back the same way: a robot hands those that it gets to the sender of the stop, with its
 own name as `via`.
@@ -36,7 +36,9 @@ MAX_ACKS = 256
 MAX_HANDED_ON = 8 * MAX_ACKS * MAX_SOURCES
 ACKS_AT_ONCE = 16  # acks of others that one repeat of a stop returns
 MAX_AGE_SHIFT = 2.0  # s
-# So long a stop is handed on whatever acks say, in s: one of them may be forged.
+# So long a stop is handed on whatever acks say, in s: one of them may be forged. So long it is also
+# handed on at FIRST_INTERVAL while a base moves: of bases that rest after 1 s, 270 of 300 said so
+# within 3 s at 30 % loss, at intervals that double 184.
 TRUSTLESS_TIME = 3.0
 DIRECT_TIMEOUT = 2.0  # the operator is heard directly if it was within this time, in s
 ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10 Hz
@@ -184,7 +186,10 @@ class StopRelay:
                     ages = {"age": round(age * 1000), "repeated": round(repeated * 1000)}
                     due.append(replace(relayed.stop, hops=hops, **ages))
             if now >= relayed.interval_ends:
-                relayed.interval = min(2.0 * relayed.interval, LAST_INTERVAL)
+                doubled = min(2.0 * relayed.interval, LAST_INTERVAL)
+                is_new = now - relayed.heard < TRUSTLESS_TIME
+                moves = is_new and any(ack.is_moving for ack in relayed.acks.values())
+                relayed.interval = FIRST_INTERVAL if moves else doubled
                 relayed.due = now + self._random.uniform(0.1, 1.0) * relayed.interval
                 relayed.interval_ends = now + relayed.interval
                 relayed.copies = 0
@@ -206,4 +211,5 @@ class StopRelay:
             return True
         others = {*stop.targets} - {self._own}
         is_new = now - relayed.heard < TRUSTLESS_TIME and bool(others)
-        return is_new or not others <= relayed.acks.keys()
+        rest = {name for name, ack in relayed.acks.items() if not ack.is_moving}
+        return is_new or not others <= rest

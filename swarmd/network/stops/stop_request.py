@@ -103,12 +103,10 @@ class PendingStop:
 
     def lacking(self, now: float) -> tuple[str, ...]:
         """The expected robots without an ack, and those that have acked and do not rest yet."""
-        silent = set(self.silent(now))
-        return tuple(
-            name
-            for name in sorted(self._expected(now))
-            if name in silent or self.acks.is_moving(name)
-        )
+        silent, expected = set(self.silent(now)), sorted(self._expected(now))
+        for name in expected:
+            self.acks.forget_ended(name, self._discovery.holders(name))
+        return tuple(name for name in expected if name in silent or self.acks.is_moving(name))
 
     def silent(self, now: float) -> tuple[str, ...]:
         """The expected robots without an ack; of an id that two daemons hold, both must ack."""

@@ -12,7 +12,7 @@ from swarmd.network.operator.operator_datagrams import OperatorDatagrams
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.spread.roster_follower import RosterFollower
-from swarmd.network.stops.stop_request import PendingStop
+from swarmd.network.stops.stop_request import STOP_WAIT, PendingStop
 
 STOP_PACE = ((1.0, 0.1), (float("inf"), 0.25))  # steps of a RepeatTimer
 PROGRESS_PERIOD = 3.0
@@ -47,6 +47,7 @@ class StopSender:
         with self._arrivals.lock:
             self._pending = pending
         now = boottime()
+        named = now + STOP_WAIT
         solicit, repeat = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
         progress = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
         selected: frozenset[str] = frozenset()
@@ -61,7 +62,9 @@ class StopSender:
                     if is_over or is_ended() or pending.is_done(now):
                         break
                     before, selected = selected, pending.selected()
-                    silent, lacking = pending.silent(now), pending.lacking(now)
+                    lacking = pending.lacking(now)
+                    # A base rests, or its robot has failed, by then: one that moved has gone.
+                    silent = lacking if now >= named else pending.silent(now)
                     is_due, new = repeat.is_due(now), selected - before
                     # Robots that were just found get a copy of their own before the next repeat.
                     stops = tuple(pending.datagrams(now, None if is_due else new))
