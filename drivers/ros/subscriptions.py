@@ -7,6 +7,14 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
+from swarmd.core.events import (
+    OdometryInput,
+    PoseInput,
+    RangesInput,
+    ReadingsInput,
+    ScanInput,
+    SensorInput,
+)
 from swarmd.core.finding import Finding
 from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Sink
@@ -153,7 +161,7 @@ class Subscriptions:
         """Deliver what changed without a message, as by silence."""
         changed = self._readings.changed(now)
         if changed is not None:
-            sink.readings(changed)
+            sink.take(ReadingsInput(changed))
         self._hazards.tell(sink, now)
         self._detections.tell(sink, now)
 
@@ -196,19 +204,21 @@ class Subscriptions:
             content.take(scan)
             unmeasured = "" if content.has_measured else content.fault
             stats.record_doubt(unmeasured or from_ros.header_fault(message))
-            return (lambda sink: None) if unmeasured else (lambda sink: sink.scan(scan)), ""
+            return partial(_deliver, () if unmeasured else (ScanInput(scan),)), ""
         if stats.message_type is messages.Range:
             whole = self._ring.take(self._ring_index[stats.name], message)
             if whole is not None:
                 self.contents["ranges"].take(whole)
             is_scan = "scan" not in self.contents
-            return partial(_deliver_ring, whole, is_scan), f"{message.range:.3g} m"
+            kind = ScanInput if is_scan else RangesInput
+            inputs = () if whole is None else (kind(whole),)
+            return partial(_deliver, inputs), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
-            return lambda sink: sink.odometry(odometry), ""
+            return partial(_deliver, (OdometryInput(odometry),)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
-            return lambda sink: sink.pose(pose), f"frame {pose.frame}"
+            return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
         if stats.message_type is messages.Imu:
             names, lacks = IMU, from_ros.no_yaw(message)
             self._readings.take_own(names, {})  # of a message that cannot be read
@@ -227,8 +237,7 @@ class Subscriptions:
         return partial(_deliver_all, (*parts, *tellers))
 
     def _deliver_readings(self, now: float) -> Deliver:
-        values = self._readings.at(now)
-        return lambda sink: sink.readings(values)
+        return partial(_deliver, (ReadingsInput(self._readings.at(now)),))
 
 
 def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:
@@ -236,9 +245,9 @@ def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:
         deliver(sink)
 
 
-def _deliver_ring(scan: Scan | None, is_scan: bool, sink: Sink) -> None:
-    if scan is not None:
-        (sink.scan if is_scan else sink.ranges)(scan)
+def _deliver(inputs: Iterable[SensorInput], sink: Sink) -> None:
+    for input in inputs:
+        sink.take(input)
 
 
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:

@@ -11,6 +11,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import DetectionsInput
 from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, Detection
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros.absence import why_absent
@@ -249,7 +250,7 @@ class Detections:
         found = self.at(now)
         if again or not self._is_told or (found is None and self._was_known):
             self._is_told, self._was_known = True, found is not None
-            sink.detections(found)
+            sink.take(DetectionsInput(found))
 
 
 def _texts(found: Sequence[Detection]) -> Iterator[str]:

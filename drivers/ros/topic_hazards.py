@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 from rosbags.interfaces import Nodetype
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.events import HazardsInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros.absence import why_absent
@@ -233,7 +234,7 @@ class Hazards:
         present = self.at(now) if self._entries else ()
         if present != self._told or (again and self._entries):
             self._told = present
-            sink.hazards(present)
+            sink.take(HazardsInput(present))
 
     def forget(self, topic: str | None = None) -> None:
         """Drop values that never become stale, of a topic or of all: a message may be missed."""

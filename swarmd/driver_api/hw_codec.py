@@ -10,14 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from msgspec import Meta, Struct
 
+from swarmd.core import events
 from swarmd.core.bounds import Angle, Coordinate, Metres, Name, Speed, Stamp, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
+from swarmd.core.events import SensorInput
 from swarmd.core.messages import ScanWire
 from swarmd.core.values import (
     MAX_DETECTIONS,
@@ -33,7 +35,6 @@ from swarmd.core.values import (
     SharedPose,
     Twist,
 )
-from swarmd.driver_api.driver import Sink
 
 Distance = Annotated[float, Meta(ge=0.0, le=MAX_TOLD_DISTANCE)]
 """Metres to another robot."""
@@ -42,7 +43,7 @@ MAX_RAYS = 20_000
 MAX_MESSAGES = 100
 """Messages in one packet, of at most MAX_MESSAGE bytes each."""
 INPUTS = ("scan", "ranges", "odometry", "neighbors", "pose", "readings", "detections")
-"""Each is a method of the sink."""
+"""The tags of the inputs that a simulated robot has."""
 
 
 class OdometryWire(Struct, frozen=True, array_like=True):
@@ -209,7 +210,7 @@ def encode_readings(values: Mapping[str, float]) -> bytes:
     return encode(ReadingsWire(dict(values)))
 
 
-def decode_readings(payload: bytes) -> Mapping[str, float]:
+def decode_readings(payload: bytes) -> dict[str, float]:
     """Scalar readings by name."""
     return _readings(payload).values
 
@@ -269,26 +270,23 @@ def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
     return _messages(payload).messages
 
 
-def decode_input(kind: str, payload: bytes, platform: Platform) -> Any:
-    """The value of one of INPUTS."""
+def decode_input(kind: str, payload: bytes, platform: Platform) -> SensorInput:
+    """The input of one of INPUTS; CodecError if it is malformed or exceeds a bound."""
     if kind == "scan":
-        return decode_scan(payload, platform.scan)
+        return events.ScanInput(decode_scan(payload, platform.scan))
     if kind == "ranges":
         if platform.ranges is None:
             raise CodecError("a scan of a ring that the platform does not have")
-        return decode_scan(payload, platform.ranges)
+        return events.RangesInput(decode_scan(payload, platform.ranges))
     if kind == "odometry":
-        return decode_odometry(payload)
+        return events.OdometryInput(decode_odometry(payload))
     if kind == "pose":
-        return decode_pose(payload)
+        return events.PoseInput(decode_pose(payload))
     if kind == "detections":
-        return decode_detections(payload)
-    return decode_neighbors(payload) if kind == "neighbors" else decode_readings(payload)
-
-
-def deliver(sink: Sink, kind: str, value: Any) -> None:
-    """Hand the value of one of INPUTS to the sink."""
-    getattr(sink, kind)(value)
+        return events.DetectionsInput(decode_detections(payload))
+    if kind == "neighbors":
+        return events.NeighborsInput(decode_neighbors(payload))
+    return events.ReadingsInput(decode_readings(payload))
 
 
 def _short(values: Array) -> tuple[float, float] | bytes:

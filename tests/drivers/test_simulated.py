@@ -143,16 +143,21 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
         robot.send("readings", encode_readings({"light": 0.25}))
         robot.send("detections", encode_detections(DETECTED))
         is_last = sink.scans and sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY
-        others = sink.neighborhoods, sink.poses, sink.values, sink.recognised
+        others = (
+            sink.taken["neighbors"],
+            sink.taken["pose"],
+            sink.taken["readings"],
+            sink.taken["detections"],
+        )
         return bool(is_last and all(others))
 
     await harness.until(have_arrived)
     np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
     np.testing.assert_allclose(sink.scans[-1].bearings, SPEC.bearings, atol=1e-9)
-    assert sink.neighborhoods[0] == neighbors
-    assert sink.poses[0] == POSE
-    assert sink.values[0] == {"light": 0.25}
-    assert sink.recognised[0] == DETECTED
+    assert sink.taken["neighbors"][0] == neighbors
+    assert sink.taken["pose"][0] == POSE
+    assert sink.taken["readings"][0] == {"light": 0.25}
+    assert sink.taken["detections"][0] == DETECTED
 
 
 @story(Body)

@@ -114,7 +114,7 @@ def told(options: RosOptions, payloads: Mapping[str, bytes]) -> list[Detection]:
     subscriptions, sink = Subscriptions(options, robots.PLATFORM), CollectingSink()
     for name, payload in payloads.items():
         subscriptions.read(f"detections.{name}", payload, 1.0)(sink)
-    return rounded(sink.recognised[-1])
+    return rounded(sink.taken["detections"][-1])
 
 
 def rounded(found: tuple[Detection, ...] | None) -> list[Detection]:
@@ -180,14 +180,14 @@ def test_nothing_is_known_without_fresh_messages_of_all_topics(topics: Topics) -
     sink = CollectingSink()
     subscriptions.deliver_all(sink, 0.0)
     subscriptions.read("detections.one", topics.tags(), 1.0)(sink)
-    assert sink.recognised[-1] is None
+    assert sink.taken["detections"][-1] is None
     subscriptions.read("detections.two", topics.cloud("box", (0.0, 0.0, 1.0)), 1.0)(sink)
-    assert sink.recognised[-1] == (Detection("box", 0.0, 1.0, "track 0"),)
-    count = len(sink.recognised)
+    assert sink.taken["detections"][-1] == (Detection("box", 0.0, 1.0, "track 0"),)
+    count = len(sink.taken["detections"])
     subscriptions.deliver_changes(sink, 1.4)
-    assert len(sink.recognised) == count
+    assert len(sink.taken["detections"]) == count
     subscriptions.deliver_changes(sink, 1.6)
-    assert sink.recognised[count:] == [None]
+    assert sink.taken["detections"][count:] == [None]
 
 
 @pytest.mark.parametrize("kind", [RosOptions, Ros1Options])
@@ -250,11 +250,11 @@ def test_they_arrive_over_a_bridge_and_go_stale(topics: Topics) -> None:
 
         def has_come() -> bool:
             robot.put("tags", topics.tags((5, 320.0, 64.0)))
-            last = sink.recognised[-1] if sink.recognised else None
+            last = sink.taken["detections"][-1] if sink.taken["detections"] else None
             return bool(last) and rounded(last) == [Detection("36h11", 0.0, 0.5, "5")]
 
         await harness.until(has_come, publishing=True)
-        await harness.until(lambda: sink.recognised[-1] is None, publishing=True)
+        await harness.until(lambda: sink.taken["detections"][-1] is None, publishing=True)
         assert sink.is_up
 
     entries: dict[str, Value] = {"one": {**TAGS, "stale_after": 0.3}}

@@ -275,7 +275,7 @@ def test_readings_of_the_platform_reach_the_driver_by_topics(scheme: str) -> Non
         sink = CollectingSink()
         task = asyncio.create_task(stage.driver("r-1").run(sink))
         async with asyncio.timeout(TIMEOUT):
-            while not (sink.values and sink.values[-1].get("light") == 0.25):
+            while not (sink.taken["readings"] and sink.taken["readings"][-1].get("light") == 0.25):
                 stage.side.scan("r-1", varied_scan(BURGER))
                 stage.side.odometry("r-1", odometry())
                 stage.side.readings("r-1", {"light": 0.25})
@@ -330,7 +330,7 @@ def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
         task = asyncio.create_task(stage.driver("r-1").run(sink))
         async with asyncio.timeout(TIMEOUT):
             count = 0
-            while not (sink.recognised and sink.recognised[-1]):
+            while not (sink.taken["detections"] and sink.taken["detections"][-1]):
                 count += 1
                 stage.side.scan("r-1", varied_scan(BURGER, count))
                 stage.side.odometry("r-1", odometry(count))
@@ -344,7 +344,7 @@ def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
         asyncio.run(story())
     finally:
         stage.side.close()
-    found = sink.recognised[-1] or ()
+    found = sink.taken["detections"][-1] or ()
     assert [(one.kind, one.id) for one in found] == [("robot", "2"), ("box", "7")]
     for one, original in zip(found, seen, strict=True):
         assert one.bearing == pytest.approx(original.bearing, abs=1e-6)
