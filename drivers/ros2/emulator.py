@@ -149,7 +149,7 @@ class _Robot:
         topic = options.topic(options.odometry)
         odometry = TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
         published.append(odometry)
-        readings = options.topic_readings
+        readings = options.topic_entries["readings"]
         self._readings = {name: len(published) + i for i, name in enumerate(readings)}
         published += [
             TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=False, depth=1)

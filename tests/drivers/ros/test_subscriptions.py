@@ -158,7 +158,7 @@ def test_readings_of_several_sensors_are_delivered_together() -> None:
         subscriptions.read("imu", dds.Imu().serialize(), 1.0)(sink)
         with suppress(CodecError):
             subscriptions.read("imu", dds.Imu(orientation=orientation).serialize(), 2.0)(sink)
-        subscriptions.deliver_changes(sink, 2.1)
+        subscriptions.deliver_inputs(sink, 2.1)
         assert "yaw" not in sink.taken["readings"][-1], "the one before does not count any more"
 
 

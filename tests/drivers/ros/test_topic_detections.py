@@ -19,6 +19,7 @@ from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.topic_detections import TopicDetections
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.harness import check
@@ -178,15 +179,15 @@ def test_nothing_is_known_without_fresh_messages_of_all_topics(topics: Topics) -
     late: dict[str, Value] = {**CLOUD, "stale_after": 0.5}
     subscriptions = Subscriptions(topics.options(one=TAGS, two=late), robots.PLATFORM)
     sink = CollectingSink()
-    subscriptions.deliver_all(sink, 0.0)
+    subscriptions.deliver_inputs(sink, 0.0, again=True)
     subscriptions.read("detections.one", topics.tags(), 1.0)(sink)
     assert sink.taken["detections"][-1] is None
     subscriptions.read("detections.two", topics.cloud("box", (0.0, 0.0, 1.0)), 1.0)(sink)
     assert sink.taken["detections"][-1] == (Detection("box", 0.0, 1.0, "track 0"),)
     count = len(sink.taken["detections"])
-    subscriptions.deliver_changes(sink, 1.4)
+    subscriptions.deliver_inputs(sink, 1.4)
     assert len(sink.taken["detections"]) == count
-    subscriptions.deliver_changes(sink, 1.6)
+    subscriptions.deliver_inputs(sink, 1.6)
     assert sink.taken["detections"][count:] == [None]
 
 
@@ -233,12 +234,13 @@ def test_the_definition_of_another_version_is_read(tmp_path: Path) -> None:
         },
     )
     given: dict[str, Any] = {"detections": {"boxes": BOXES}, "message_path": str(share)}
-    (entry,) = read_options(Ros1Options, given, "ros1", "r").topic_detections.values()
+    (entry,) = read_options(Ros1Options, given, "ros1", "r").topic_entries["detections"].values()
     box = SimpleNamespace(
         center=SimpleNamespace(x=320.0, y=1.0, theta=0.0), size_x=1.0, size_y=32.0
     )
     item = SimpleNamespace(results=[SimpleNamespace(id=3, score=0.5)], bbox=box)
     message = SimpleNamespace(detections=[item])
+    assert isinstance(entry, TopicDetections)
     assert rounded(entry.read(message)) == [Detection("3", 0.0, 1.0)]
 
 

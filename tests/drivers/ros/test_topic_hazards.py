@@ -59,7 +59,7 @@ class Heard:
     def tell(self, name: str, message: Any, now: float) -> tuple[Hazard, ...]:
         """A message arrives; what the sink knows then."""
         payload = message.serialize() if hasattr(message, "serialize") else cdr.encode(message)
-        entry = self._given.topic_hazards[name]
+        entry = self._given.topic_entries["hazards"][name]
         topics = self.subscriptions.topics.values()
         stats = next(stats for stats in topics if stats.topic == entry.topic)
         self.subscriptions.read(stats.name, payload, now)(self.sink)
@@ -68,7 +68,7 @@ class Heard:
 
     def at(self, now: float) -> tuple[Hazard, ...]:
         """What the sink knows at a time."""
-        self.subscriptions.deliver_changes(self.sink, now)
+        self.subscriptions.deliver_inputs(self.sink, now)
         present: tuple[Hazard, ...] = self.sink.taken["hazards"][-1]
         return present
 
@@ -208,7 +208,7 @@ def test_an_infinite_range_is_beyond_a_limit(
 
 def test_without_the_option_no_sink_hears_of_hazards() -> None:
     heard = Heard(options({}))
-    heard.subscriptions.deliver_all(heard.sink, 0.0)
+    heard.subscriptions.deliver_inputs(heard.sink, 0.0, again=True)
     assert not heard.sink.taken["hazards"]
 
 

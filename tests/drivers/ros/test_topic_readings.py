@@ -13,6 +13,7 @@ from swarmd.core.values import Value
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.topic_readings import TopicReading
 from swarmd.drivers.ros1 import serialization
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
@@ -119,7 +120,8 @@ def test_a_message_without_a_finite_value_gives_none(kind: str, field: str, mess
 def test_a_byte_of_ros1_has_a_sign() -> None:
     entry: dict[str, Value] = {"topic": "x", "type": "std_msgs/Byte"}
     read = read_options(Ros1Options, {"readings": {"one": entry}}, "ros1", "r")
-    reading = read.topic_readings["one"]
+    reading = read.topic_entries["readings"]["one"]
+    assert isinstance(reading, TopicReading)
     assert reading.value(serialization.decode(reading.message_type, b"\xc8")) == -56.0
 
 
@@ -154,7 +156,7 @@ def test_a_silent_topic_becomes_stale_and_comes_back() -> None:
 
     def looked(now: float) -> bool:
         before = len(sink.taken["readings"])
-        subscriptions.deliver_changes(sink, now)
+        subscriptions.deliver_inputs(sink, now)
         return len(sink.taken["readings"]) > before
 
     assert looked(0.0)  # never heard
@@ -169,11 +171,12 @@ def test_a_silent_topic_becomes_stale_and_comes_back() -> None:
 
 
 def test_a_message_that_repeats_its_stamp_is_as_old_as_the_first() -> None:
-    subscriptions = subscribed(heat=TEMPERATURE)
+    subscriptions, sink = subscribed(heat=TEMPERATURE), CollectingSink()
 
     def taken(stamp: float, now: float) -> float:
         message = dds.Temperature(header=dds.stamped(stamp, "base"), temperature=20.0)
-        return values(subscriptions, "readings.heat", message, now)["heat"]
+        subscriptions.read("readings.heat", message.serialize(), now)(sink)
+        return float(sink.taken["readings"][-1]["heat"])
 
     assert [taken(5.0, now) for now in (0.0, 0.6)] == [20.0, 20.0]
     assert math.isnan(taken(5.0, 1.2))
@@ -200,7 +203,7 @@ DOCKED: dict[str, Value] = {"topic": "/dock", "type": "std_msgs/Bool", "stale_af
 def docked(subscriptions: Subscriptions, now: float) -> float:
     """What a base that is connected at `now` gets."""
     sink = CollectingSink()
-    subscriptions.deliver_all(sink, now)
+    subscriptions.deliver_inputs(sink, now, again=True)
     return float(sink.taken["readings"][-1]["docked"])
 
 
@@ -239,9 +242,9 @@ def test_a_reading_of_a_dropped_delivery_is_told_at_the_next_look() -> None:
     """The driver delivers nothing before its base is connected."""
     subscriptions = subscribed(docked=DOCKED)
     sink = CollectingSink()
-    subscriptions.deliver_all(sink, 0.0)
+    subscriptions.deliver_inputs(sink, 0.0, again=True)
     heard(subscriptions, True, 1.0, is_kept=False)
-    subscriptions.deliver_all(sink, 2.0)
+    subscriptions.deliver_inputs(sink, 2.0, again=True)
     assert sink.taken["readings"][-1] == {"docked": 1.0}
 
 
@@ -262,7 +265,7 @@ def test_an_option_and_readings_of_one_topic_are_read_from_one_message() -> None
     assert found == pytest.approx({"battery_voltage": 12.0, "current": -0.5, "cell": 3.9})
     assert "current -0.5" in subscriptions.topics["battery"].summary
     sink = CollectingSink()
-    subscriptions.deliver_changes(sink, 3.0)
+    subscriptions.deliver_inputs(sink, 3.0)
     assert sink.taken["readings"]
 
 
@@ -288,7 +291,7 @@ def test_a_reading_is_heard_although_the_option_cannot_read_the_message() -> Non
     with pytest.raises(CodecError):
         subscriptions.read("imu", message.serialize(), 1.0)
     sink = CollectingSink()
-    subscriptions.deliver_changes(sink, 1.1)
+    subscriptions.deliver_inputs(sink, 1.1)
     assert sink.taken["readings"] == [{"yaw_rate": 0.5}]
 
 
@@ -349,7 +352,7 @@ def test_the_items_of_a_list_are_sensors_with_their_mean() -> None:
     found = values(subscriptions, "readings.ground", message, 1.0)
     assert found == {"ground": 0.25, "ground_1": 0.0, "ground_2": 0.25, "ground_3": 0.5}
     sink = CollectingSink()
-    subscriptions.deliver_changes(sink, 2.5)
+    subscriptions.deliver_inputs(sink, 2.5)
     assert len(sink.taken["readings"][-1]) == 4
     assert all(math.isnan(value) for value in sink.taken["readings"][-1].values())
 
