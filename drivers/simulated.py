@@ -157,7 +157,7 @@ class SimulatedDriver:
         for name, payload in frames:
             if name == "received":
                 self._take_messages(sink, payload)
-            elif name not in hw_codec.INPUTS:
+            elif name not in hw_codec.KINDS:
                 sink.dropped("hw/unknown")
             else:
                 if name in newest:

@@ -15,6 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
+from swarmd.core.events import (
+    DetectionsInput,
+    NeighborsInput,
+    OdometryInput,
+    PoseInput,
+    RangesInput,
+    ReadingsInput,
+    ScanInput,
+)
 from swarmd.core.values import Array
 from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
@@ -135,24 +144,26 @@ class RealTimeWorld:
             world.begin_scans(due)
         for row, scan in world.arrived_scans():
             self._sent_seq[row] = scan.seq
-            transport.send(world.ids[row], "scan", scan)
+            transport.send(world.ids[row], ScanInput(scan))
         for one in self._rings_due.due(world.time).tolist():
             row = world.rings[one]
-            transport.send(world.ids[row], "ranges", world.ring_scan(row))
+            transport.send(world.ids[row], RangesInput(world.ring_scan(row)))
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
-                transport.send(world.ids[row], "odometry", odometry)
+                transport.send(world.ids[row], OdometryInput(odometry))
         if self._radio is not None:
             self._publish_radio(self._radio)
         for row in self._readings_due.due(world.time):
             if world.has_readings:
-                transport.send(world.ids[row], "readings", world.readings(int(row)))
+                readings = ReadingsInput(dict(world.readings(int(row))))
+                transport.send(world.ids[row], readings)
             if (found := world.detections(int(row))) is not None:
-                transport.send(world.ids[row], "detections", found)
+                transport.send(world.ids[row], DetectionsInput(found))
         for row in self._poses_due.due(world.time):
             # Stamped in real time: simulated time may lag behind.
-            transport.send(world.ids[row], "pose", world.shared_pose(int(row), self._clock()))
+            pose = world.shared_pose(int(row), self._clock())
+            transport.send(world.ids[row], PoseInput(pose))
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 
@@ -175,7 +186,7 @@ class RealTimeWorld:
             for row in due.tolist():
                 neighbors = radio.neighbors(row, poses, boxes)
                 present = tuple(one for one in neighbors if there[self._rows[one.id]])
-                self._transport.send(ids[row], "neighbors", present)
+                self._transport.send(ids[row], NeighborsInput(present))
         arrived: dict[int, list[MessageWire]] = {}
         for hearer, sender, channel, payload in radio.arrived(world.time):
             wire = MessageWire(ids[sender], channel, cast(bytes, payload))
