@@ -371,11 +371,16 @@ class Platform:
     sensors: Mapping[str, Array] = field(default_factory=dict)
 
 
+OPTION_INPUTS = ("detections",)
+"""Inputs of patterns that a driver gives if it has an option of that name.
+
+Each is a field of `Inputs`, and None without a fresh value.
+"""
 _INPUTS = (
     "scan",
     "ranges",
     "odometry",
-    "detections",
+    *OPTION_INPUTS,
     "pose",
     "neighbors",
     "neighbors.distance",
