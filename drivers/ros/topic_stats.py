@@ -27,9 +27,9 @@ class TopicStats:
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
     s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
     they do when a robot restarts; `setbacks` holds the last two times of that. `goes_stale`: the
-    topic has entries of `ENTRY_KINDS` alone; `stale_after` s is the least of theirs. `doubt`: what
-    the last messages say against themselves although they can be read; of a series the first.
-    `further`: the entries of these options that share the topic.
+    topic has entries of `ENTRY_KINDS` alone. `stale_after` s is the least of all its entries.
+    `doubt`: what the last messages say against themselves although they can be read; of a series
+    the first. `further`: the entries of these options that share the topic.
     """
 
     name: str

@@ -76,7 +76,7 @@ ALL_NEEDS = frozenset(sensor.need for sensor in SENSORS)
 """Of a pattern that may need any sensor."""
 
 
-class Schedule(Protocol):
+class DueTimes(Protocol):
     """When a sensor of each robot measures."""
 
     def due(self, now: float) -> Rows:
@@ -87,9 +87,9 @@ class Schedule(Protocol):
 class SensorTimes:
     """The schedules of scans, of rings by their number in `World.rings`, and of other sensors."""
 
-    scans: Schedule
-    rings: Schedule
-    others: Sequence[tuple[Sensor, Schedule]]
+    scans: DueTimes
+    rings: DueTimes
+    others: Sequence[tuple[Sensor, DueTimes]]
 
 
 def sensors_due(
