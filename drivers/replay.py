@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
 from msgspec import Meta, Struct
@@ -21,6 +22,7 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.events import (
     DriverInput,
     NeighborsInput,
+    RangesInput,
     ScanInput,
     SensorInput,
     tag_of,
@@ -29,8 +31,9 @@ from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink
+from swarmd.recording import messages
 from swarmd.recording.inputs import InputReader
-from swarmd.recording.reader import RecordedMessage, read_file
+from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.settings.layered import Layered
 
 log = logging.getLogger(__name__)
@@ -43,6 +46,9 @@ MAX_COMMANDS = 100
 
 
 _Played: TypeAlias = SensorInput | DriverInput
+_SCANS: Mapping[str, type[ScanInput | RangesInput]] = MappingProxyType(
+    {"/scan": ScanInput, "/ranges": RangesInput}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +199,7 @@ def _named(name: str) -> Path:
 def _read(path: Path) -> _Recording:
     """The inputs of a recording; ConfigError if there are none, before the playback begins."""
     recorded = read_file(path)
-    timed = list(_inputs(path, recorded.messages))
+    timed = list(_inputs(path, recorded))
     if not timed:
         raise ConfigError(
             f"{path}: no inputs of a driver are in it ({recorded.fault or 'whole'});"
@@ -214,13 +220,23 @@ def _read(path: Path) -> _Recording:
     return _Recording(recorded.about, tuple(entries), recorded.fault)
 
 
-def _inputs(path: Path, recorded: list[RecordedMessage]) -> Iterator[tuple[int, _Played]]:
-    """The time in ns and the input of each message that has one of a driver."""
+def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]:
+    """The time in ns and the input of each message that has one of a driver.
+
+    Of a damaged recording those that can be read; scans whose exact directions are lost have the
+    rounded ones that viewers read.
+    """
     reader = InputReader()
-    for message in recorded:
+    for message in recorded.messages:
+        kind = _SCANS.get(message.topic)
         try:
             input = reader.read(message)
+            if recorded.fault and kind is not None and not reader.has_geometry(message.topic):
+                rounded = messages.message_on(message.topic, message.kind, message.payload)
+                input = kind(messages.scan_of(rounded, message.sequence, None))
         except CodecError as error:
+            if recorded.fault:
+                continue
             raise ConfigError(f"{path}: {message.topic}: {error}; record it again") from error
         if isinstance(input, _Played):
             yield message.at, input

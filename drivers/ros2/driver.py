@@ -413,9 +413,8 @@ class RosDriver:
         if topic == name:
             return self._subscriptions.read(name, payload, now)
         if not self._is_published(self._subscriptions.topics[topic].topic):
-            return partial(
-                self._subscriptions.deliver_inputs, now=now
-            )  # its publisher has left meanwhile
+            # Its publisher has left meanwhile.
+            return partial(self._subscriptions.deliver_inputs, now=now)
         return self._subscriptions.read(topic, payload, now, is_kept=True)
 
     def _is_published(self, topic: str) -> bool:

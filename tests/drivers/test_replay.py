@@ -42,7 +42,7 @@ from swarmd.core.values import (
 )
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
-from swarmd.recording.frames import Begin, InputEntry, input_entry
+from swarmd.recording.frames import Begin, InputEntry, input_entry, without_geometry
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
@@ -270,6 +270,24 @@ def test_a_recording_that_is_cut_off_is_played_up_to_there(
     (line,) = (r.getMessage() for r in caplog.records if r.levelname == "WARNING")
     assert "cut off at byte" in line
     assert "cut off at byte" in asyncio.run(make(whole).check(1.0))[0].text
+
+
+def test_scans_whose_exact_directions_are_damaged_have_rounded_ones(tmp_path: Path) -> None:
+    converter = Converter(Begin(0.0, str(tmp_path), "a", HEAD, 1e9, FileLimits()))
+    for turn in range(4):
+        seen = scan(3 * turn)
+        taken = ScanInput(without_geometry(seen) if turn else seen)
+        converter.add(input_entry(taken, 2.2 * turn))
+    converter.writer.close()
+    whole = converter.writer.path
+    assert whole is not None
+    data = bytearray(whole.read_bytes())
+    data[len(data) // 8] ^= 0xFF  # in the first chunk, which has the directions
+    whole.write_bytes(data)
+    replayed = played(whole, 1)
+    assert "damaged" in asyncio.run(make(whole).check(1.0))[0].text
+    assert [one.seq for one in replayed.scans] == [3, 6, 9]
+    assert all(np.allclose(one.bearings, scan(0).bearings, atol=1e-4) for one in replayed.scans)
 
 
 def test_a_file_without_inputs_is_one_clear_line(tmp_path: Path) -> None:
