@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
 from swarmd.core.clock import boottime
-from swarmd.core.events import DriverInput, ScanInput
+from swarmd.core.events import DriverInput, ScanInput, SensorInput
 from swarmd.core.values import Scan, Twist
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1 import serialization
@@ -52,8 +52,10 @@ class Answering(CollectingSink):
         super().__init__()
         self._driver, self._answer = driver, answer
 
-    def scan(self, scan: Scan) -> None:
-        self._driver.send(self._answer(scan), scan.seq, scan.seq)
+    def take(self, input: SensorInput) -> None:
+        if isinstance(input, ScanInput):
+            scan = input.scan
+            self._driver.send(self._answer(scan), scan.seq, scan.seq)
 
 
 def field(scan: Scan) -> Twist:

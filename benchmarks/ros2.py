@@ -29,7 +29,7 @@ from benchmarks import ros2_dds
 from benchmarks.cdr import scan
 from benchmarks.ros1 import field
 from benchmarks.table import Row, print_table
-from swarmd.core.values import Scan
+from swarmd.core.events import ScanInput, SensorInput
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
@@ -65,8 +65,10 @@ class Answering(CollectingSink):
         super().__init__()
         self.marks: list[tuple[float, ...]] = []
 
-    def scan(self, scan: Scan) -> None:
-        decoded = time.perf_counter()
+    def take(self, input: SensorInput) -> None:
+        if not isinstance(input, ScanInput):
+            return
+        scan, decoded = input.scan, time.perf_counter()
         twist = field(scan)
         decided = time.perf_counter()
         self.driver.send(twist, scan.seq, scan.seq)

@@ -21,9 +21,10 @@ from typing import Any
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+from swarmd.core.events import ScanInput, SensorInput
 from swarmd.core.host_messages import HostCommand, HostEvent, Step, Stepped
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices, die_with_parent
-from swarmd.core.values import Scan, Twist
+from swarmd.core.values import Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.driver import DriverSink
@@ -85,10 +86,11 @@ class StampedRunner(ProcessRunner):
 
 
 class StampedSink(DriverSink):
-    def scan(self, scan: Scan) -> None:
-        STAMPS.put("loop", scan.seq, STAMPS.loop)
-        STAMPS.put("decoded", scan.seq)
-        super().scan(scan)
+    def take(self, input: SensorInput) -> None:
+        if isinstance(input, ScanInput):
+            STAMPS.put("loop", input.scan.seq, STAMPS.loop)
+            STAMPS.put("decoded", input.scan.seq)
+        super().take(input)
 
 
 async def serve(config: Path) -> None:

@@ -7,35 +7,33 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, TypeAlias
 
-import msgspec
 from msgspec import Meta, Struct
-from msgspec.structs import replace
+from msgspec.structs import astuple, replace
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.finding import Finding
-from swarmd.core.hazard import Hazard
-from swarmd.core.values import (
-    ZERO,
-    Detection,
-    Neighbor,
-    Odometry,
-    Platform,
-    Scan,
-    SharedPose,
-    Twist,
-    Value,
+from swarmd.core.events import (
+    DriverInput,
+    NeighborsInput,
+    RangesInput,
+    ScanInput,
+    SensorInput,
+    tag_of,
 )
+from swarmd.core.finding import Finding
+from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink
-from swarmd.driver_api.hw_codec import deliver
 from swarmd.recording import messages
-from swarmd.recording.reader import RecordedMessage, read_file
+from swarmd.recording.inputs import InputReader
+from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.settings.layered import Layered
 
 log = logging.getLogger(__name__)
@@ -47,38 +45,9 @@ LOOP_PAUSE = 1.0
 MAX_COMMANDS = 100
 
 
-@dataclass(frozen=True, slots=True)
-class _BaseState:
-    """The base was connected or lost."""
-
-    is_up: bool
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class _Told:
-    """The hazards that the base sensed, or the objects that the robot recognised."""
-
-    kind: str
-    value: tuple[Hazard, ...] | tuple[Detection, ...] | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Ring:
-    """A scan of the ring of range sensors."""
-
-    scan: Scan
-
-
-_Entry: TypeAlias = (
-    Scan
-    | Odometry
-    | tuple[Neighbor, ...]
-    | SharedPose
-    | Mapping[str, float]
-    | _BaseState
-    | _Told
-    | _Ring
+_Played: TypeAlias = SensorInput | DriverInput
+_SCANS: Mapping[str, type[ScanInput | RangesInput]] = MappingProxyType(
+    {"/scan": ScanInput, "/ranges": RangesInput}
 )
 
 
@@ -87,7 +56,7 @@ class _Recording:
     """Inputs with their times in s since the first one. `fault`: what is missing or damaged."""
 
     about: Mapping[str, str]
-    entries: tuple[tuple[float, _Entry], ...]
+    entries: tuple[tuple[float, _Played], ...]
     fault: str
 
     @property
@@ -155,19 +124,14 @@ class ReplayDriver:
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The recording's length and the inputs in it."""
         recording, about = self._recording, self._recording.about
-        kinds = Counter[type](type(value) for _, value in recording.entries)
+        kinds = Counter(tag_of(input) for _, input in recording.entries)
         length = max(recording.duration, 1e-9)
         names = ", ".join(about.get(key, "unknown") for key in ("platform", "driver"))
         text = f"{recording.duration:.1f} s of {about.get('robot', 'an unknown robot')} ({names})"
         findings = [Finding("recording", True, f"{text}, {recording.fault or 'whole'}")]
-        needed = (
-            ("scan", Scan, True),
-            ("ranges", _Ring, False),
-            ("odometry", Odometry, True),
-            ("neighbors", tuple, False),
-        )
-        for name, kind, is_needed in needed:
-            count = kinds[kind]
+        needed = {"scan": True, "ranges": False, "odometry": True, "neighbors": False}
+        for name, is_needed in needed.items():
+            count = kinds[name]
             rate = f"{count} at {count / length:.1f} Hz"
             missing = f"none in {self._path}; record a robot that has it"
             if count or is_needed:
@@ -178,29 +142,15 @@ class ReplayDriver:
         """One round; stamps and sequences of later rounds continue those of the one before."""
         loop, speed = asyncio.get_running_loop(), self._options.speed
         begin, shift = loop.time(), rounds * (self._span + LOOP_PAUSE)
-        for at, value in self._recording.entries:
+        for at, input in self._recording.entries:
             # Also when late: playback that is behind must not block the loop.
             await asyncio.sleep(max(begin + at / speed - loop.time(), 0.0))
-            self._deliver(sink, value, shift, rounds * self._after)
-
-    def _deliver(self, sink: Sink, value: _Entry, shift: float, ahead: int) -> None:
-        if isinstance(value, _Told):
-            deliver(sink, value.kind, value.value)
-            return
-        if isinstance(value, _BaseState):
-            if value.is_up:
+            if not isinstance(input, DriverInput):
+                sink.take(_moved(input, shift, rounds * self._after))
+            elif input.is_up:
                 self._connect(sink)
             else:
-                self._lose(sink, f"as recorded: {value.text}")
-            return
-        if isinstance(value, _Ring):
-            sink.ranges(_shifted(value.scan, shift, ahead))
-            return
-        if isinstance(value, Scan):
-            value = _shifted(value, shift, ahead)
-        elif isinstance(value, Odometry):
-            value = Odometry(value.stamp + shift, value.pose, value.twist)
-        deliver(sink, _METHODS.get(type(value), "readings"), value)
+                self._lose(sink, f"as recorded: {input.text}")
 
     def _connect(self, sink: Sink) -> None:
         if not self._gate.is_open:
@@ -217,8 +167,20 @@ class ReplayDriver:
         self.taken.append(twist)
 
 
-def _shifted(scan: Scan, shift: float, ahead: int) -> Scan:
-    return replace(scan, seq=scan.seq + ahead, stamp=scan.stamp + shift)
+def _moved(input: SensorInput, shift: float, ahead: int) -> SensorInput:
+    """The input of a later round: `shift` s and `ahead` scans after that of the first."""
+    value = _value(input)
+    changes: dict[str, Any] = {}
+    if hasattr(value, "stamp"):
+        changes["stamp"] = value.stamp + shift
+    if hasattr(value, "seq"):
+        changes["seq"] = value.seq + ahead
+    return type(input)(replace(value, **changes)) if changes else input
+
+
+def _value(input: SensorInput) -> Any:
+    (value,) = astuple(input)
+    return value
 
 
 def _named(name: str) -> Path:
@@ -236,81 +198,61 @@ def _named(name: str) -> Path:
 
 def _read(path: Path) -> _Recording:
     """The inputs of a recording; ConfigError if there are none, before the playback begins."""
-    found = read_file(path)
-    timed = [(one.at, value) for one, value in _inputs(path, found.messages)]
+    recorded = read_file(path)
+    timed = list(_inputs(path, recorded))
     if not timed:
         raise ConfigError(
-            f"{path}: no inputs of a driver are in it ({found.fault or 'whole'}); record it again"
+            f"{path}: no inputs of a driver are in it ({recorded.fault or 'whole'});"
+            " record it again"
         )
     # A robot whose driver measures no neighbors was given all members, which are no measurement.
-    neighbors = (one for _, value in timed if isinstance(value, tuple) for one in value)
-    is_measured = any(one.distance is not None for one in neighbors)
+    told = [input.neighbors for _, input in timed if isinstance(input, NeighborsInput)]
+    is_measured = any(robot.distance is not None for robots in told for robot in robots)
     begin = min(at for at, _ in timed)
     entries = [
-        ((at - begin) * 1e-9, value)
-        for at, value in sorted(timed, key=lambda one: one[0])
-        if is_measured or not isinstance(value, tuple)
+        ((at - begin) * 1e-9, input)
+        for at, input in sorted(timed, key=itemgetter(0))
+        if is_measured or not isinstance(input, NeighborsInput)
     ]
-    first = next((n for n, (_, value) in enumerate(entries) if isinstance(value, Scan)), 0)
-    if not any(isinstance(value, _BaseState) for _, value in entries[:first]):
-        entries.insert(0, (0.0, _BaseState(True, "")))  # it was connected before
-    return _Recording(found.about, tuple(entries), found.fault)
+    first = next((n for n, (_, input) in enumerate(entries) if isinstance(input, ScanInput)), 0)
+    if not any(isinstance(input, DriverInput) for _, input in entries[:first]):
+        entries.insert(0, (0.0, DriverInput(True, "")))  # it was connected before
+    return _Recording(recorded.about, tuple(entries), recorded.fault)
 
 
-def _inputs(
-    path: Path, recorded: list[RecordedMessage]
-) -> Iterator[tuple[RecordedMessage, _Entry]]:
-    geometry: dict[str, Any] = {}
-    for one in recorded:
-        topic = one.topic.removesuffix("/geometry")
-        if topic not in (*_READERS, "/scan", "/ranges"):
-            continue
+def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]:
+    """The time in ns and the input of each message that has one of a driver.
+
+    Of a damaged recording those that can be read; scans whose exact directions are lost have the
+    rounded ones that viewers read.
+    """
+    reader = InputReader()
+    for message in recorded.messages:
+        kind = _SCANS.get(message.topic)
         try:
-            message = messages.message_on(one.topic, one.kind, one.payload)
-            read = _READERS[one.topic](message) if one.topic in _READERS else None
+            input = reader.read(message)
+            if recorded.fault and kind is not None and not reader.has_geometry(message.topic):
+                rounded = messages.message_on(message.topic, message.kind, message.payload)
+                input = kind(messages.scan_of(rounded, message.sequence, None))
         except CodecError as error:
-            raise ConfigError(f"{path}: {one.topic}: {error}; record it again") from error
-        if one.topic != topic:
-            geometry[topic] = message
-        elif topic in ("/scan", "/ranges"):
-            scan = messages.scan_of(message, one.sequence, geometry.get(topic))
-            yield one, scan if topic == "/scan" else _Ring(scan)
-        elif read is not None:
-            yield one, read
-
-
-def _told(kind: str, of: Any, json: str) -> _Told:
-    try:
-        return _Told(kind, msgspec.json.decode(json, type=of))
-    except msgspec.MsgspecError as error:
-        raise CodecError(f"no {kind}: {error}") from error
-
-
-_METHODS: Mapping[type, str] = {
-    Scan: "scan",
-    Odometry: "odometry",
-    SharedPose: "pose",
-    tuple: "neighbors",
-}
-_READERS: Mapping[str, Callable[[Any], _Entry]] = {
-    "/odometry": messages.odometry_of,
-    "/neighbors": messages.neighbors_of,
-    "/pose": messages.pose_of,
-    "/readings": messages.readings_of,
-    "/hazards": lambda message: _told("hazards", tuple[Hazard, ...], message.json),
-    "/detections": lambda message: _told("detections", tuple[Detection, ...] | None, message.json),
-    "/driver": lambda message: _BaseState(message.is_up, message.text),
-}
+            if recorded.fault:
+                continue
+            raise ConfigError(f"{path}: {message.topic}: {error}; record it again") from error
+        if isinstance(input, _Played):
+            yield message.at, input
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """The sequence after its last scan's, and the span of its stamps in s."""
-    sequences, stamps = [0], []
-    for _, value in recording.entries:
-        if isinstance(value, _Ring):
-            value = value.scan
-        if isinstance(value, Scan):
-            sequences.append(value.seq + 1)
-        if isinstance(value, Scan | Odometry):
-            stamps.append(value.stamp)
-    return max(sequences), max(stamps, default=0.0) - min(stamps, default=0.0)
+    """The sequence after its last scan's, and the span of its stamps in s.
+
+    The largest span of one kind: the clocks of two kinds may differ.
+    """
+    sequences, stamps = [0], defaultdict[str, list[float]](list)
+    for _, input in recording.entries:
+        if isinstance(input, DriverInput):
+            continue
+        value = _value(input)
+        sequences.append(getattr(value, "seq", -1) + 1)
+        if hasattr(value, "stamp"):
+            stamps[tag_of(input)].append(value.stamp)
+    return max(sequences), max((max(own) - min(own) for own in stamps.values()), default=0.0)

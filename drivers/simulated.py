@@ -10,8 +10,9 @@ from time import monotonic
 from msgspec import Struct
 
 from swarmd.core.errors import CodecError
+from swarmd.core.events import OdometryInput, RangesInput, ScanInput, SensorInput
 from swarmd.core.finding import Finding
-from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
@@ -156,7 +157,7 @@ class SimulatedDriver:
         for name, payload in frames:
             if name == "received":
                 self._take_messages(sink, payload)
-            elif name not in hw_codec.INPUTS:
+            elif name not in hw_codec.KINDS:
                 sink.dropped("hw/unknown")
             else:
                 if name in newest:
@@ -167,7 +168,7 @@ class SimulatedDriver:
 
     def _take(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
-            value = hw_codec.decode_input(name, payload, self._platform)
+            input = hw_codec.decode_input(name, payload, self._platform)
         except CodecError:
             sink.dropped(f"hw/{name}")
             return
@@ -175,7 +176,7 @@ class SimulatedDriver:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        hw_codec.deliver(sink, name, value)
+        sink.take(input)
 
     def _take_messages(self, sink: Sink, payload: bytes) -> None:
         if not self.carries_messages:
@@ -232,18 +233,16 @@ class _CheckSink(NullSink):
         self.scans: list[tuple[float, float]] = []
         self.odometries: list[tuple[float, float]] = []
 
-    def scan(self, scan: Scan) -> None:
-        """Keep it and its stamp."""
-        self.content.take(scan)
-        self.scans.append((monotonic(), scan.stamp))
-
-    def ranges(self, scan: Scan) -> None:
-        """Keep that the ring has measured."""
-        self.has_ring = True
-
-    def odometry(self, odometry: Odometry) -> None:
-        """Keep its stamp."""
-        self.odometries.append((monotonic(), odometry.stamp))
+    def take(self, input: SensorInput) -> None:
+        """Keep a scan, the stamp of an odometry, and that the ring has measured."""
+        match input:
+            case ScanInput(scan=scan):
+                self.content.take(scan)
+                self.scans.append((monotonic(), scan.stamp))
+            case RangesInput():
+                self.has_ring = True
+            case OdometryInput(odometry=odometry):
+                self.odometries.append((monotonic(), odometry.stamp))
 
 
 def _read(endpoint: str) -> Endpoint:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 import runpy
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import pytest
 import yaml
 
+from swarmd.core.events import SensorInput
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.drivers.replay import ReplayOptions
 from swarmd.drivers.ros.options import RmwOptions, Ros1Options, RosOptions, read_options
@@ -141,5 +142,6 @@ def test_methods_and_inputs_of_a_driver_are_explained() -> None:
         for name in vars(kind)
     }
     said |= set(Driver.__annotations__) | set(Rig.__annotations__)
+    said |= {kind.__name__ for kind in get_args(SensorInput)}
     public = {name for name in said if not name.startswith("_")}
     assert not [name for name in sorted(public) if not re.search(rf"`{name}\b", text)]

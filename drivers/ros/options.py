@@ -18,14 +18,11 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.topic_detections import (
-    DetectionOptions,
-    TopicDetections,
-    topic_detections,
-)
-from swarmd.drivers.ros.topic_hazards import HazardOptions, TopicHazard, topic_hazard
-from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_readings
-from swarmd.drivers.ros.topic_stats import DETECTION, HAZARD, READING
+from swarmd.drivers.ros.topic_detections import DetectionOptions
+from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
+from swarmd.drivers.ros.topic_hazards import HazardOptions
+from swarmd.drivers.ros.topic_inputs import TopicEntry
+from swarmd.drivers.ros.topic_readings import ReadingOptions
 from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
@@ -130,31 +127,22 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         return MessageTypes(self.distro, (path,) if isinstance(path, str) else path)
 
     @cached_property
-    def topic_readings(self) -> dict[str, TopicReading]:
-        """The readings by name; ConfigError names the key that is wrong."""
-        found: dict[str, TopicReading] = {}
-        for entry, options in self.readings.items():
-            for one in topic_readings(entry, options, self.topic, self.message_types):
-                if one.name in found or (one.mean_of and one.name in self.readings):
-                    raise ConfigError(f"readings.{entry} gives {one.name}, too; rename one of them")
-                found[one.name] = one
-        return found
+    def topic_entries(self) -> dict[str, dict[str, TopicEntry]]:
+        """The entries of each option of ENTRY_KINDS by name.
 
-    @cached_property
-    def topic_hazards(self) -> dict[str, TopicHazard]:
-        """The hazards by name; ConfigError names the key that is wrong."""
-        return {
-            name: topic_hazard(name, one, self.topic(one.topic), self.message_types)
-            for name, one in self.hazards.items()
-        }
+        ConfigError names the key that is wrong.
+        """
+        return {option: self._entries_of(option) for option in ENTRY_KINDS}
 
-    @cached_property
-    def topic_detections(self) -> dict[str, TopicDetections]:
-        """The detections by name; ConfigError names the key that is wrong."""
-        return {
-            name: topic_detections(name, one, self.topic(one.topic), self.message_types)
-            for name, one in self.detections.items()
-        }
+    def _entries_of(self, option: str) -> dict[str, TopicEntry]:
+        given, entries = getattr(self, option), dict[str, TopicEntry]()
+        for name, options in given.items():
+            for entry in ENTRY_KINDS[option].read(name, options, self.topic, self.message_types):
+                if entry.name in entries or (entry.name != name and entry.name in given):
+                    text = f"{option}.{name} gives {entry.name}, too; rename one of them"
+                    raise ConfigError(text)
+                entries[entry.name] = entry
+        return entries
 
     def ring(self) -> tuple[tuple[str, float, float], ...]:
         """Topic, bearing in rad and distance in m of each sensor of `ranges`."""
@@ -231,12 +219,7 @@ def read_options(
     for fault in (*unfit, *_faults(filled)):
         raise ConfigError(f"driver {driver}: {fault}")
     try:
-        _ = (
-            filled.message_types,
-            filled.topic_readings,
-            filled.topic_hazards,
-            filled.topic_detections,
-        )  # files are read once, here
+        _ = filled.message_types, filled.topic_entries  # files are read once, here
     except ConfigError as error:
         raise ConfigError(f"driver {driver}: {error}") from None
     return filled
@@ -254,7 +237,7 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
     """The options that a zero sender needs: it shall start although a `.msg` file has gone."""
-    of_sensors = "readings", "hazards", "detections", "message_path"
+    of_sensors = {*ENTRY_KINDS, "message_path"}
     return {name: one for name, one in options.items() if name not in of_sensors}
 
 
@@ -277,6 +260,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
             f"battery_volts is [{empty:g}, {full:g}]; expected the volts of an empty and of a full"
             f" pack, such as [11.0, 12.6], up to {MAX_VOLTS:g}"
         )
+    entries = tuple(_entries(options))
     names = {
         "namespace": options.namespace.strip("/") or None,
         "scan": options.scan if options.ranges else options.scan_topic,
@@ -286,13 +270,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         "battery": options.battery,
         "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
-        **{
-            option: topic
-            for name, one in options.readings.items()
-            for option, topic in one.topics(name).items()
-        },
-        **{f"{HAZARD}{name}": one.topic for name, one in options.hazards.items()},
-        **{f"{DETECTION}{name}": one.topic for name, one in options.detections.items()},
+        **{option: topic for option, topic, _ in entries},
         **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
     }
@@ -314,7 +292,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         owner = owners.setdefault(topic, option)
         if owner == option:
             continue
-        if owner not in types or not option.startswith((READING, HAZARD, DETECTION)):
+        if owner not in types or option.partition(".")[0] not in ENTRY_KINDS:
             yield f"{owner} and {option} are both {topic}; expected a topic each"
         elif types[owner] != types[option]:
             kinds = f"{types[owner]} and {types[option]}"
@@ -335,13 +313,16 @@ def _types(options: TopicOptions) -> dict[str, str]:
     }
     return {
         **{option: name_of(kind).replace("/msg/", "/") for option, kind in kinds.items()},
-        **{option: one.type.replace("/msg/", "/")
-           for name, one in options.readings.items() for option in one.topics(name)},
-        **{f"{HAZARD}{name}": one.type.replace("/msg/", "/")
-           for name, one in options.hazards.items()},
-        **{f"{DETECTION}{name}": one.type.replace("/msg/", "/")
-           for name, one in options.detections.items()},
-    }  # fmt: skip
+        **{option: kind.replace("/msg/", "/") for option, _, kind in _entries(options)},
+    }
+
+
+def _entries(options: TopicOptions) -> Iterator[tuple[str, str, str]]:
+    """The option, topic and message type of each topic of an entry."""
+    for kind in ENTRY_KINDS:
+        for name, entry in getattr(options, kind).items():
+            for option, topic in entry.topics(name).items():
+                yield option, topic, entry.type
 
 
 def _place(place: float | tuple[float, float]) -> tuple[float, float]:

@@ -5,17 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from itertools import chain
 from typing import Any
 
+from swarmd.core.events import (
+    OdometryInput,
+    PoseInput,
+    RangesInput,
+    ScanInput,
+    SensorInput,
+)
 from swarmd.core.finding import Finding
 from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros import cdr, from_ros, messages
 from swarmd.drivers.ros.options import TopicOptions
-from swarmd.drivers.ros.topic_detections import Detections, TopicDetections
-from swarmd.drivers.ros.topic_hazards import Hazards, TopicHazard
-from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings, TopicReading
-from swarmd.drivers.ros.topic_stats import DETECTION, HAZARD, TopicStats
+from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
+from swarmd.drivers.ros.topic_hazards import Hazards
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
+from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings
+from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.scan_content import ScanContent
 
 Deliver = Callable[[Sink], None]
@@ -53,19 +62,14 @@ class Subscriptions:
             self.contents["ranges"] = ScanContent(ring_spec, section)
         self._laser: messages.LaserScan | None = None
         self.last_arrival = -math.inf
-        readings = options.topic_readings
-        self._readings = Readings(readings)
-        self._readings_of: dict[str, list[TopicReading]] = {}
-        for reading in readings.values():
-            self._readings_of.setdefault(reading.topic, []).append(reading)
-        self._hazards = Hazards(options.topic_hazards)
-        self._hazards_of: dict[str, list[TopicHazard]] = {}
-        for hazard in options.topic_hazards.values():
-            self._hazards_of.setdefault(hazard.topic, []).append(hazard)
-        self._detections = Detections(options.topic_detections)
-        self._detections_of: dict[str, list[str]] = {}
-        for entry in options.topic_detections.values():
-            self._detections_of.setdefault(entry.topic, []).append(entry.name)
+        entries = options.topic_entries
+        self._inputs = {
+            option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
+        }
+        self._entries_of: dict[str, list[tuple[TopicInputs[Any, Any], TopicEntry]]] = {}
+        for option, inputs in self._inputs.items():
+            for entry in entries[option].values():
+                self._entries_of.setdefault(entry.topic, []).append((inputs, entry))
         ring = options.ring()
         self._ring = from_ros.RangeRingDecoder(
             [bearing for _, bearing, _ in ring], [away for _, _, away in ring], ring_spec
@@ -87,41 +91,32 @@ class Subscriptions:
         told = self._take_extras(stats, message, stamp, now, is_kept)
         if is_kept:
             stamp = stats.stamps[-1] if stats.stamps else stamp
+        extras = partial(self.deliver_inputs, now=now)
         if stats.goes_stale:
             stats.record(now, stamp or now, told or stats.summary)
-            return self._deliver_extras(now)
+            return extras
         if is_kept:  # nothing moves by what is late
-            return self._deliver_extras(now)
+            return extras
         deliver, summary = self._value(stats, message, now)
         stats.record(now, stamp, ", ".join(filter(None, (summary, told))))
         if stats.message_type in _SIGNS_OF_LIFE:
             self.last_arrival = now
-        return partial(_deliver_all, (deliver, self._deliver_extras(now))) if told else deliver
+        return partial(_deliver_all, (deliver, extras)) if told else deliver
 
     def _take_extras(
         self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool
     ) -> str:
-        """Take in readings, hazards and detections of a message; as text, empty without any.
+        """Take in a message for the entries of its topic; their values as text, empty without any.
 
         A message that repeats a stamp is as old as its first copy. Standard messages have no stamp,
         and many publishers fill in none: then the arrival counts.
         """
         is_copy = bool(stamp and stats.stamps and stamp == stats.stamps[-1])
-        taken = [
-            self._readings.take(reading.name, message, now, is_kept=is_kept)
-            for reading in self._readings_of.get(stats.topic, ())
-            if reading.is_never_stale or not (is_copy or is_kept)
-        ]
-        taken += [
-            self._hazards.take(hazard.name, message, now, is_kept=is_kept)
-            for hazard in self._hazards_of.get(stats.topic, ())
-            if hazard.is_never_stale or not (is_copy or is_kept)
-        ]
-        taken += [
-            self._detections.take(name, message, now)
-            for name in self._detections_of.get(stats.topic, ())
-            if not (is_copy or is_kept)
-        ]
+        taken = (
+            inputs.take(entry.name, message, now, is_kept=is_kept)
+            for inputs, entry in self._entries_of.get(stats.topic, ())
+            if entry.is_never_stale or not (is_copy or is_kept)
+        )
         return ", ".join(taken)
 
     @property
@@ -130,36 +125,29 @@ class Subscriptions:
         return {
             stats.topic: stats
             for stats in self.topics.values()
-            if any(reading.is_never_stale for reading in self._readings_of.get(stats.topic, ()))
-            or any(hazard.is_never_stale for hazard in self._hazards_of.get(stats.topic, ()))
+            if any(entry.is_never_stale for _, entry in self._entries_of.get(stats.topic, ()))
         }
 
     def forget(self, topic: str | None = None) -> None:
         """Drop values that never become stale, of one topic or of all: a message may be missed."""
-        self._readings.forget(topic)
-        self._hazards.forget(topic)
+        for inputs in self._inputs.values():
+            inputs.forget(topic)
 
-    def readings(self, now: float) -> Deliver:
-        """How to deliver all readings, as of a base that is connected now."""
-        return self._deliver_readings(now) if self._readings.are_any else lambda sink: None
+    def deliver_inputs(self, sink: Sink, now: float, *, again: bool = False) -> None:
+        """Deliver what the entries give, if it has changed, as by silence; `again`: in any case.
 
-    def deliver_all(self, sink: Sink, now: float) -> None:
-        """Deliver readings, hazards and detections, as of a base that is connected now."""
-        self.readings(now)(sink)
-        self._hazards.tell(sink, now, again=True)
-        self._detections.tell(sink, now, again=True)
-
-    def deliver_changes(self, sink: Sink, now: float) -> None:
-        """Deliver what changed without a message, as by silence."""
-        changed = self._readings.changed(now)
-        if changed is not None:
-            sink.readings(changed)
-        self._hazards.tell(sink, now)
-        self._detections.tell(sink, now)
+        The base must be connected.
+        """
+        for inputs in self._inputs.values():
+            input = inputs.input(now, again=again)
+            if input is not None:
+                sink.take(input)
 
     def silent_hazards(self, now: float) -> tuple[TopicStats, ...]:
         """The topics of hazards that are silent for too long: the robot is held."""
-        silent = {hazard.place for hazard in self._hazards.silent(now)}
+        hazards = self._inputs["hazards"]
+        assert isinstance(hazards, Hazards)
+        silent = {hazard.place for hazard in hazards.silent(now)}
         return tuple(stats for stats in self.topics.values() if stats.topic in silent)
 
     def silent(self, now: float, timeout: float) -> tuple[TopicStats, ...]:
@@ -196,39 +184,34 @@ class Subscriptions:
             content.take(scan)
             unmeasured = "" if content.has_measured else content.fault
             stats.record_doubt(unmeasured or from_ros.header_fault(message))
-            return (lambda sink: None) if unmeasured else (lambda sink: sink.scan(scan)), ""
+            return partial(_deliver, () if unmeasured else (ScanInput(scan),)), ""
         if stats.message_type is messages.Range:
             whole = self._ring.take(self._ring_index[stats.name], message)
             if whole is not None:
                 self.contents["ranges"].take(whole)
             is_scan = "scan" not in self.contents
-            return partial(_deliver_ring, whole, is_scan), f"{message.range:.3g} m"
+            kind = ScanInput if is_scan else RangesInput
+            inputs = () if whole is None else (kind(whole),)
+            return partial(_deliver, inputs), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
-            return lambda sink: sink.odometry(odometry), ""
+            return partial(_deliver, (OdometryInput(odometry),)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
-            return lambda sink: sink.pose(pose), f"frame {pose.frame}"
+            return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
+        readings = self._inputs["readings"]
+        assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:
             names, lacks = IMU, from_ros.no_yaw(message)
-            self._readings.take_own(names, {})  # of a message that cannot be read
+            readings.take_own(names, {})  # of a message that cannot be read
             values = from_ros.imu_readings(message)
         else:
             names = BATTERY
             values = from_ros.battery_readings(message, *self._battery)
             lacks = "" if "battery" in values else from_ros.no_battery(message, *self._battery)
-        self._readings.take_own(names, values)
+        readings.take_own(names, values)
         told = [f"{name} {value:.3g}" for name, value in values.items()]
-        return self._deliver_readings(now), ", ".join(filter(None, (*told, lacks)))
-
-    def _deliver_extras(self, now: float) -> Deliver:
-        parts = [self._deliver_readings(now)] if self._readings.are_any else []
-        tellers = [partial(one.tell, now=now) for one in (self._hazards, self._detections)]
-        return partial(_deliver_all, (*parts, *tellers))
-
-    def _deliver_readings(self, now: float) -> Deliver:
-        values = self._readings.at(now)
-        return lambda sink: sink.readings(values)
+        return partial(self.deliver_inputs, now=now), ", ".join(filter(None, (*told, lacks)))
 
 
 def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:
@@ -236,9 +219,9 @@ def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:
         deliver(sink)
 
 
-def _deliver_ring(scan: Scan | None, is_scan: bool, sink: Sink) -> None:
-    if scan is not None:
-        (sink.scan if is_scan else sink.ranges)(scan)
+def _deliver(inputs: Iterable[SensorInput], sink: Sink) -> None:
+    for input in inputs:
+        sink.take(input)
 
 
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
@@ -266,13 +249,9 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
         if given is not None:
             found.append(TopicStats(name, name, topic(given), message_type))
     by_topic = {stats.topic: stats for stats in found}
-    extras: dict[str, TopicReading | TopicHazard | TopicDetections] = {
-        **{one.option: one for one in options.topic_readings.values()},
-        **{f"{HAZARD}{name}": one for name, one in options.topic_hazards.items()},
-        **{f"{DETECTION}{name}": one for name, one in options.topic_detections.items()},
-    }
-    for name, extra in extras.items():
-        own = TopicStats(name, name, extra.topic, extra.message_type)
+    entries = chain.from_iterable(given.values() for given in options.topic_entries.values())
+    for name, extra in {entry.option: entry for entry in entries}.items():
+        own = TopicStats(name, name, extra.topic, extra.message_type, goes_stale=True)
         stats = by_topic.setdefault(extra.topic, own)  # one subscription a topic
         stats.further += [] if stats is own else [name]
         stats.stale_after = min(stats.stale_after, extra.stale_after)

@@ -153,8 +153,11 @@ def scan_encoders(
 
 def tag_encoders(options: RosOptions) -> tuple[TagEncoder, ...]:
     """An encoder for each entry of the option `detections` whose messages are tags."""
-    entries = options.topic_detections.values()
-    return tuple(TagEncoder(options, one) for one in entries if one.options.type.startswith(TAGS))
+    entries = options.topic_entries["detections"].values()
+    detections = (entry for entry in entries if isinstance(entry, TopicDetections))
+    return tuple(
+        TagEncoder(options, entry) for entry in detections if entry.options.type.startswith(TAGS)
+    )
 
 
 def _time_increment(scan: Scan) -> float:

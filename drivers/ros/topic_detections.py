@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import DetectionsInput
 from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, Detection
-from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 from swarmd.drivers.ros.topic_readings import Step, Text, path_of, value_at
 
 OBJECT = "object"
@@ -50,6 +52,10 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     kinds: dict[str, Kind] = {}
     stale_after: Annotated[float, Meta(ge=0.1, le=3600.0)] = 1.0
 
+    def topics(self, name: str) -> dict[str, str]:
+        """The topic of the entry `name`, by the option that messages name."""
+        return {f"detections.{name}": self.topic}
+
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
@@ -80,12 +86,9 @@ _LAYOUTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class TopicDetections:
-    """The objects in messages of `message_type`; steps lead to the fields of each, None without."""
+class TopicDetections(TopicEntry):
+    """The objects in messages; steps lead to the fields of each, None without."""
 
-    name: str
-    topic: str
-    message_type: type
     options: DetectionOptions
     is_image: bool
     place: tuple[Step, ...]
@@ -93,11 +96,6 @@ class TopicDetections:
     id: tuple[Step, ...] | None
     height: tuple[Step, ...] | None
     corners: tuple[Step, ...] | None
-
-    @property
-    def stale_after(self) -> float:
-        """Seconds after which a message is too old."""
-        return self.options.stale_after
 
     def read(self, message: Any) -> tuple[Detection, ...]:
         """The objects in a message, without those whose place is not finite, or missing."""
@@ -179,9 +177,12 @@ def _focal(width: float, view_deg: float) -> float:
 
 
 def topic_detections(
-    name: str, options: DetectionOptions, topic: str, types: MessageTypes
-) -> TopicDetections:
-    """The detections of an entry; ConfigError names the key that is wrong."""
+    name: str, options: DetectionOptions, full: Callable[[str], str], types: MessageTypes
+) -> tuple[TopicDetections]:
+    """The detections of an entry; ConfigError names the key that is wrong.
+
+    `full` gives the full name of a topic.
+    """
     where = f"detections.{name}"
     plain = options.type.replace("/msg/", "/")
     if plain not in _LAYOUTS:
@@ -202,7 +203,11 @@ def topic_detections(
                 raise ConfigError(f"{where}.{key} is missing; expected that of the images")
     fields = (layout.kind, layout.id, layout.height, layout.corners)
     paths = (_first(types, item_type, some) for some in fields)
-    return TopicDetections(name, topic, kind, options, layout.is_image, place, *paths)
+    topic, is_image = full(options.topic), layout.is_image
+    entry = TopicDetections(
+        name, where, topic, kind, options.stale_after, options, is_image, place, *paths
+    )
+    return (entry,)
 
 
 def _first(types: MessageTypes, item_type: type, fields: Sequence[str]) -> tuple[Step, ...] | None:
@@ -215,41 +220,32 @@ def _first(types: MessageTypes, item_type: type, fields: Sequence[str]) -> tuple
     return None
 
 
-class Detections:
-    """The objects that are recognised now, of all topics together; times in s of the caller."""
+class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
+    """The objects that are recognised now, of all topics together."""
 
     def __init__(self, entries: Mapping[str, TopicDetections]) -> None:
-        self._entries = entries
-        self._values: dict[str, tuple[tuple[Detection, ...], float]] = {}  # and arrival
+        super().__init__(entries)
         self._is_told = not entries
         self._was_known = False
 
-    def take(self, name: str, message: Any, now: float) -> str:
-        """Take in a message; its objects as text."""
+    def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
+        """See `TopicInputs`."""
         found = self._entries[name].read(message)
         self._values[name], self._is_told = (found, now), False
         lacks = min(len(message.detections), MAX_DETECTIONS) - len(found)
         without = [f"{lacks} without a place"] if lacks else []
         return ", ".join((*_texts(found), *without)) or "no object"
 
-    def at(self, now: float) -> tuple[Detection, ...] | None:
-        """All objects; None if a topic is silent for too long, or was never heard."""
-        found: list[Detection] = []
-        for name, entry in self._entries.items():
-            seen, at = self._values.get(name, ((), -math.inf))
-            if now - at > entry.stale_after:
-                return None
-            found += seen
-        return tuple(found[:MAX_DETECTIONS])
-
-    def tell(self, sink: Sink, now: float, *, again: bool = False) -> None:
-        """Tell a sink of the objects after a message, and when they become stale; `again`: now."""
-        if not self._entries:
-            return
-        found = self.at(now)
-        if again or not self._is_told or (found is None and self._was_known):
-            self._is_told, self._was_known = True, found is not None
-            sink.detections(found)
+    def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
+        """All objects after a message; None if a topic is silent for too long, or never heard."""
+        is_known = not any(self._stale(now))
+        is_due = again or not self._is_told or (self._was_known and not is_known)
+        if not (self._entries and is_due):
+            return None
+        self._is_told, self._was_known = True, is_known
+        seen = (self._values[name][0] for name in self._entries) if is_known else ()
+        objects = tuple(chain.from_iterable(seen))[:MAX_DETECTIONS]
+        return DetectionsInput(objects if is_known else None)
 
 
 def _texts(found: Sequence[Detection]) -> Iterator[str]:

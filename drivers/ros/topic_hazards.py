@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -12,10 +12,11 @@ from msgspec import Meta, Struct
 from rosbags.interfaces import Nodetype
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.events import HazardsInput
 from swarmd.core.hazard import Hazard, HazardKind
-from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 from swarmd.drivers.ros.topic_readings import (
     StaleAfter,
     Step,
@@ -58,30 +59,25 @@ class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     below: float | None = None
     stale_after: StaleAfter = 1.0
 
+    def topics(self, name: str) -> dict[str, str]:
+        """The topic of the entry `name`, by the option that messages name."""
+        return {f"hazards.{name}": self.topic}
+
 
 @dataclass(frozen=True, slots=True)
-class TopicHazard:
-    """The hazards that messages of `message_type` carry.
+class TopicHazard(TopicEntry):
+    """The hazards that messages carry.
 
     The steps of `items` lead to the list, those of `number` and `place` to fields of its items.
     `means`: the hazard of each number; of None: of any other number beyond `limits`.
     """
 
-    name: str
-    topic: str
-    message_type: type
     items: tuple[Step, ...] | None
     field: str
     number: tuple[Step, ...]
     place: tuple[Step, ...] | None
     means: Mapping[int | None, Hazard]
     limits: tuple[float, float]
-    stale_after: float  # inf: never
-
-    @property
-    def is_never_stale(self) -> bool:
-        """True if the last message counts until the next one."""
-        return self.stale_after == math.inf
 
     def read(self, message: Any) -> tuple[Hazard, ...] | str:
         """The hazards in a message; why it does not tell, if a number is not measured.
@@ -122,8 +118,13 @@ class TopicHazard:
         return Hazard(hazard.kind, place[:_MAX_PLACE])
 
 
-def topic_hazard(name: str, options: HazardOptions, topic: str, types: MessageTypes) -> TopicHazard:
-    """The hazards of an entry; ConfigError names the key that is wrong. `topic`: its full name."""
+def topic_hazard(
+    name: str, options: HazardOptions, full: Callable[[str], str], types: MessageTypes
+) -> tuple[TopicHazard]:
+    """The hazards of an entry; ConfigError names the key that is wrong.
+
+    `full` gives the full name of a topic.
+    """
     where, key = f"hazards.{name}", ""
     try:
         key = ".type"
@@ -149,9 +150,11 @@ def topic_hazard(name: str, options: HazardOptions, topic: str, types: MessageTy
         raise ConfigError(f"{where}{key}: {error}") from None
     is_limited = options.above is not None or options.below is not None
     limits = (low, high) if is_limited else _NO_LIMITS
-    stale_after = seconds(options.stale_after)
-    rest = options.field, number, place, means, limits, stale_after
-    return TopicHazard(name, topic, kind, items, *rest)
+    topic, stale_after = full(options.topic), seconds(options.stale_after)
+    entry = TopicHazard(
+        name, where, topic, kind, stale_after, items, options.field, number, place, means, limits
+    )
+    return (entry,)
 
 
 def _list_path(
@@ -198,23 +201,19 @@ def _meaning(text: str) -> Hazard:
     return Hazard(HazardKind(kind), place.strip())
 
 
-class Hazards:
-    """The present hazards of a robot's topics; times in s of the caller.
+class Hazards(TopicInputs[TopicHazard, tuple[Hazard, ...]]):
+    """The present hazards of a robot's topics.
 
-    `tell` reports each change to a sink. A topic without a message for longer than its
-    `stale_after`, or without any, is the hazard NOT_HEARD.
+    A topic without a message for longer than its `stale_after`, or without any, is the hazard
+    NOT_HEARD.
     """
 
     def __init__(self, entries: Mapping[str, TopicHazard]) -> None:
-        self._entries = entries
-        self._values: dict[str, tuple[tuple[Hazard, ...], float]] = {}  # and arrival
+        super().__init__(entries)
         self._told: tuple[Hazard, ...] | None = None if entries else ()
 
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
-        """Take in a message that tells of hazards; the hazards as text.
-
-        `is_kept`: an earlier message that was asked for; it counts if none is known.
-        """
+        """See `TopicInputs`."""
         is_known = is_kept and name in self._values
         found = self._values[name][0] if is_known else self._entries[name].read(message)
         if isinstance(found, str):
@@ -224,31 +223,17 @@ class Hazards:
         self._values[name] = found, now
         return ", ".join(one.text for one in found) or "no hazard"
 
-    def at(self, now: float) -> tuple[Hazard, ...]:
+    def input(self, now: float, *, again: bool = False) -> HazardsInput | None:
         """All present hazards, each once."""
-        return tuple(dict.fromkeys(self._present(now)))
-
-    def tell(self, sink: Sink, now: float, *, again: bool = False) -> None:
-        """Tell a sink of the present hazards, if they have changed; `again`: in any case."""
-        present = self.at(now) if self._entries else ()
-        if present != self._told or (again and self._entries):
-            self._told = present
-            sink.hazards(present)
-
-    def forget(self, topic: str | None = None) -> None:
-        """Drop values that never become stale, of a topic or of all: a message may be missed."""
-        for name, entry in self._entries.items():
-            if entry.is_never_stale and topic in (None, entry.topic):
-                self._values.pop(name, None)
+        present = tuple(dict.fromkeys(self._present(now))) if self._entries else ()
+        if present == self._told and not (again and self._entries):
+            return None
+        self._told = present
+        return HazardsInput(present)
 
     def silent(self, now: float) -> tuple[Hazard, ...]:
         """NOT_HEARD for each topic that is silent for too long, or was never heard."""
-        topics = (
-            entry.topic
-            for name, entry in self._entries.items()
-            if name not in self._values or now - self._values[name][1] > entry.stale_after
-        )
-        return tuple(Hazard(HazardKind.NOT_HEARD, topic) for topic in topics)
+        return tuple(Hazard(HazardKind.NOT_HEARD, entry.topic) for entry in self._stale(now))
 
     def _present(self, now: float) -> Iterator[Hazard]:
         for name, (found, at) in self._values.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter, itemgetter
 from typing import Annotated, Any, Literal
@@ -13,15 +13,19 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys.base import normalize_fieldname
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.events import ReadingsInput
 from swarmd.core.values import sensor_names
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.topic_stats import READING
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 
 IMU: tuple[str, ...] = ("yaw",)
 BATTERY: tuple[str, ...] = ("battery", "battery_voltage")
 """The readings of the options `imu` and `battery`."""
+
+READING = "readings."
+"""Begins the option of a reading."""
 
 _OWN = (*IMU, *BATTERY)
 _ANY = "*"
@@ -63,27 +67,16 @@ class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 @dataclass(frozen=True, slots=True)
-class TopicReading:
-    """A reading `name` at `field` of messages of `message_type`; the steps of `path` lead to it.
+class TopicReading(TopicEntry):
+    """A reading at `field`, to which the steps of `path` lead.
 
-    `stale_after` s: infinite for a reading that holds until the next message. `option` names entry
-    and topic. `mean_of`: the entry of which this is one sensor of several; empty for a single one.
+    `mean_of`: the entry of which this is one sensor of several; empty for a single one.
     """
 
-    option: str
     mean_of: str
-    name: str
-    topic: str
-    message_type: type
     field: str
     path: tuple[Step, ...]
     unit: str
-    stale_after: float
-
-    @property
-    def is_never_stale(self) -> bool:
-        """True if the last message counts until the next one."""
-        return self.stale_after == math.inf
 
     def value(self, message: Any) -> float:
         """The number in a message; NaN if there is none: see `lacks`."""
@@ -129,9 +122,19 @@ def topic_readings(
     places = [(option, full(topic), *path) for option, topic in topics.items() for path in paths]
     is_one = options.count is None and len(topics) == 1
     names = (name,) if is_one else sensor_names(name, len(places))[1:]
-    rest = kind, options.unit, seconds(options.stale_after)
+    stale_after = seconds(options.stale_after)
     return tuple(
-        TopicReading(option, "" if is_one else name, own, topic, rest[0], field, path, *rest[1:])
+        TopicReading(
+            name=own,
+            option=option,
+            topic=topic,
+            message_type=kind,
+            stale_after=stale_after,
+            mean_of="" if is_one else name,
+            field=field,
+            path=path,
+            unit=options.unit,
+        )
         for own, (option, topic, field, path) in zip(names, places, strict=True)
     )
 
@@ -205,24 +208,18 @@ def _octet(value: int) -> int:
     return int(value) & 0xFF
 
 
-class Readings:
-    """The present values of a robot's readings, each with its age; times in s of the caller."""
+class Readings(TopicInputs[TopicReading, float]):
+    """The present values of a robot's readings, with those of the options `imu` and `battery`."""
 
-    def __init__(self, readings: Mapping[str, TopicReading]) -> None:
-        self._readings = readings
+    def __init__(self, entries: Mapping[str, TopicReading]) -> None:
+        super().__init__(entries)
         self._groups: dict[str, list[str]] = {}  # the sensors of each mean
-        for name, reading in readings.items():
+        for name, reading in entries.items():
             if reading.mean_of:
                 self._groups.setdefault(reading.mean_of, []).append(name)
         self._own: dict[str, float] = {}
-        self._values: dict[str, tuple[float, float]] = {}  # value and arrival
-        self._stale = frozenset[str]()
+        self._told_stale = frozenset[str]()
         self._has_news = False
-
-    @property
-    def are_any(self) -> bool:
-        """False for a robot without readings."""
-        return bool(self._readings or self._own)
 
     def take_own(self, names: Collection[str], values: Mapping[str, float]) -> None:
         """Take in what a message of `imu` or `battery` gives of `names`; it is never stale."""
@@ -230,11 +227,8 @@ class Readings:
         self._own = {n: v for n, v in self._own.items() if n not in names} | {**values}
 
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
-        """Take in a message that carries a reading; the value as text.
-
-        `is_kept`: an earlier message that was asked for; it counts if none is known.
-        """
-        reading = self._readings[name]
+        """See `TopicInputs`."""
+        reading = self._entries[name]
         value = reading.value(message)
         self._has_news = True
         if is_kept and name in self._values:
@@ -247,35 +241,24 @@ class Readings:
         return self._text(reading, value)
 
     def forget(self, topic: str | None = None) -> None:
-        """Drop values that never become stale, of a topic: a message may be missed.
-
-        Without a topic: of all topics, and the values that do not become stale.
-        """
+        """Without a topic also drop those of `imu` and `battery`; see `TopicInputs`."""
         self._own = {} if topic is None else self._own
-        for name, reading in self._readings.items():
-            if reading.is_never_stale and topic in (None, reading.topic):
-                self._values.pop(name, None)
+        super().forget(topic)
 
-    def at(self, now: float) -> dict[str, float]:
+    def input(self, now: float, *, again: bool = False) -> ReadingsInput | None:
         """All readings; NaN for each without a value that is fresh enough."""
-        stale = frozenset(self._stale_at(now))
-        self._stale, self._has_news = stale, False
+        stale = frozenset(reading.name for reading in self._stale(now))
+        is_due = again and (self._entries or self._own)
+        if not (is_due or self._has_news or stale != self._told_stale):
+            return None
+        self._told_stale, self._has_news = stale, False
         fresh = {n: v for n, (v, _) in self._values.items() if n not in stale}
         means = {
             name: math.fsum(fresh.get(one, math.nan) for one in sensors) / len(sensors)
             for name, sensors in self._groups.items()
         }
-        return {**self._own, **means, **fresh, **dict.fromkeys(sorted(stale), math.nan)}
-
-    def changed(self, now: float) -> dict[str, float] | None:
-        """All readings, if one has come or become stale since `at`; else None."""
-        has_news = self._has_news or frozenset(self._stale_at(now)) != self._stale
-        return self.at(now) if has_news else None
-
-    def _stale_at(self, now: float) -> Iterator[str]:
-        for name, reading in self._readings.items():
-            if name not in self._values or now - self._values[name][1] > reading.stale_after:
-                yield name
+        values = {**self._own, **means, **fresh, **dict.fromkeys(sorted(stale), math.nan)}
+        return ReadingsInput(values)
 
     def _text(self, reading: TopicReading, value: float) -> str:
         return f"{reading.name} {value:.4g} {reading.unit}".rstrip()

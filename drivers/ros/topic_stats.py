@@ -15,15 +15,6 @@ FAULT_TIMEOUT = 2.0
 SETBACK_WINDOW = 10.0
 """Seconds within which stamps that go back twice count as those of two publishers."""
 
-READING = "readings."
-"""Begins the option of a reading."""
-
-HAZARD = "hazards."
-"""Begins the option of a hazard."""
-
-DETECTION = "detections."
-"""Begins the option of detections."""
-
 _STANDSTILL_WINDOW = 3.0  # s before the last message of which standing stamps count
 _STANDSTILL_MESSAGES = 3  # with one stamp, at least
 _STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
@@ -35,10 +26,10 @@ class TopicStats:
 
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
     s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
-    they do when a robot restarts; `setbacks` holds the last two times of that. `stale_after` s: of
-    a reading, hazard or detection. `doubt`: what the last messages say against themselves although
-    they can be read; of a series the first. `further`: the entries of these options that share the
-    topic.
+    they do when a robot restarts; `setbacks` holds the last two times of that. `goes_stale`: the
+    topic has entries of `ENTRY_KINDS` alone. `stale_after` s is the least of all its entries.
+    `doubt`: what the last messages say against themselves although they can be read; of a series
+    the first. `further`: the entries of these options that share the topic.
     """
 
     name: str
@@ -55,6 +46,7 @@ class TopicStats:
     fault_at: float = -math.inf
     faults: int = 0
     stale_after: float = math.inf
+    goes_stale: bool = False
     doubt: str = ""
     further: list[str] = field(default_factory=list)
 
@@ -99,13 +91,8 @@ class TopicStats:
         return list(zip(self.times, self.stamps, strict=True))
 
     @property
-    def goes_stale(self) -> bool:
-        """True for readings, hazards and detections, which have a `stale_after`."""
-        return self.option.startswith((READING, HAZARD, DETECTION))
-
-    @property
     def is_never_stale(self) -> bool:
-        """True for readings and hazards whose last message counts until the next one."""
+        """True for entries whose last message counts until the next one."""
         return self.goes_stale and self.stale_after == math.inf
 
     @property

@@ -311,7 +311,7 @@ class Ros1Driver:
             return
         now = asyncio.get_running_loop().time()
         if self._gate.is_open:
-            self._subscriptions.deliver_changes(self._sink, now)
+            self._subscriptions.deliver_inputs(self._sink, now)
         state = self._master.state
         self._hears_motion &= bool(state and state.others)
         fault = self._end or self._fault(now)
@@ -381,7 +381,7 @@ class Ros1Driver:
             self._sink.state(is_up, text, hold=hold, gets_zero=gets_zero)
         if self._sink is not None and is_up and not was_up:
             opened = asyncio.get_running_loop().time()
-            self._subscriptions.deliver_all(self._sink, opened)
+            self._subscriptions.deliver_inputs(self._sink, opened, again=True)
         if is_up or was_up or now - self._reported_at > _MIN_LOGGED_LOSS:
             self._log(is_up, text)
 

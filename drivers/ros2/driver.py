@@ -413,7 +413,8 @@ class RosDriver:
         if topic == name:
             return self._subscriptions.read(name, payload, now)
         if not self._is_published(self._subscriptions.topics[topic].topic):
-            return self._subscriptions.readings(now)  # its publisher has left meanwhile
+            # Its publisher has left meanwhile.
+            return partial(self._subscriptions.deliver_inputs, now=now)
         return self._subscriptions.read(topic, payload, now, is_kept=True)
 
     def _is_published(self, topic: str) -> bool:
@@ -451,7 +452,7 @@ class RosDriver:
         self._conflict = self._find_conflict()
         self._gate.open()
         self._report_state(sink, True, self._connected_text())
-        self._subscriptions.deliver_all(sink, now)
+        self._subscriptions.deliver_inputs(sink, now, again=True)
         if self._scheme.is_node and not is_check:
             self._announce(self._command_type)
         self._opened_type = self._command_type
@@ -500,7 +501,7 @@ class RosDriver:
         if not hubs and self._was_linked:
             self._subscriptions.forget()
         if self._gate.is_open:
-            self._subscriptions.deliver_changes(sink, now)
+            self._subscriptions.deliver_inputs(sink, now)
         was_linked, self._was_linked = self._was_linked, bool(hubs)
         conflict, self._conflict = self._conflict, self._find_conflict()
         if self._gate.is_open and not hubs:

@@ -9,13 +9,22 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import zenoh
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.values import Detection, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.events import (
+    DetectionsInput,
+    OdometryInput,
+    RangesInput,
+    ReadingsInput,
+    ScanInput,
+    SensorInput,
+    tag_of,
+)
+from swarmd.core.values import Platform, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
@@ -83,25 +92,13 @@ class EmulatedRobots:
             self._hub.close()
             raise
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        """Publish a robot's scan."""
-        self._robots[robot].scan(scan)
+    def publish(self, robot: str, input: SensorInput) -> None:
+        """Publish an input on the topics that the robot's options name.
 
-    def ranges(self, robot: str, scan: Scan) -> None:
-        """Publish a scan of a robot's ring of range sensors."""
-        self._robots[robot].scan(scan, "ranges")
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
-        """Publish a robot's pose and twist."""
-        self._robots[robot].odometry(odometry)
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Publish the readings of the option `readings` as `std_msgs/Float64`."""
-        self._robots[robot].readings(values)
-
-    def detections(self, robot: str, found: Sequence[Detection]) -> None:
-        """Publish the tags of the option `detections`, as an `AprilTagDetectionArray` an entry."""
-        self._robots[robot].detections(found)
+        Readings are `std_msgs/Float64`, and the tags of `detections` an `AprilTagDetectionArray` an
+        entry. Neighbors and poses have no topic.
+        """
+        self._robots[robot].publish(input)
 
     def close(self) -> None:
         """End the session."""
@@ -149,7 +146,7 @@ class _Robot:
         topic = options.topic(options.odometry)
         odometry = TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
         published.append(odometry)
-        readings = options.topic_readings
+        readings = options.topic_entries["readings"]
         self._readings = {name: len(published) + i for i, name in enumerate(readings)}
         published += [
             TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=False, depth=1)
@@ -168,22 +165,24 @@ class _Robot:
             realtime_publisher(hub, scheme.key(end.topic, end.message_type)) for end in published
         ]
 
-    def scan(self, scan: Scan, name: str = "scan") -> None:
-        for index, message in enumerate(self._encoders[name].encode(scan), self._first[name]):
-            self._put(index, message)
-
-    def odometry(self, odometry: Odometry) -> None:
-        self._stamp = odometry.stamp
-        self._put(self._odometry, odometry_message(odometry))
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        for name, index in self._readings.items():
-            if name in values:
-                self._put(index, ros.Float64(values[name]))
-
-    def detections(self, found: Sequence[Detection]) -> None:
-        for index, encoder in enumerate(self._tags, self._first_tags):
-            self._put(index, encoder.encode(found, self._stamp))
+    def publish(self, input: SensorInput) -> None:
+        match input:
+            case ScanInput(scan=scan) | RangesInput(scan=scan):
+                name = tag_of(input)
+                for index, message in enumerate(
+                    self._encoders[name].encode(scan), self._first[name]
+                ):
+                    self._put(index, message)
+            case OdometryInput(odometry=odometry):
+                self._stamp = odometry.stamp
+                self._put(self._odometry, odometry_message(odometry))
+            case ReadingsInput(readings=readings):
+                for name, index in self._readings.items():
+                    if name in readings:
+                        self._put(index, ros.Float64(readings[name]))
+            case DetectionsInput(detections=detections):
+                for index, encoder in enumerate(self._tags, self._first_tags):
+                    self._put(index, encoder.encode(detections or (), self._stamp))
 
     def _put(self, index: int, message: object) -> None:
         attachment = self._scheme.attachment(self._tokens[index])

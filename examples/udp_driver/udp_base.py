@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.events import OdometryInput, ScanInput, SensorInput, tag_of
 from swarmd.core.finding import Finding
 from swarmd.core.values import (
     ZERO,
@@ -132,7 +133,7 @@ class UdpDriver:
 
     def _take(self, sink: Sink, data: bytes) -> None:
         try:
-            value = self._value(_messages.decode(data))
+            input = self._input(_messages.decode(data))
         except (msgspec.DecodeError, ValueError):
             sink.dropped("garbage")
             return
@@ -140,23 +141,20 @@ class UdpDriver:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"base at {self._base}")
-        if isinstance(value, Scan):
-            sink.scan(value)
-        else:
-            sink.odometry(value)
+        sink.take(input)
 
-    def _value(self, message: ScanMessage | OdometryMessage) -> Scan | Odometry:
-        """The message as a value of the core; ValueError if it is not finite."""
+    def _input(self, message: ScanMessage | OdometryMessage) -> SensorInput:
+        """The message as an input of the core; ValueError if it is not finite."""
         if isinstance(message, ScanMessage):
             self._seq += 1
-            return scan_of(message, self._seq, self._spec)
+            return ScanInput(scan_of(message, self._seq, self._spec))
         pose, twist = (
             Pose(message.x, message.y, message.yaw),
             Twist(message.linear, message.angular),
         )
         if not (math.isfinite(pose.x + pose.y + pose.yaw) and twist.is_finite):
             raise ValueError("odometry that is not finite")
-        return Odometry(message.stamp, pose, twist)
+        return OdometryInput(Odometry(message.stamp, pose, twist))
 
     def _put(self, twist: Twist) -> None:
         if self._link is not None:
@@ -221,8 +219,5 @@ class _CountingSink(NullSink):
     def __init__(self) -> None:
         self.count = Counter[str]()
 
-    def scan(self, scan: Scan) -> None:
-        self.count["scan"] += 1
-
-    def odometry(self, odometry: Odometry) -> None:
-        self.count["odometry"] += 1
+    def take(self, input: SensorInput) -> None:
+        self.count[tag_of(input)] += 1

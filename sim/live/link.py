@@ -13,13 +13,12 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any
 
 import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
+from swarmd.core.events import SensorInput, tag_of
 from swarmd.core.values import Platform, Twist
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
@@ -52,18 +51,6 @@ _OPTIONS: dict[str, object] = {
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
     "transport/shared_memory/enabled": False,
 }
-
-_ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
-    {
-        "scan": hw_codec.encode_scan,
-        "ranges": hw_codec.encode_scan,
-        "odometry": hw_codec.encode_odometry,
-        "neighbors": hw_codec.encode_neighbors,
-        "pose": hw_codec.encode_pose,
-        "readings": hw_codec.encode_readings,
-        "detections": hw_codec.encode_detections,
-    }
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +104,9 @@ class WorldLink:
         """Send sensor data of a robot; dropped if the link is busy."""
         self._robots.send(robot, name, payload)
 
-    def send(self, robot: str, name: str, value: Any) -> None:
-        """Publish what the sensor `name` of INPUTS of a robot has measured."""
-        self.publish(robot, name, _ENCODERS[name](value))
+    def send(self, robot: str, input: SensorInput) -> None:
+        """Publish what a sensor of a robot has measured."""
+        self.publish(robot, tag_of(input), hw_codec.encode_input(input))
 
     def messages(self, robot: str, messages: Sequence[hw_codec.MessageWire]) -> None:
         """Publish the messages of patterns that the radio of `robot` receives now, in their order.
@@ -328,10 +315,9 @@ class EmulatorTransport:
         self._commands: dict[str, Command] = {}
         self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
-    def send(self, robot: str, name: str, value: Any) -> None:
-        """Publish a measurement; emulated robots publish no neighbors and no shared pose."""
-        if name in ("scan", "ranges", "odometry", "readings", "detections"):
-            getattr(self.side, name)(robot, value)
+    def send(self, robot: str, input: SensorInput) -> None:
+        """Publish a measurement."""
+        self.side.publish(robot, input)
 
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""

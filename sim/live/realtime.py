@@ -15,6 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
+from swarmd.core.events import (
+    NeighborsInput,
+    OdometryInput,
+    ScanInput,
+)
 from swarmd.core.values import Array
 from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
@@ -24,15 +29,14 @@ from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, 
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Radio, neighbors_rate
-from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
+from swarmd.sim.world.sensors import ALL_NEEDS, SENSORS, SensorTimes, sensors_due
 from swarmd.sim.world.world import World
 
 COMMAND_TIMEOUT = 0.5
 """Real seconds without a command after which a simulated base stops."""
 
 STATE_RATE = 10.0
-POSE_RATE = 20.0
 
 
 class RealTimeWorld:
@@ -73,16 +77,21 @@ class RealTimeWorld:
         self._unreadable = 0
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
-        self._scans_due = Staggered(scan_rates, start, order)
-        self._rings_due = Staggered(world.ring_rates, start)
+        world.posed = frozenset(range(n if has_shared_frame else 0))
+        self._sensor_times = SensorTimes(
+            Staggered(scan_rates, start, order),
+            Staggered(world.ring_rates, start),
+            [
+                (sensor, Staggered(np.full(n, sensor.rate), start))
+                for sensor in SENSORS
+                if sensor.is_there(world)
+            ],
+        )
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
         # The robots whose daemons commanded them lately.
         self._there: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
-        readers = n if world.has_readings or world.has_detectors else 0
-        self._readings_due = Staggered(np.full(readers, READINGS_RATE), start)
-        self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
 
@@ -130,29 +139,19 @@ class RealTimeWorld:
 
     def _publish(self) -> None:
         world, transport = self._world, self._transport
-        due = self._scans_due.due(world.time)
-        if len(due):
-            world.begin_scans(due)
-        for row, scan in world.arrived_scans():
-            self._sent_seq[row] = scan.seq
-            transport.send(world.ids[row], "scan", scan)
-        for one in self._rings_due.due(world.time).tolist():
-            row = world.rings[one]
-            transport.send(world.ids[row], "ranges", world.ring_scan(row))
+        stamp = self._clock()  # real time: simulated time may lag behind
+        for row, input in sensors_due(
+            world, self._sensor_times, lambda row: ALL_NEEDS, stamp=stamp
+        ):
+            if isinstance(input, ScanInput):
+                self._sent_seq[row] = input.scan.seq
+            transport.send(world.ids[row], input)
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
-                transport.send(world.ids[row], "odometry", odometry)
+                transport.send(world.ids[row], OdometryInput(odometry))
         if self._radio is not None:
             self._publish_radio(self._radio)
-        for row in self._readings_due.due(world.time):
-            if world.has_readings:
-                transport.send(world.ids[row], "readings", world.readings(int(row)))
-            if (found := world.detections(int(row))) is not None:
-                transport.send(world.ids[row], "detections", found)
-        for row in self._poses_due.due(world.time):
-            # Stamped in real time: simulated time may lag behind.
-            transport.send(world.ids[row], "pose", world.shared_pose(int(row), self._clock()))
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 
@@ -175,7 +174,7 @@ class RealTimeWorld:
             for row in due.tolist():
                 neighbors = radio.neighbors(row, poses, boxes)
                 present = tuple(one for one in neighbors if there[self._rows[one.id]])
-                self._transport.send(ids[row], "neighbors", present)
+                self._transport.send(ids[row], NeighborsInput(present))
         arrived: dict[int, list[MessageWire]] = {}
         for hearer, sender, channel, payload in radio.arrived(world.time):
             wire = MessageWire(ids[sender], channel, cast(bytes, payload))

@@ -53,6 +53,7 @@ from swarmd.sim.world.radio import Flight, neighbors_rate
 from swarmd.sim.world.realism import configured
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
+from swarmd.sim.world.sensors import SENSORS, SensorTimes, sensors_due
 
 _core = load_kernel("swarmd.robot.tick")
 
@@ -117,8 +118,19 @@ class Lockstep:
         self._radio = radio_of(scenario, seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
-        self._scans_due = Schedules(scan_rates, phases)
-        self._rings_due = Schedules(self.world.ring_rates, phases[self.world.rings])
+        self.world.posed = frozenset(
+            row for row, platform in enumerate(self._platforms) if "pose" in platform.provides
+        )
+        self._sensor_times = SensorTimes(
+            Schedules(scan_rates, phases),
+            Schedules(self.world.ring_rates, phases[self.world.rings]),
+            # All at one rate: a robot finds its data in the processor's caches.
+            [
+                (sensor, Schedules(np.full(n, READINGS_RATE), phases))
+                for sensor in SENSORS
+                if sensor.is_there(self.world)
+            ],
+        )
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(ids, bodies, strict=True))
@@ -127,10 +139,6 @@ class Lockstep:
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
-        has_poses = any("pose" in platform.provides for platform in self._platforms)
-        has_any = self.world.has_readings or self.world.has_detectors or has_poses
-        readers = n if has_any else 0
-        self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self.alarms = Alarms(n, self.world.dt)
         self.commands = np.zeros((n, 3))
@@ -329,22 +337,16 @@ class Lockstep:
             shell.step(events.PeersInput(others), self.world.time)
 
     def _sense(self, now: float) -> None:
-        world = self.world
-        own = self._process.own(self._scans_due.due(now))
-        if own:
-            world.begin_scans(np.array(own, dtype=np.intp))
-        for row, scan in world.arrived_scans():
+        for row, input in sensors_due(
+            self.world, self._sensor_times, self._needs, stamp=now, own=self._process.own
+        ):
             shell = self.shells[row]
             if shell is not None:
-                shell.scan(scan, now)
-        for shell in self._present([world.rings[one] for one in self._rings_due.due(now)]):
-            shell.step(events.RangesInput(world.ring_scan(shell.row)), now)
-        for shell in self._present(self._readings_due.due(now)):
-            if world.has_readings:
-                shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
-            shell.recognise(world, now)
-            if "pose" in self._platforms[shell.row].provides:
-                shell.step(events.PoseInput(world.shared_pose(shell.row, now)), now)
+                shell.sense(input, now)
+
+    def _needs(self, row: int) -> frozenset[str] | None:
+        shell = self.shells[row]
+        return None if shell is None else shell.needs
 
     def _tick(self, now: float) -> None:
         world = self.world

@@ -14,10 +14,10 @@ from swarmd.core.events import (
     Input,
     RequestInput,
     ScanInput,
+    SensorInput,
 )
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply
-from swarmd.core.values import Scan
 from swarmd.core.verbs import Request
 from swarmd.kit.factory import Find
 from swarmd.pattern_host.executor import PatternExecutor
@@ -25,8 +25,6 @@ from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.sim.world.detector import DETECTIONS
-from swarmd.sim.world.world import World
 
 if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
@@ -47,9 +45,22 @@ class RobotShell:
         self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.step(DriverInput(True, "simulated"), now)
 
-    def scan(self, scan: Scan, now: float) -> None:
-        """Take a scan."""
-        actions = self.robot.step(ScanInput(scan), now)
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the pattern needs; empty without a pattern."""
+        return self._runner.needs
+
+    def sense(self, input: SensorInput, now: float) -> None:
+        """Take what a sensor has measured; of None in place of detections only the first."""
+        if isinstance(input, DetectionsInput):
+            is_known = input.detections is not None
+            if not (is_known or self._has_detections):
+                return
+            self._has_detections = is_known
+        if not isinstance(input, ScanInput):
+            self.step(input, now)
+            return
+        actions = self.robot.step(input, now)
         assert actions is not None
         if self.robot.is_running:
             self.decided += 1
@@ -61,13 +72,6 @@ class RobotShell:
         self.replies.clear()
         self.step(RequestInput(request), now)
         return next((reply for reply in self.replies if reply.id == request.id), None)
-
-    def recognise(self, world: World, now: float) -> None:
-        """Take what the robot recognises, if its pattern needs that: it costs a third of a run."""
-        found = world.detections(self.row) if DETECTIONS in self._runner.needs else None
-        if found is not None or self._has_detections:
-            self._has_detections = found is not None
-            self.step(DetectionsInput(found), now)
 
     def step(self, input: Input, now: float) -> None:
         """Hand an input to the robot, and carry out what follows."""

@@ -114,6 +114,7 @@ class World:
                 for row in rows.tolist():
                     self._rolling_of[row] = rolling
         self._is_rolled = False  # the rays of this step are measured
+        self.posed = frozenset[int]()  # the rows of the robots that something tells their pose
         self.rings = [row for row in range(n) if self.platforms[row].ranges is not None]
         specs = [platform.ranges or platform.scan for platform in self.platforms]
         rates = [specs[row].rate for row in self.rings]

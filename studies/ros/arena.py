@@ -17,15 +17,16 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from msgspec import structs
 from msgspec.structs import replace
 
 from studies.ros.robots import ARENA, BODIES, LAYOUT, PLATFORM, bound
+from swarmd.core.events import OdometryInput, ScanInput, SensorInput
 from swarmd.core.processes import die_with_parent
-from swarmd.core.values import ZERO, Detection, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import ZERO, Odometry, Platform, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import RosOptions
@@ -68,15 +69,16 @@ class Nodes:
         self._thread = threading.Thread(target=self._receive, name="commands")
         self._thread.start()
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        """Hand a scan to the node of the lidar."""
-        (message,) = self._encoders[robot].encode(replace(scan, stamp=scan.stamp + self._begun))
-        self._send(f"{robot}.lidar", cdr.encode(message))
+    def publish(self, robot: str, input: SensorInput) -> None:
+        """Hand a scan to the node of the lidar and odometry to that of the base."""
+        if isinstance(input, ScanInput):
+            stamped = replace(input.scan, stamp=input.scan.stamp + self._begun)
+            (message,) = self._encoders[robot].encode(stamped)
+            self._send(f"{robot}.lidar", cdr.encode(message))
+        elif isinstance(input, OdometryInput):
+            self._odometry(robot, input.odometry)
 
-    def ranges(self, robot: str, scan: Scan) -> None:
-        """The robots have no ring."""
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
+    def _odometry(self, robot: str, odometry: Odometry) -> None:
         """Hand odometry to the node of the base, and the true pose to the study."""
         stamped = structs.replace(odometry, stamp=odometry.stamp + self._begun)
         self._send(f"{robot}.base", cdr.encode(odometry_message(stamped)))
@@ -86,12 +88,6 @@ class Nodes:
                 _put_down(self.world, self._rows[carried], to)
             pose = self.world.poses()[self._rows[robot]].tolist()
             self._send("truth", json.dumps([robot, time.monotonic(), *pose]).encode())
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """There are none."""
-
-    def detections(self, robot: str, found: Sequence[Detection]) -> None:
-        """There are none."""
 
     def close(self) -> None:
         """End the thread."""

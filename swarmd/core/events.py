@@ -217,7 +217,7 @@ class TickInput(Struct, frozen=True, array_like=True, tag="tick"):
     """Time has passed: 20 times a second, at rest 10 times, and at `Robot.wake_at`."""
 
 
-Input = (
+SensorInput = (
     ScanInput
     | RangesInput
     | OdometryInput
@@ -226,6 +226,10 @@ Input = (
     | ReadingsInput
     | DetectionsInput
     | HazardsInput
+)
+"""The inputs that drivers hand over; see `Sink.take`."""
+Input = (
+    SensorInput
     | DriverInput
     | MessageInput
     | PeersInput

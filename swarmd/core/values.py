@@ -200,6 +200,17 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     heading: float | None = None
     in_reach: bool = True
 
+    @property
+    def is_valid(self) -> bool:
+        """True if a robot may be there: the id is bounded, and the numbers are finite and near."""
+        angles = (self.bearing or 0.0) + (self.heading or 0.0)
+        return (
+            0 < len(self.id) <= MAX_WORD
+            and 0.0 <= self.age < math.inf
+            and 0.0 <= (self.distance or 0.0) <= MAX_TOLD_DISTANCE
+            and abs(angles) < math.inf
+        )
+
 
 class Detection(Struct, frozen=True, array_like=True, gc=False):
     """An object that the robot recognises, such as a tag or a blob of a camera.
@@ -360,11 +371,17 @@ class Platform:
     sensors: Mapping[str, Array] = field(default_factory=dict)
 
 
+OPTION_INPUTS = ("detections",)
+"""Inputs of patterns that a driver gives if it has an option of that name.
+
+Each is the kind of an input of core/events.py, a field of `Inputs`, and an attribute of
+`InputTimes` (robot/tick.py), None without a fresh value.
+"""
 _INPUTS = (
     "scan",
     "ranges",
     "odometry",
-    "detections",
+    *OPTION_INPUTS,
     "pose",
     "neighbors",
     "neighbors.distance",

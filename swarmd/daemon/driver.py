@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from swarmd.core import events
 from swarmd.core.clock import boottime
 from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
-from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Detection, Neighbor, Odometry, Scan, SharedPose, Twist
+from swarmd.core.values import ZERO, Twist
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.driver_api.watchdog import watchdog_name
@@ -152,39 +151,15 @@ class DriverSink:
         self.has_neighbors = False
         self.drops: dict[str, int] = {}
 
-    def scan(self, scan: Scan) -> None:
-        """A scan as measured."""
-        self._step(events.ScanInput(scan))
-
-    def ranges(self, scan: Scan) -> None:
-        """A scan of the ring of range sensors, as measured."""
-        self._step(events.RangesInput(scan))
-
-    def odometry(self, odometry: Odometry) -> None:
-        """A measured pose and twist."""
-        self._step(events.OdometryInput(odometry))
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots that the driver senses, or whose messages it can receive."""
-        self.has_neighbors = True
-        self._step(events.NeighborsInput(self._neighborhood.select(neighbors, boottime())))
-
-    def pose(self, pose: SharedPose) -> None:
-        """The robot's own pose in a frame that robots share."""
-        self._neighborhood.on_pose(pose)
-        self._step(events.PoseInput(pose))
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """Scalar sensors by name."""
-        self._step(events.ReadingsInput(dict(values)))
-
-    def detections(self, detections: tuple[Detection, ...] | None) -> None:
-        """All objects that the robot recognises now; None without a fresh value."""
-        self._step(events.DetectionsInput(detections))
-
-    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
-        """All hazards that the base senses now."""
-        self._step(events.HazardsInput(hazards))
+    def take(self, input: events.SensorInput) -> None:
+        """Hand an input of a sensor on; neighbors with the places that their robots tell."""
+        if isinstance(input, events.NeighborsInput):
+            self.has_neighbors = True
+            selected = self._neighborhood.select(input.neighbors, boottime())
+            input = events.NeighborsInput(selected)
+        elif isinstance(input, events.PoseInput):
+            self._neighborhood.on_pose(input.pose)
+        self._step(input)
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """A pattern's message that the base's radio received."""

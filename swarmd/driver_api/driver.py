@@ -7,49 +7,21 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import SensorInput
 from swarmd.core.finding import Finding
-from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Motion, Reason, ShownPose, Status
-from swarmd.core.values import (
-    Detection,
-    Neighbor,
-    Odometry,
-    Platform,
-    Scan,
-    SharedPose,
-    Twist,
-    Value,
-)
+from swarmd.core.values import Platform, Twist, Value
 
 
 class Sink(Protocol):
     """Receives what a driver's base sends; called on the loop's thread only."""
 
-    def scan(self, scan: Scan) -> None:
-        """A scan as the sensor gave it; the core conditions it."""
+    def take(self, input: SensorInput) -> None:
+        """What a sensor has measured; the caller does not change it afterwards.
 
-    def ranges(self, scan: Scan) -> None:
-        """A scan of the platform's section `ranges`, as its sensors gave it."""
-
-    def odometry(self, odometry: Odometry) -> None:
-        """A measured pose and twist."""
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots within radio range, if the base knows; never called means all members."""
-
-    def pose(self, pose: SharedPose) -> None:
-        """The robot's own pose in a frame that robots share, if something measures it."""
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """All scalar sensors by name; NaN: the sensor is known, and has no fresh value."""
-
-    def detections(self, detections: tuple[Detection, ...] | None) -> None:
-        """All objects that the robot recognises now; None: the sensor has no fresh value."""
-
-    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
-        """All hazards that the base senses now, on each change; empty: none.
-
-        Never called: the base has none, or does not tell. A driver that no longer hears of hazards
+        Each kind replaces its last input: readings are all readings, hazards all that are present
+        now. A kind that is never handed over is unknown: without neighbors all members count, and
+        a base without hazards has none or does not tell. A driver that no longer hears of hazards
         while its base is connected tells NOT_HEARD.
         """
 
@@ -228,5 +200,4 @@ class NullSink:
     def _ignore(self, *args: Any, **kwargs: Any) -> None:
         pass
 
-    scan = ranges = odometry = neighbors = pose = readings = detections = hazards = _ignore
-    message = state = dropped = _ignore
+    take = message = state = dropped = _ignore

@@ -6,10 +6,11 @@ An emulator lives beside its driver and is found under the driver's name in the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from swarmd.core.values import Detection, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.events import SensorInput
+from swarmd.core.values import Platform, Twist, Value
 
 OnCommand = Callable[[str, Twist], None]
 """Takes a robot's id and its command; called on a thread of the network's."""
@@ -25,20 +26,11 @@ class Emulator(Protocol):
     driver_options: Mapping[str, Value]
     dropped: int
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        """Publish a scan, as that robot's sensor gave it; never blocks."""
+    def publish(self, robot: str, input: SensorInput) -> None:
+        """Publish what a sensor of a robot has measured, if its driver reads that; never blocks.
 
-    def ranges(self, robot: str, scan: Scan) -> None:
-        """Publish a scan of that robot's ring of range sensors; never blocks."""
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
-        """Publish a measured pose and twist; never blocks."""
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Publish those readings that the robot's driver reads from topics; never blocks."""
-
-    def detections(self, robot: str, found: Sequence[Detection]) -> None:
-        """Publish the objects that the robot's driver reads as tags of a camera; never blocks."""
+        Readings and detections are those that the options of the driver name.
+        """
 
     def close(self) -> None:
         """Close all connections."""

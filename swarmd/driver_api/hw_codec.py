@@ -1,48 +1,44 @@
 """The wire between a simulated robot and its daemon: its inputs, messages and command.
 
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
-The daemon sends the frames `cmd_vel`, `grip` and `sent`, the robot those of INPUTS and `received`.
-Arrays travel as little-endian float32; regular bearings and ages as (first, step). `range_min` and
+The daemon sends the frames `cmd_vel`, `grip` and `sent`, the robot those of KINDS and `received`.
+An input travels as in a recording, but for scans and odometry, of which there are many: the arrays
+of a scan as little-endian float32; regular bearings and ages as (first, step). `range_min` and
 `range_max` come from the platform file, not from the message.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import numpy as np
 from msgspec import Meta, Struct
+from msgspec.structs import astuple
 
-from swarmd.core.bounds import Angle, Coordinate, Metres, Name, Speed, Stamp, Word
-from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
+from swarmd.core import events
+from swarmd.core.bounds import Coordinate, Metres, Name, Speed, Stamp
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
+from swarmd.core.events import SensorInput
 from swarmd.core.messages import ScanWire
 from swarmd.core.values import (
-    MAX_DETECTIONS,
-    MAX_TOLD_DISTANCE,
     Array,
-    Detection,
-    Neighbor,
     Odometry,
     Platform,
     Pose,
     Scan,
     ScanSpec,
-    SharedPose,
     Twist,
 )
-from swarmd.driver_api.driver import Sink
 
-Distance = Annotated[float, Meta(ge=0.0, le=MAX_TOLD_DISTANCE)]
-"""Metres to another robot."""
 Channel = Annotated[str, Meta(min_length=3, max_length=127)]
 MAX_RAYS = 20_000
 MAX_MESSAGES = 100
 """Messages in one packet, of at most MAX_MESSAGE bytes each."""
-INPUTS = ("scan", "ranges", "odometry", "neighbors", "pose", "readings", "detections")
-"""Each is a method of the sink."""
+KINDS = frozenset(str(kind.__struct_config__.tag) for kind in get_args(SensorInput))
+"""The kinds of sensor input; each names the frames that carry it."""
 
 
 class OdometryWire(Struct, frozen=True, array_like=True):
@@ -55,45 +51,6 @@ class OdometryWire(Struct, frozen=True, array_like=True):
     linear: Speed
     angular: Speed
     lateral: Speed = 0.0
-
-
-class NeighborWire(Struct, frozen=True, array_like=True):
-    """One robot within radio range; None: not sensed."""
-
-    id: Name
-    distance: Distance | None = None
-    bearing: Angle | None = None
-    heading: Angle | None = None
-
-
-class NeighborsWire(Struct, frozen=True, array_like=True):
-    """All robots within radio range."""
-
-    neighbors: tuple[NeighborWire, ...]
-
-
-class PoseWire(Struct, frozen=True, array_like=True):
-    """The robot's pose in a frame that robots share; `error` in m, `yaw_error` in rad."""
-
-    stamp: Stamp
-    x: Coordinate
-    y: Coordinate
-    yaw: Metres
-    error: Metres
-    yaw_error: Angle
-    frame: Name
-
-
-class ReadingsWire(Struct, frozen=True, array_like=True):
-    """Scalar sensors by name."""
-
-    values: dict[Word, Metres]
-
-
-class DetectionsWire(Struct, frozen=True, array_like=True):
-    """All recognised objects."""
-
-    detections: Annotated[tuple[Detection, ...], Meta(max_length=MAX_DETECTIONS)]
 
 
 class MessageWire(Struct, frozen=True, array_like=True):
@@ -128,10 +85,6 @@ class GripWire(Struct, frozen=True, array_like=True):
 
 _scan = Decoder(ScanWire, MAX_SENSOR_PAYLOAD)
 _odometry = Decoder(OdometryWire)
-_neighbors = Decoder(NeighborsWire)
-_pose = Decoder(PoseWire)
-_readings = Decoder(ReadingsWire)
-_detections = Decoder(DetectionsWire)
 _command = Decoder(CommandWire)
 _grip = Decoder(GripWire)
 _message = Decoder(MessageWire)
@@ -170,61 +123,6 @@ def decode_odometry(payload: bytes) -> Odometry:
     return Odometry(
         wire.stamp, Pose(wire.x, wire.y, wire.yaw), Twist(wire.linear, wire.angular, wire.lateral)
     )
-
-
-def encode_neighbors(neighbors: tuple[Neighbor, ...]) -> bytes:
-    """The bytes of the list of robots within radio range."""
-    return encode(
-        NeighborsWire(
-            tuple(NeighborWire(n.id, n.distance, n.bearing, n.heading) for n in neighbors)
-        )
-    )
-
-
-def decode_neighbors(payload: bytes) -> tuple[Neighbor, ...]:
-    """The robots within radio range; their age is 0, counted from arrival."""
-    wire = _neighbors(payload)
-    return tuple(Neighbor(n.id, 0.0, n.distance, n.bearing, n.heading) for n in wire.neighbors)
-
-
-def encode_pose(shared: SharedPose) -> bytes:
-    """The bytes of a pose in a shared frame."""
-    p = shared.pose
-    fields = p.x, p.y, p.yaw, shared.error, shared.yaw_error, shared.frame
-    return encode(PoseWire(shared.stamp, *fields))
-
-
-def decode_pose(payload: bytes) -> SharedPose:
-    """A pose in a shared frame; CodecError if it is not valid."""
-    wire = _pose(payload)
-    pose = Pose(wire.x, wire.y, wire.yaw)
-    shared = SharedPose(wire.stamp, pose, wire.error, wire.yaw_error, wire.frame)
-    if not shared.is_valid:
-        raise CodecError("a pose in a shared frame that is too far or too inaccurate")
-    return shared
-
-
-def encode_readings(values: Mapping[str, float]) -> bytes:
-    """The bytes of scalar readings."""
-    return encode(ReadingsWire(dict(values)))
-
-
-def decode_readings(payload: bytes) -> Mapping[str, float]:
-    """Scalar readings by name."""
-    return _readings(payload).values
-
-
-def encode_detections(detections: tuple[Detection, ...]) -> bytes:
-    """The bytes of all recognised objects."""
-    return encode(DetectionsWire(detections))
-
-
-def decode_detections(payload: bytes) -> tuple[Detection, ...]:
-    """All recognised objects; CodecError if one is not valid."""
-    found = _detections(payload).detections
-    if not all(one.is_valid for one in found):
-        raise CodecError("a detection beyond its bounds")
-    return found
 
 
 def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> bytes:
@@ -269,26 +167,38 @@ def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
     return _messages(payload).messages
 
 
-def decode_input(kind: str, payload: bytes, platform: Platform) -> Any:
-    """The value of one of INPUTS."""
+def encode_input(input: SensorInput) -> bytes:
+    """The bytes of an input, whose kind names its frame."""
+    if isinstance(input, events.ScanInput | events.RangesInput):
+        return encode_scan(input.scan)
+    if isinstance(input, events.OdometryInput):
+        return encode_odometry(input.odometry)
+    return events.encode_input(input)
+
+
+def decode_input(kind: str, payload: bytes, platform: Platform) -> SensorInput:
+    """The input of one of KINDS; CodecError if it is malformed or exceeds a bound."""
     if kind == "scan":
-        return decode_scan(payload, platform.scan)
+        return events.ScanInput(decode_scan(payload, platform.scan))
     if kind == "ranges":
         if platform.ranges is None:
             raise CodecError("a scan of a ring that the platform does not have")
-        return decode_scan(payload, platform.ranges)
+        return events.RangesInput(decode_scan(payload, platform.ranges))
     if kind == "odometry":
-        return decode_odometry(payload)
-    if kind == "pose":
-        return decode_pose(payload)
-    if kind == "detections":
-        return decode_detections(payload)
-    return decode_neighbors(payload) if kind == "neighbors" else decode_readings(payload)
+        return events.OdometryInput(decode_odometry(payload))
+    if len(payload) > MAX_CONTROL:
+        raise CodecError(f"{len(payload)} bytes; expected at most {MAX_CONTROL}")
+    input = events.decode_input(payload)
+    if not isinstance(input, SensorInput) or events.tag_of(input) != kind:
+        raise CodecError(f"an input {events.tag_of(input)}; expected {kind}")
+    (value,) = astuple(input)
+    if not all(getattr(part, "is_valid", True) for part in _parts(value)):
+        raise CodecError(f"an input {kind} beyond its bounds")
+    return input
 
 
-def deliver(sink: Sink, kind: str, value: Any) -> None:
-    """Hand the value of one of INPUTS to the sink."""
-    getattr(sink, kind)(value)
+def _parts(value: Any) -> Iterable[Any]:
+    return value if isinstance(value, tuple) else (value,)
 
 
 def _short(values: Array) -> tuple[float, float] | bytes:

@@ -15,7 +15,16 @@ from typing import Any, ClassVar, Generic, Protocol
 from numpy.random import Generator
 
 from swarmd.core.errors import PluginError
-from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Twist, Value
+from swarmd.core.values import (
+    OPTION_INPUTS,
+    Inputs,
+    Outputs,
+    Platform,
+    Scalar,
+    TouchZone,
+    Twist,
+    Value,
+)
 from swarmd.kit.params import P, Params, derived_defaults
 
 
@@ -121,9 +130,12 @@ class MovementPattern(Pattern[P]):
         return Outputs(twist=twist, report=self.report())
 
 
+_OPTIONAL = frozenset({"ranges", "pose", *OPTION_INPUTS})
+
+
 def _is_missing(word: str, inputs: Inputs) -> bool:
-    """True if the reading, ring, detections or pose that `word` names are not among the inputs."""
-    if word in ("ranges", "detections", "pose"):
+    """True if the reading, ring, pose or input of an option that `word` names is missing."""
+    if word in _OPTIONAL:
         return getattr(inputs, word) is None
     kind, _, name = word.partition(":")
     return kind == "reading" and name not in inputs.readings

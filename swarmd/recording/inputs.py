@@ -22,6 +22,10 @@ class InputReader:
     def __init__(self) -> None:
         self._scans: dict[str, Scan] = {}  # the last geometry by topic of the scan
 
+    def has_geometry(self, topic: str) -> bool:
+        """True if the directions of the rays of scans on `topic` are known."""
+        return topic in self._scans
+
     def read(self, one: RecordedMessage) -> Input | None:
         """The input of a message; None for another message. CodecError if it is malformed."""
         if one.topic.endswith(GEOMETRY):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 from msgspec.structs import astuple
 
@@ -30,7 +30,7 @@ from swarmd.core.messages import (
     Status,
     Tracks,
 )
-from swarmd.core.values import Platform, Scalar, Scan, SharedPose
+from swarmd.core.values import OPTION_INPUTS, Platform, Scalar, Scan, SharedPose
 from swarmd.protection.decision import Decision
 from swarmd.protection.protection import Protection
 from swarmd.robot.actions import Actions
@@ -228,8 +228,8 @@ class Robot(Ticker):
     def _on_readings(self, one: events.ReadingsInput, now: float) -> None:
         self._sensors.on_readings(one.readings)
 
-    def _on_detections(self, one: events.DetectionsInput, now: float) -> None:
-        self._sensors.detections = one.detections
+    def _on_option_input(self, one: events.SensorInput, now: float) -> None:
+        self._sensors.on_option_input(one)
 
     def _on_hazards(self, one: events.HazardsInput, now: float) -> Actions:
         effects, holds = self._begin(now), self._sensors.hazards
@@ -447,7 +447,11 @@ HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.NeighborsInput: Robot._on_neighbors,
     events.PoseInput: Robot._on_pose,
     events.ReadingsInput: Robot._on_readings,
-    events.DetectionsInput: Robot._on_detections,
+    **{
+        kind: Robot._on_option_input
+        for kind in get_args(events.SensorInput)
+        if kind.__struct_config__.tag in OPTION_INPUTS
+    },
     events.HazardsInput: Robot._on_hazards,
     events.DriverInput: Robot._on_driver,
     events.MessageInput: Robot._on_message,

@@ -13,13 +13,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import astuple
 
 from swarmd.core.codec import encode_value
+from swarmd.core.events import SensorInput, tag_of
 from swarmd.core.hazard import Hazard
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.values import (
-    Detection,
+    OPTION_INPUTS,
     Message,
     Neighbor,
     Odometry,
@@ -69,7 +71,6 @@ class Sensors(InputTimes):
     scan: Scan | None
     odometry: Odometry | None
     readings: Mapping[str, float]
-    detections: tuple[Detection, ...] | None
     pose: Pose | None
 
     def __init__(
@@ -96,7 +97,8 @@ class Sensors(InputTimes):
         self._inbox_bytes = 0
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
-        self.readings, self.detections = {}, None
+        self.readings = {}
+        self._forget_option_inputs()
         self.pose, self.pose_until = None, -math.inf
         self.stale_readings: tuple[str, ...] = ()
         self.driver_text = "not connected yet"
@@ -203,6 +205,15 @@ class Sensors(InputTimes):
         self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
         self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
 
+    def on_option_input(self, input: SensorInput) -> None:
+        """Take in an input of OPTION_INPUTS, which patterns get as it is."""
+        (value,) = astuple(input)
+        setattr(self, tag_of(input), value)
+
+    def _forget_option_inputs(self) -> None:
+        for name in OPTION_INPUTS:
+            setattr(self, name, None)
+
     def on_driver(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
@@ -211,7 +222,7 @@ class Sensors(InputTimes):
         Without a driver no reading has a value, and nothing is recognised.
         """
         if not is_up:
-            self.detections = None
+            self._forget_option_inputs()
             self.on_readings(dict.fromkeys((*self.readings, *self.stale_readings), math.nan))
         self.is_driver_up = is_up
         self.driver_text = text

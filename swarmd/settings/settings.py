@@ -20,7 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
-from swarmd.core.values import Platform, TouchZone, Value, sensor_names
+from swarmd.core.values import OPTION_INPUTS, Platform, TouchZone, Value, sensor_names
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.members.neighbor_settings import NeighborSettings
@@ -184,7 +184,7 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 def _read(options: Mapping[str, Value]) -> set[str]:
     """The inputs that a driver with these options reads besides: patterns may need them."""
     readings = options.get("readings")
-    found = {"detections"} if options.get("detections") else set()
+    found = {word for word in OPTION_INPUTS if options.get(word)}
     if options.get("shared_pose"):
         found.add("pose")
     for name, entry in readings.items() if isinstance(readings, dict) else ():

@@ -19,6 +19,7 @@ import threading
 import time
 import types
 import uuid
+from collections import defaultdict
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
@@ -28,22 +29,13 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import pytest
+from msgspec.structs import astuple
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import SensorInput, tag_of
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import Reason
-from swarmd.core.values import (
-    ZERO,
-    Array,
-    Detection,
-    Neighbor,
-    Odometry,
-    Platform,
-    Scan,
-    SharedPose,
-    Twist,
-    Value,
-)
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 
 TIMEOUT = 30.0
@@ -126,16 +118,9 @@ class HazardRig(Protocol):
 
 @dataclass(slots=True)
 class CollectingSink:
-    """A sink that records everything."""
+    """A sink that records everything. `taken`: by kind what each input of a sensor has."""
 
-    scans: list[Scan] = field(default_factory=list)
-    rings: list[Scan] = field(default_factory=list)
-    odometries: list[Odometry] = field(default_factory=list)
-    neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
-    poses: list[SharedPose] = field(default_factory=list)
-    values: list[Mapping[str, float]] = field(default_factory=list)
-    recognised: list[tuple[Detection, ...] | None] = field(default_factory=list)
-    dangers: list[tuple[Hazard, ...]] = field(default_factory=list)
+    taken: defaultdict[str, list[Any]] = field(default_factory=lambda: defaultdict(list))
     messages: list[tuple[str, str, bytes]] = field(default_factory=list)
     states: list[tuple[bool, str]] = field(default_factory=list)
     hold: Reason | None = None
@@ -149,44 +134,28 @@ class CollectingSink:
         """Whether the base is up, by the driver's last report."""
         return bool(self.states) and self.states[-1][0]
 
-    def scan(self, scan: Scan) -> None:
-        """Record a scan."""
-        self.scans.append(scan)
-        self.order.append("scan")
+    @property
+    def scans(self) -> list[Scan]:
+        """The scans of the lidar."""
+        return self.taken["scan"]
+
+    @property
+    def rings(self) -> list[Scan]:
+        """The scans of the ring of range sensors."""
+        return self.taken["ranges"]
+
+    @property
+    def odometries(self) -> list[Odometry]:
+        """What the odometer has measured."""
+        return self.taken["odometry"]
+
+    def take(self, input: SensorInput) -> None:
+        """Record the value of an input."""
+        kind = tag_of(input)
+        (value,) = astuple(input)
+        self.taken[kind].append(value)
+        self.order.append(kind)
         self.threads.add(threading.get_ident())
-
-    def ranges(self, scan: Scan) -> None:
-        """Record a scan of the ring of range sensors."""
-        self.rings.append(scan)
-        self.order.append("ranges")
-        self.threads.add(threading.get_ident())
-
-    def odometry(self, odometry: Odometry) -> None:
-        """Record an odometry."""
-        self.odometries.append(odometry)
-        self.order.append("odometry")
-        self.threads.add(threading.get_ident())
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """Record the robots in radio range."""
-        self.neighborhoods.append(neighbors)
-
-    def pose(self, pose: SharedPose) -> None:
-        """Record a pose in a shared frame."""
-        self.poses.append(pose)
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """Record scalar sensors."""
-        self.values.append(values)
-
-    def detections(self, detections: tuple[Detection, ...] | None) -> None:
-        """Record the recognised objects."""
-        self.recognised.append(detections)
-
-    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
-        """Record the present hazards."""
-        self.dangers.append(hazards)
-        self.order.append("hazards")
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """Record a message that the base's radio received."""
@@ -430,7 +399,8 @@ class DriverContract:
             pytest.skip("this rig is no HazardRig")
 
         async def story(harness: DriverHarness) -> None:
-            dangers, order = harness.sink.dangers, harness.sink.order
+            dangers: list[tuple[Hazard, ...]] = harness.sink.taken["hazards"]
+            order = harness.sink.order
             await harness.until(lambda: "scan" in order, publishing=True)
             assert order.index("up") < order.index("hazards") < order.index("scan")
             assert [one.kind for one in dangers[0]] == [HazardKind.NOT_HEARD]

@@ -7,8 +7,10 @@ import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import astuple
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import (
@@ -18,15 +20,29 @@ from swarmd.core.events import (
     Input,
     NeighborsInput,
     OdometryInput,
+    PoseInput,
     RangesInput,
+    ReadingsInput,
     ScanInput,
+    SensorInput,
+    tag_of,
 )
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import Reason
-from swarmd.core.values import Array, Detection, Neighbor, Odometry, Pose, Scan, Twist, Value
+from swarmd.core.values import (
+    Array,
+    Detection,
+    Neighbor,
+    Odometry,
+    Pose,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
-from swarmd.recording.frames import Begin, TextEntry, as_json, input_entry
+from swarmd.recording.frames import Begin, InputEntry, input_entry, without_geometry
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
@@ -57,11 +73,9 @@ def record(
     times: Sequence[float],
     *,
     lost_at: float | None = None,
-    neighbors: tuple[Neighbor, ...] = (),
-    hazards: tuple[Hazard, ...] = (),
-    detections: tuple[tuple[Detection, ...] | None, ...] = (),
+    more: Sequence[SensorInput] = (),
 ) -> Path:
-    """A recording with a scan and an odometry at each of these times, in s, without waiting."""
+    """A recording with a scan, an odometry and `more` at each of these times, in s."""
     converter = Converter(Begin(0.0, str(folder), "a", HEAD, 1e9, FileLimits()))
 
     def add(input: Input, at: float) -> None:
@@ -74,12 +88,8 @@ def record(
         if lost_at is not None and seq == 1:
             add(DriverInput(False, "unplugged"), lost_at)
         add(OdometryInput(odometry(seq)), time)
-        if neighbors:
-            add(NeighborsInput(neighbors), time)
-        if hazards:
-            add(HazardsInput(hazards), time)
-        for found in detections:
-            add(DetectionsInput(found), time)
+        for input in more:
+            add(input, time)
     converter.writer.close()
     assert converter.writer.path is not None
     return converter.writer.path
@@ -180,9 +190,10 @@ class Timed(CollectingSink):
         if is_up:
             self._up = asyncio.get_running_loop().time()
 
-    def scan(self, scan: Scan) -> None:
-        super().scan(scan)
-        self.times.append(asyncio.get_running_loop().time() - self._up)
+    def take(self, input: SensorInput) -> None:
+        super().take(input)
+        if isinstance(input, ScanInput):
+            self.times.append(asyncio.get_running_loop().time() - self._up)
 
 
 def played(path: Path, scans: int, **options: Value) -> Timed:
@@ -225,10 +236,13 @@ def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path, speed: float)
 
 
 def test_in_a_loop_stamps_and_sequences_continue(tmp_path: Path) -> None:
-    replayed = played(record(tmp_path / "a", [0.0, 0.1]), 4, loop=True)
+    pose = PoseInput(SharedPose(400.0, Pose(0.0, 0.0, 0.0), 0.1, 0.1, "map"))
+    replayed = played(record(tmp_path / "a", [0.0, 0.1], more=[pose]), 4, loop=True)
     assert [one.seq for one in replayed.scans][:4] == [0, 1, 2, 3]
     stamps = [one.stamp for one in replayed.scans]
     assert stamps == sorted(set(stamps))
+    first, again, later, *_ = (shared.stamp for shared in replayed.taken["pose"])
+    assert first == again < later, "a pose of a later round is newer"
     assert [state for state, _ in replayed.states][:4] == [False, True, False, True]
 
 
@@ -258,6 +272,24 @@ def test_a_recording_that_is_cut_off_is_played_up_to_there(
     assert "cut off at byte" in asyncio.run(make(whole).check(1.0))[0].text
 
 
+def test_scans_whose_exact_directions_are_damaged_have_rounded_ones(tmp_path: Path) -> None:
+    converter = Converter(Begin(0.0, str(tmp_path), "a", HEAD, 1e9, FileLimits()))
+    for turn in range(4):
+        seen = scan(3 * turn)
+        taken = ScanInput(without_geometry(seen) if turn else seen)
+        converter.add(input_entry(taken, 2.2 * turn))
+    converter.writer.close()
+    whole = converter.writer.path
+    assert whole is not None
+    data = bytearray(whole.read_bytes())
+    data[len(data) // 8] ^= 0xFF  # in the first chunk, which has the directions
+    whole.write_bytes(data)
+    replayed = played(whole, 1)
+    assert "damaged" in asyncio.run(make(whole).check(1.0))[0].text
+    assert [one.seq for one in replayed.scans] == [3, 6, 9]
+    assert all(np.allclose(one.bearings, scan(0).bearings, atol=1e-4) for one in replayed.scans)
+
+
 def test_a_file_without_inputs_is_one_clear_line(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     for data, fault in ((b"", "no inputs"), (b"PK\x03\x04", "not a recording; expected")):
@@ -278,8 +310,8 @@ def test_the_base_is_lost_and_back_as_recorded(tmp_path: Path) -> None:
 def test_members_are_no_measured_neighbors(tmp_path: Path) -> None:
     for number, (distance, count) in enumerate(((None, 0), (1.0, 1))):
         neighbors = (Neighbor("b", 0.0, distance),)
-        path = record(tmp_path / str(number), [0.0], neighbors=neighbors)
-        assert len(played(path, 1).neighborhoods) == count
+        path = record(tmp_path / str(number), [0.0], more=[NeighborsInput(neighbors)])
+        assert len(played(path, 1).taken["neighbors"]) == count
 
 
 @pytest.mark.parametrize(
@@ -306,9 +338,10 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
     before: list[int] = []
 
     class Busy(NullSink):
-        def scan(self, scan: Scan) -> None:
-            before.append(len(turns))
-            asyncio.get_running_loop().call_soon(turns.append, scan.seq)
+        def take(self, input: SensorInput) -> None:
+            if isinstance(input, ScanInput):
+                before.append(len(turns))
+                asyncio.get_running_loop().call_soon(turns.append, input.scan.seq)
 
     async def story() -> None:
         task = asyncio.create_task(make(path).run(Busy()))
@@ -321,22 +354,27 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
     assert before[-1] > 50, "other tasks ran in between"
 
 
-def test_hazards_are_played(tmp_path: Path) -> None:
-    hazards = (Hazard(HazardKind.BUMP, "front left"), Hazard(HazardKind.LIFTED))
-    path = record(tmp_path / "a", [0.0, 0.2], hazards=hazards)
-    assert played(path, 2).dangers == [hazards, hazards]
-
-
-def test_detections_are_played(tmp_path: Path) -> None:
-    found = (Detection("box", 0.5, None, "b"),)
-    path = record(tmp_path / "a", [0.0, 0.2], detections=(found, None))
-    assert played(path, 2).recognised == [found, None] * 2
+@pytest.mark.parametrize(
+    "input",
+    [
+        HazardsInput((Hazard(HazardKind.BUMP, "front left"), Hazard(HazardKind.LIFTED))),
+        DetectionsInput((Detection("box", 0.5, None, "b"),)),
+        DetectionsInput(None),
+        ReadingsInput({"light": 0.25}),
+        NeighborsInput((Neighbor("b", 0.5, 1.0, 0.2, None, False),)),
+        PoseInput(SharedPose(4.0, Pose(1.0, 2.0, 0.5), 0.1, 0.1, "map")),
+    ],
+)
+def test_every_other_input_is_played_as_recorded(tmp_path: Path, input: SensorInput) -> None:
+    path = record(tmp_path / "a", [0.0, 0.2], more=[input])
+    (value,) = astuple(input)
+    assert played(path, 2).taken[tag_of(input)] == [value] * 2
 
 
 def test_malformed_hazards_are_refused_before_the_start(tmp_path: Path) -> None:
     converter = Converter(Begin(0.0, str(tmp_path), "a", HEAD, 1e9, FileLimits()))
-    converter.add(TextEntry(0.0, "/hazards", as_json(("boom",))))
+    converter.add(InputEntry(0.0, msgspec.msgpack.encode(("hazards", (("boom",),)))))
     converter.writer.close()
     assert converter.writer.path is not None
-    with pytest.raises(ConfigError, match="/hazards"):
+    with pytest.raises(ConfigError, match="/input"):
         make(converter.writer.path)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import DetectionsInput, NeighborsInput, PoseInput, ReadingsInput
 from swarmd.core.finding import Finding
 from swarmd.core.values import (
     Array,
@@ -24,14 +25,11 @@ from swarmd.core.values import (
 )
 from swarmd.driver_api.driver import ZeroSenderSpec, gripper_of, message_carrier
 from swarmd.driver_api.hw_codec import (
-    INPUTS,
+    KINDS,
     MessageWire,
     decode_command,
-    encode_detections,
-    encode_neighbors,
+    encode_input,
     encode_odometry,
-    encode_pose,
-    encode_readings,
     encode_scan,
 )
 from swarmd.driver_api.watchdog_client import WatchedDriver
@@ -97,7 +95,7 @@ class Body:
 
     def publish_garbage(self) -> None:
         whole = encode_scan(scan(1))
-        for name in INPUTS:
+        for name in KINDS:
             for payload in (b"", b"\xff\x00garbage", whole[: len(whole) // 2], whole[:-1]):
                 self.send(name, payload)
 
@@ -138,21 +136,26 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
         """Whether each sense has come; the link drops samples while its queue is full."""
         robot.send("scan", encode_scan(scan(77)))
         robot.send("odometry", encode_odometry(ODOMETRY))
-        robot.send("neighbors", encode_neighbors(neighbors))
-        robot.send("pose", encode_pose(POSE))
-        robot.send("readings", encode_readings({"light": 0.25}))
-        robot.send("detections", encode_detections(DETECTED))
+        robot.send("neighbors", encode_input(NeighborsInput(neighbors)))
+        robot.send("pose", encode_input(PoseInput(POSE)))
+        robot.send("readings", encode_input(ReadingsInput({"light": 0.25})))
+        robot.send("detections", encode_input(DetectionsInput(DETECTED)))
         is_last = sink.scans and sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY
-        others = sink.neighborhoods, sink.poses, sink.values, sink.recognised
+        others = (
+            sink.taken["neighbors"],
+            sink.taken["pose"],
+            sink.taken["readings"],
+            sink.taken["detections"],
+        )
         return bool(is_last and all(others))
 
     await harness.until(have_arrived)
     np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
     np.testing.assert_allclose(sink.scans[-1].bearings, SPEC.bearings, atol=1e-9)
-    assert sink.neighborhoods[0] == neighbors
-    assert sink.poses[0] == POSE
-    assert sink.values[0] == {"light": 0.25}
-    assert sink.recognised[0] == DETECTED
+    assert sink.taken["neighbors"][0] == neighbors
+    assert sink.taken["pose"][0] == POSE
+    assert sink.taken["readings"][0] == {"light": 0.25}
+    assert sink.taken["detections"][0] == DETECTED
 
 
 @story(Body)

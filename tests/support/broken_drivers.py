@@ -16,6 +16,7 @@ from msgspec import structs
 from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError
+from swarmd.core.events import OdometryInput, RangesInput, ScanInput
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
@@ -79,12 +80,12 @@ class TellsHazardsAfterTheFirstScan(Good):
 
 class DeliversTheRingAsScan(Good):
     def on_ranges(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(scan)
+        sink.take(ScanInput(scan))
 
 
 class RepeatsTheStampOfTheRing(Good):
     def on_ranges(self, sink: Sink, scan: Scan) -> None:
-        sink.ranges(replace(scan, stamp=1.0))
+        sink.take(RangesInput(replace(scan, stamp=1.0)))
 
 
 class DropsCommandsOfStoppedRobots(Good):
@@ -280,19 +281,20 @@ class DeliversGarbage(Good):
             with contextlib.suppress(CodecError):
                 self.decode(name, payload)
                 return
-            sink.scan(Scan(0, 0.0, np.ones(360), SPEC.bearings, SPEC.range_min, SPEC.range_max))
+            scan = Scan(0, 0.0, np.ones(360), SPEC.bearings, SPEC.range_min, SPEC.range_max)
+            sink.take(ScanInput(scan))
 
 
 def with_scans(name: str, change: Callable[[Scan], Scan]) -> type[Good]:
     def on_scan(self: Good, sink: Sink, scan: Scan) -> None:
-        sink.scan(change(scan))
+        sink.take(ScanInput(change(scan)))
 
     return type(name, (Good,), {"on_scan": on_scan})
 
 
 def with_odometry(name: str, change: Callable[[Odometry], Odometry]) -> type[Good]:
     def on_odometry(self: Good, sink: Sink, odometry: Odometry) -> None:
-        sink.odometry(change(odometry))
+        sink.take(OdometryInput(change(odometry)))
 
     return type(name, (Good,), {"on_odometry": on_odometry})
 
@@ -334,12 +336,12 @@ NO_REASON = with_findings("no reason", lambda one: structs.replace(one, text="")
 class DropsScansWithoutReturns(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         if np.isfinite(scan.ranges).any():
-            sink.scan(scan)
+            sink.take(ScanInput(scan))
 
 
 class DeliversFromAThread(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
-        thread = threading.Thread(target=sink.scan, args=(scan,))
+        thread = threading.Thread(target=sink.take, args=(ScanInput(scan),))
         thread.start()
         thread.join()
 

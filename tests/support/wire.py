@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, unknown
+from swarmd.core.events import HazardsInput, OdometryInput, RangesInput, ScanInput
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist, Value
@@ -155,7 +156,7 @@ class Good:
     def tell(self, sink: Sink, hazards: tuple[Hazard, ...]) -> None:
         if self.is_up and self.has_hazards and hazards != self.told:
             self.told = hazards
-            sink.hazards(hazards)
+            sink.take(HazardsInput(hazards))
 
     def hear(self, sink: Sink, name: str, payload: bytes) -> None:
         if name == "bumper":
@@ -193,13 +194,13 @@ class Good:
             self.on_odometry(sink, heard)
 
     def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(scan)
+        sink.take(ScanInput(scan))
 
     def on_ranges(self, sink: Sink, scan: Scan) -> None:
-        sink.ranges(scan)
+        sink.take(RangesInput(scan))
 
     def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
-        sink.odometry(odometry)
+        sink.take(OdometryInput(odometry))
 
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False

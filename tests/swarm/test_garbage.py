@@ -24,6 +24,7 @@ from swarmd.core.behaviour import Signed
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import CodecError
+from swarmd.core.events import NeighborsInput, ReadingsInput
 from swarmd.core.goal import Goal
 from swarmd.core.keys import CONTROL, SHARED, build
 from swarmd.core.messages import Epoch, Presence, State
@@ -32,9 +33,8 @@ from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.core.verbs import VERBS, AnyRequest, FetchQuery, MembersQuery
 from swarmd.daemon.daemon import Daemon
 from swarmd.driver_api.hw_codec import (
-    encode_neighbors,
+    encode_input,
     encode_odometry,
-    encode_readings,
     encode_scan,
 )
 from swarmd.network import datagram
@@ -185,8 +185,8 @@ def body_targets(body: Body) -> Iterator[Target]:
     for name, valid, limit in (
         ("scan", encode_scan(body.clear(1, 0.0)), MAX_SENSOR_PAYLOAD),
         ("odometry", encode_odometry(Odometry(1.0, Pose(), Twist())), MAX_CONTROL),
-        ("neighbors", encode_neighbors((Neighbor("r2", 0.0),)), MAX_CONTROL),
-        ("readings", encode_readings({"battery": 0.9}), MAX_CONTROL),
+        ("neighbors", encode_input(NeighborsInput((Neighbor("r2", 0.0),))), MAX_CONTROL),
+        ("readings", encode_input(ReadingsInput({"battery": 0.9})), MAX_CONTROL),
     ):
         yield Target(name, valid, limit, (f"driver/hw/{name}",))
 

@@ -20,11 +20,12 @@ import zenoh
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
+from swarmd.core.events import PoseInput
 from swarmd.core.key_table import PUBLISHED
 from swarmd.core.keys import ANY, STATE, build, parse
 from swarmd.core.messages import Presence, State
 from swarmd.core.values import Pose, SharedPose
-from swarmd.driver_api.hw_codec import encode_pose
+from swarmd.driver_api.hw_codec import encode_input
 from swarmd.network.carriers.session import MAX_WIRE
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, wait_until
@@ -102,7 +103,7 @@ def test_each_publication_reaches_a_foreign_session(
     def has_all() -> bool:
         for body in bodies.values():
             shared = SharedPose(boottime(), Pose(1.5, -2.0, 0.5), 0.02, 0.01, "room")
-            body.put("pose", encode_pose(shared))
+            body.put("pose", encode_input(PoseInput(shared)))
         told = {name for name, robots in seen.items() if robots.keys() == set(ROBOTS)}
         return told >= PUBLISHED.keys() - {"tracks", "log"}
 

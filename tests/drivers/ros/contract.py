@@ -225,7 +225,7 @@ class RosContract(DriverContract):
             rig.disconnect()
             await harness.until(lambda: not harness.sink.is_up)
             dock.close()
-            before = len(harness.sink.values)
+            before = len(harness.sink.taken["readings"])
             rig.reconnect()
             again = rig.dock(is_latched=is_latched)
             if is_latched:
@@ -235,7 +235,9 @@ class RosContract(DriverContract):
                 lambda: docked(harness) == 0.0 if is_latched else math.isnan(docked(harness)),
                 publishing=True,
             )
-            assert all(values["docked"] != 1.0 for values in harness.sink.values[before:])
+            assert all(
+                values["docked"] != 1.0 for values in harness.sink.taken["readings"][before:]
+            )
             again.close()
 
         play(rig, story, readings=DOCKED)
@@ -265,7 +267,7 @@ async def last_arrives(harness: DriverHarness, twist: Twist) -> list[Twist]:
 
 def docked(harness: DriverHarness) -> float:
     """The reading: 0 or 1, NaN while nothing is known, -1 before the driver has reported it."""
-    values = harness.sink.values
+    values = harness.sink.taken["readings"]
     return values[-1].get("docked", -1.0) if values and harness.sink.is_up else -1.0
 
 

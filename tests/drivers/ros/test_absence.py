@@ -161,12 +161,21 @@ CASES: list[tuple[Options, str, str, Fields, Fields, str]] = [
 
 def values(sink: CollectingSink) -> int:
     """How many values a robot gets; hazards that are not heard, NaN and invalid scans are none."""
-    some = [value for given in sink.values for value in given.values() if math.isfinite(value)]
-    known = [one for one in sink.dangers if not any("not heard" in hazard.text for hazard in one)]
-    objects = [one for seen in sink.recognised for one in seen or ()]
+    some = [
+        value
+        for given in sink.taken["readings"]
+        for value in given.values()
+        if math.isfinite(value)
+    ]
+    known = [
+        one
+        for one in sink.taken["hazards"]
+        if not any("not heard" in hazard.text for hazard in one)
+    ]
+    objects = [one for seen in sink.taken["detections"] for one in seen or ()]
     conditioner = ScanConditioner(robots.PLATFORM.scan)
     scans = [scan for scan in sink.scans if isinstance(conditioner.take(scan, None, 0.0), Scan)]
-    kinds = some, known, objects, sink.odometries, sink.poses, scans
+    kinds = some, known, objects, sink.odometries, sink.taken["pose"], scans
     return sum(len(one) for one in kinds)
 
 
@@ -214,7 +223,7 @@ def test_a_battery_whose_driver_never_sets_present_keeps_its_voltage(
     Subscriptions(options, robots.PLATFORM, codec.decode).read(
         "battery", codec.encode(message), 0.0
     )(sink)
-    assert sink.values[-1] == pytest.approx({"battery": 0.5, "battery_voltage": 11.8})
+    assert sink.taken["readings"][-1] == pytest.approx({"battery": 0.5, "battery_voltage": 11.8})
 
 
 @pytest.mark.parametrize(("metres", "is_cliff"), [(0.31, True), (math.inf, True), (0.05, False)])
@@ -225,7 +234,7 @@ def test_a_floor_sensor_that_sees_nothing_within_its_limits_is_over_a_cliff(
     message = filled(options, "sensor_msgs/Range", {**NEAR, "range": metres})
     sink = CollectingSink()
     Subscriptions(options, robots.PLATFORM).read("hazards.x", cdr.encode(message), 0.0)(sink)
-    assert [hazard.kind for hazard in sink.dangers[-1]] == ["cliff"] * is_cliff
+    assert [hazard.kind for hazard in sink.taken["hazards"][-1]] == ["cliff"] * is_cliff
 
 
 def test_the_page_has_each_type_that_says_so() -> None:

@@ -85,7 +85,7 @@ def test_a_reading_may_be_of_a_vendors_type(
     fields |= {"SlipStatus": "is_slipping", "StopStatus": "is_stopped"}
     entry: dict[str, Value] = {"topic": "x", "type": f"{PACKAGE}/{name}", "field": fields[name]}
     given: dict[str, Value] = {"readings": {"x": entry}, "message_path": str(folder)}
-    read = read_options(kind, given, "ros", "r").topic_readings["x"]
+    read = read_options(kind, given, "ros", "r").topic_entries["readings"]["x"]
     assert name_of(read.message_type).endswith(name)
 
 

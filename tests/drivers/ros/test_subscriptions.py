@@ -57,8 +57,8 @@ def test_any_payload_gives_a_value_or_one_error(name: str, values: st.SearchStra
             Subscriptions(OPTIONS, robots.PLATFORM).read(name, value.serialize(), 0.0)(sink)
         assert all(np.isfinite(scan.bearings).all() for scan in sink.scans)
         assert all(odometry.pose.is_finite for odometry in sink.odometries)
-        assert all(pose.is_valid for pose in sink.poses)
-        assert all(np.isfinite(list(values.values())).all() for values in sink.values)
+        assert all(pose.is_valid for pose in sink.taken["pose"])
+        assert all(np.isfinite(list(values.values())).all() for values in sink.taken["readings"])
 
     check()
 
@@ -77,7 +77,8 @@ def covariant(*, x: float = 0.0, y: float = 0.0, xy: float = 0.0, yaw: float = 0
 def shared_pose(payload: bytes) -> SharedPose:
     sink = CollectingSink()
     Subscriptions(COVARIANT, robots.PLATFORM).read("shared_pose", payload, 0.0)(sink)
-    return sink.poses[0]
+    pose: SharedPose = sink.taken["pose"][0]
+    return pose
 
 
 def test_a_shared_pose_has_the_errors_of_the_options_or_of_its_covariance_if_more() -> None:
@@ -152,13 +153,13 @@ def test_readings_of_several_sensors_are_delivered_together() -> None:
     subscriptions.read("imu", dds.Imu().serialize(), 0.0)(sink)
     battery = dds.BatteryState(voltage=12.0, percentage=0.5)
     subscriptions.read("battery", battery.serialize(), 0.0)(sink)
-    assert sink.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 12.0}
+    assert sink.taken["readings"][-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 12.0}
     for orientation in (dds.Quaternion(w=0.0), dds.Quaternion(w=math.nan)):
         subscriptions.read("imu", dds.Imu().serialize(), 1.0)(sink)
         with suppress(CodecError):
             subscriptions.read("imu", dds.Imu(orientation=orientation).serialize(), 2.0)(sink)
-        subscriptions.deliver_changes(sink, 2.1)
-        assert "yaw" not in sink.values[-1], "the one before does not count any more"
+        subscriptions.deliver_inputs(sink, 2.1)
+        assert "yaw" not in sink.taken["readings"][-1], "the one before does not count any more"
 
 
 def test_the_lidars_turn_is_in_degrees_counted_to_the_left() -> None:

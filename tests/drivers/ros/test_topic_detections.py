@@ -19,6 +19,7 @@ from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.topic_detections import TopicDetections
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.harness import check
@@ -114,7 +115,7 @@ def told(options: RosOptions, payloads: Mapping[str, bytes]) -> list[Detection]:
     subscriptions, sink = Subscriptions(options, robots.PLATFORM), CollectingSink()
     for name, payload in payloads.items():
         subscriptions.read(f"detections.{name}", payload, 1.0)(sink)
-    return rounded(sink.recognised[-1])
+    return rounded(sink.taken["detections"][-1])
 
 
 def rounded(found: tuple[Detection, ...] | None) -> list[Detection]:
@@ -178,16 +179,16 @@ def test_nothing_is_known_without_fresh_messages_of_all_topics(topics: Topics) -
     late: dict[str, Value] = {**CLOUD, "stale_after": 0.5}
     subscriptions = Subscriptions(topics.options(one=TAGS, two=late), robots.PLATFORM)
     sink = CollectingSink()
-    subscriptions.deliver_all(sink, 0.0)
+    subscriptions.deliver_inputs(sink, 0.0, again=True)
     subscriptions.read("detections.one", topics.tags(), 1.0)(sink)
-    assert sink.recognised[-1] is None
+    assert sink.taken["detections"][-1] is None
     subscriptions.read("detections.two", topics.cloud("box", (0.0, 0.0, 1.0)), 1.0)(sink)
-    assert sink.recognised[-1] == (Detection("box", 0.0, 1.0, "track 0"),)
-    count = len(sink.recognised)
-    subscriptions.deliver_changes(sink, 1.4)
-    assert len(sink.recognised) == count
-    subscriptions.deliver_changes(sink, 1.6)
-    assert sink.recognised[count:] == [None]
+    assert sink.taken["detections"][-1] == (Detection("box", 0.0, 1.0, "track 0"),)
+    count = len(sink.taken["detections"])
+    subscriptions.deliver_inputs(sink, 1.4)
+    assert len(sink.taken["detections"]) == count
+    subscriptions.deliver_inputs(sink, 1.6)
+    assert sink.taken["detections"][count:] == [None]
 
 
 @pytest.mark.parametrize("kind", [RosOptions, Ros1Options])
@@ -233,12 +234,13 @@ def test_the_definition_of_another_version_is_read(tmp_path: Path) -> None:
         },
     )
     given: dict[str, Any] = {"detections": {"boxes": BOXES}, "message_path": str(share)}
-    (entry,) = read_options(Ros1Options, given, "ros1", "r").topic_detections.values()
+    (entry,) = read_options(Ros1Options, given, "ros1", "r").topic_entries["detections"].values()
     box = SimpleNamespace(
         center=SimpleNamespace(x=320.0, y=1.0, theta=0.0), size_x=1.0, size_y=32.0
     )
     item = SimpleNamespace(results=[SimpleNamespace(id=3, score=0.5)], bbox=box)
     message = SimpleNamespace(detections=[item])
+    assert isinstance(entry, TopicDetections)
     assert rounded(entry.read(message)) == [Detection("3", 0.0, 1.0)]
 
 
@@ -250,11 +252,11 @@ def test_they_arrive_over_a_bridge_and_go_stale(topics: Topics) -> None:
 
         def has_come() -> bool:
             robot.put("tags", topics.tags((5, 320.0, 64.0)))
-            last = sink.recognised[-1] if sink.recognised else None
+            last = sink.taken["detections"][-1] if sink.taken["detections"] else None
             return bool(last) and rounded(last) == [Detection("36h11", 0.0, 0.5, "5")]
 
         await harness.until(has_come, publishing=True)
-        await harness.until(lambda: sink.recognised[-1] is None, publishing=True)
+        await harness.until(lambda: sink.taken["detections"][-1] is None, publishing=True)
         assert sink.is_up
 
     entries: dict[str, Value] = {"one": {**TAGS, "stale_after": 0.3}}

@@ -59,16 +59,18 @@ class Heard:
     def tell(self, name: str, message: Any, now: float) -> tuple[Hazard, ...]:
         """A message arrives; what the sink knows then."""
         payload = message.serialize() if hasattr(message, "serialize") else cdr.encode(message)
-        entry = self._given.topic_hazards[name]
+        entry = self._given.topic_entries["hazards"][name]
         topics = self.subscriptions.topics.values()
         stats = next(stats for stats in topics if stats.topic == entry.topic)
         self.subscriptions.read(stats.name, payload, now)(self.sink)
-        return self.sink.dangers[-1]
+        present: tuple[Hazard, ...] = self.sink.taken["hazards"][-1]
+        return present
 
     def at(self, now: float) -> tuple[Hazard, ...]:
         """What the sink knows at a time."""
-        self.subscriptions.deliver_changes(self.sink, now)
-        return self.sink.dangers[-1]
+        self.subscriptions.deliver_inputs(self.sink, now)
+        present: tuple[Hazard, ...] = self.sink.taken["hazards"][-1]
+        return present
 
     def header(self, frame: str = "base_link") -> Any:
         self._stamp += 1
@@ -131,7 +133,7 @@ def test_a_silent_topic_is_a_hazard_before_its_first_message_and_after_its_last(
     assert heard.at(1.5) == ()
     assert heard.at(1.7) == (SILENT,)
     assert heard.tell("bumper", dds.Bool(data=False), 1.8) == ()
-    assert len(heard.sink.dangers) == 5  # each change once
+    assert len(heard.sink.taken["hazards"]) == 5  # each change once
 
 
 def test_what_is_published_on_change_counts_while_its_publisher_is_there() -> None:
@@ -153,7 +155,7 @@ def test_an_earlier_message_that_was_asked_for_counts_if_none_is_known() -> None
     for data, wanted in ((True, (BUMP,)), (False, (BUMP,))):
         payload = dds.Bool(data=data).serialize()
         heard.subscriptions.read("hazards.bumper", payload, 1.0, is_kept=True)(heard.sink)
-        assert heard.sink.dangers[-1] == wanted
+        assert heard.sink.taken["hazards"][-1] == wanted
 
 
 def test_a_reading_and_hazards_of_one_topic_share_it(folder: Path) -> None:
@@ -165,8 +167,8 @@ def test_a_reading_and_hazards_of_one_topic_share_it(folder: Path) -> None:
     message = heard.message("turtlebot3_msgs/SensorState", bumper=1, cliff=0.0, battery=12.0)
     payload = cdr.encode(message)
     heard.subscriptions.read("readings.battery_now", payload, 0.0)(heard.sink)
-    assert heard.sink.values[-1] == {"battery_now": 12.0}
-    assert heard.sink.dangers[-1] == (Hazard(HazardKind.BUMP),)
+    assert heard.sink.taken["readings"][-1] == {"battery_now": 12.0}
+    assert heard.sink.taken["hazards"][-1] == (Hazard(HazardKind.BUMP),)
 
 
 def test_a_message_that_repeats_its_stamp_is_no_news(folder: Path) -> None:
@@ -206,8 +208,8 @@ def test_an_infinite_range_is_beyond_a_limit(
 
 def test_without_the_option_no_sink_hears_of_hazards() -> None:
     heard = Heard(options({}))
-    heard.subscriptions.deliver_all(heard.sink, 0.0)
-    assert not heard.sink.dangers
+    heard.subscriptions.deliver_inputs(heard.sink, 0.0, again=True)
+    assert not heard.sink.taken["hazards"]
 
 
 def test_a_zero_sender_needs_no_hazards(folder: Path) -> None:

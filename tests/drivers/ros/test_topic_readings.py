@@ -13,6 +13,7 @@ from swarmd.core.values import Value
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.topic_readings import TopicReading
 from swarmd.drivers.ros1 import serialization
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
@@ -39,7 +40,7 @@ def values(subscriptions: Subscriptions, name: str, message: Any, now: float) ->
     """What the sink gets of a message that arrives at `now`."""
     sink = CollectingSink()
     subscriptions.read(name, message.serialize(), now)(sink)
-    return dict(sink.values[-1])
+    return dict(sink.taken["readings"][-1])
 
 
 @pytest.mark.parametrize("kind", [RosOptions, Ros1Options])
@@ -119,7 +120,8 @@ def test_a_message_without_a_finite_value_gives_none(kind: str, field: str, mess
 def test_a_byte_of_ros1_has_a_sign() -> None:
     entry: dict[str, Value] = {"topic": "x", "type": "std_msgs/Byte"}
     read = read_options(Ros1Options, {"readings": {"one": entry}}, "ros1", "r")
-    reading = read.topic_readings["one"]
+    reading = read.topic_entries["readings"]["one"]
+    assert isinstance(reading, TopicReading)
     assert reading.value(serialization.decode(reading.message_type, b"\xc8")) == -56.0
 
 
@@ -136,7 +138,7 @@ def test_the_number_of_hazards_in_a_vendors_message_is_a_reading(tmp_path: Path)
     message = types.kind(f"{PACKAGE}/HazardDetectionVector")(header=header, detections=[hazard] * 2)
     sink = CollectingSink()
     subscriptions.read("readings.count", cdr.encode(message), 1.0)(sink)
-    assert sink.values[-1] == {"count": 2.0, "first": 4.0}
+    assert sink.taken["readings"][-1] == {"count": 2.0, "first": 4.0}
 
 
 def test_two_readings_come_from_one_topic() -> None:
@@ -153,27 +155,28 @@ def test_a_silent_topic_becomes_stale_and_comes_back() -> None:
     sink = CollectingSink()
 
     def looked(now: float) -> bool:
-        before = len(sink.values)
-        subscriptions.deliver_changes(sink, now)
-        return len(sink.values) > before
+        before = len(sink.taken["readings"])
+        subscriptions.deliver_inputs(sink, now)
+        return len(sink.taken["readings"]) > before
 
     assert looked(0.0)  # never heard
-    assert math.isnan(sink.values[-1]["heat"])
+    assert math.isnan(sink.taken["readings"][-1]["heat"])
     assert not looked(0.5)
     message = dds.Temperature(temperature=20.0)
     assert values(subscriptions, "readings.heat", message, 1.0) == {"heat": 20.0}
     assert not looked(3.0)
     assert looked(3.1)
-    assert math.isnan(sink.values[-1]["heat"])
+    assert math.isnan(sink.taken["readings"][-1]["heat"])
     assert values(subscriptions, "readings.heat", message, 4.0) == {"heat": 20.0}
 
 
 def test_a_message_that_repeats_its_stamp_is_as_old_as_the_first() -> None:
-    subscriptions = subscribed(heat=TEMPERATURE)
+    subscriptions, sink = subscribed(heat=TEMPERATURE), CollectingSink()
 
     def taken(stamp: float, now: float) -> float:
         message = dds.Temperature(header=dds.stamped(stamp, "base"), temperature=20.0)
-        return values(subscriptions, "readings.heat", message, now)["heat"]
+        subscriptions.read("readings.heat", message.serialize(), now)(sink)
+        return float(sink.taken["readings"][-1]["heat"])
 
     assert [taken(5.0, now) for now in (0.0, 0.6)] == [20.0, 20.0]
     assert math.isnan(taken(5.0, 1.2))
@@ -200,8 +203,8 @@ DOCKED: dict[str, Value] = {"topic": "/dock", "type": "std_msgs/Bool", "stale_af
 def docked(subscriptions: Subscriptions, now: float) -> float:
     """What a base that is connected at `now` gets."""
     sink = CollectingSink()
-    subscriptions.deliver_all(sink, now)
-    return sink.values[-1]["docked"]
+    subscriptions.deliver_inputs(sink, now, again=True)
+    return float(sink.taken["readings"][-1]["docked"])
 
 
 def heard(subscriptions: Subscriptions, is_docked: bool, now: float, *, is_kept: bool) -> None:
@@ -239,10 +242,10 @@ def test_a_reading_of_a_dropped_delivery_is_told_at_the_next_look() -> None:
     """The driver delivers nothing before its base is connected."""
     subscriptions = subscribed(docked=DOCKED)
     sink = CollectingSink()
-    subscriptions.deliver_all(sink, 0.0)
+    subscriptions.deliver_inputs(sink, 0.0, again=True)
     heard(subscriptions, True, 1.0, is_kept=False)
-    subscriptions.deliver_all(sink, 2.0)
-    assert sink.values[-1] == {"docked": 1.0}
+    subscriptions.deliver_inputs(sink, 2.0, again=True)
+    assert sink.taken["readings"][-1] == {"docked": 1.0}
 
 
 BATTERY: dict[str, Value] = {"topic": "power", "type": "sensor_msgs/BatteryState"}
@@ -262,8 +265,8 @@ def test_an_option_and_readings_of_one_topic_are_read_from_one_message() -> None
     assert found == pytest.approx({"battery_voltage": 12.0, "current": -0.5, "cell": 3.9})
     assert "current -0.5" in subscriptions.topics["battery"].summary
     sink = CollectingSink()
-    subscriptions.deliver_changes(sink, 3.0)
-    assert sink.values
+    subscriptions.deliver_inputs(sink, 3.0)
+    assert sink.taken["readings"]
 
 
 def test_a_reading_of_the_odometry_comes_with_it() -> None:
@@ -273,7 +276,7 @@ def test_a_reading_of_the_odometry_comes_with_it() -> None:
     subscriptions, sink = subscribed(speed=entry), CollectingSink()
     payload = robots.odometry(1.0, speed=0.25).serialize()
     subscriptions.read("odometry", payload, 1.0)(sink)
-    assert sink.values == [{"speed": 0.25}]
+    assert sink.taken["readings"] == [{"speed": 0.25}]
     assert len(sink.odometries) == 1
     assert subscriptions.last_arrival == 1.0
 
@@ -288,8 +291,8 @@ def test_a_reading_is_heard_although_the_option_cannot_read_the_message() -> Non
     with pytest.raises(CodecError):
         subscriptions.read("imu", message.serialize(), 1.0)
     sink = CollectingSink()
-    subscriptions.deliver_changes(sink, 1.1)
-    assert sink.values == [{"yaw_rate": 0.5}]
+    subscriptions.deliver_inputs(sink, 1.1)
+    assert sink.taken["readings"] == [{"yaw_rate": 0.5}]
 
 
 @pytest.mark.parametrize(
@@ -327,8 +330,8 @@ def test_what_is_late_is_a_reading_and_moves_nothing(name: str) -> None:
     made = {"scan": robots.scan(5.0), "odometry": robots.odometry(5.0)}
     subscriptions, sink = subscribed(late={**entry[name], "stale_after": "never"}), CollectingSink()  # type: ignore[dict-item]
     subscriptions.read(name, made[name].serialize(), 1.0, is_kept=True)(sink)
-    assert set(sink.values[-1]) == {"late"}
-    assert math.isfinite(sink.values[-1]["late"])
+    assert set(sink.taken["readings"][-1]) == {"late"}
+    assert math.isfinite(sink.taken["readings"][-1]["late"])
     assert not sink.scans
     assert not sink.odometries
     assert subscriptions.last_arrival == -math.inf
@@ -349,9 +352,9 @@ def test_the_items_of_a_list_are_sensors_with_their_mean() -> None:
     found = values(subscriptions, "readings.ground", message, 1.0)
     assert found == {"ground": 0.25, "ground_1": 0.0, "ground_2": 0.25, "ground_3": 0.5}
     sink = CollectingSink()
-    subscriptions.deliver_changes(sink, 2.5)
-    assert len(sink.values[-1]) == 4
-    assert all(math.isnan(value) for value in sink.values[-1].values())
+    subscriptions.deliver_inputs(sink, 2.5)
+    assert len(sink.taken["readings"][-1]) == 4
+    assert all(math.isnan(value) for value in sink.taken["readings"][-1].values())
 
 
 def test_a_list_that_is_too_short_gives_no_mean() -> None:
@@ -378,7 +381,7 @@ def test_messages_in_a_list_of_a_vendor_type_are_sensors(tmp_path: Path) -> None
     payload = cdr.encode(many(header, [one(header, 100), one(header, 300)]))
     sink = CollectingSink()
     subscriptions.read("readings.ground", payload, 1.0)(sink)
-    assert sink.values[-1] == {"ground": 200.0, "ground_1": 100.0, "ground_2": 300.0}
+    assert sink.taken["readings"][-1] == {"ground": 200.0, "ground_1": 100.0, "ground_2": 300.0}
 
 
 def test_sensors_of_several_topics_have_a_mean_while_all_are_heard() -> None:

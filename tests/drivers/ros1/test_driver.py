@@ -52,11 +52,11 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
 
     def is_read() -> bool:
         robot.do("extras")
-        return bool(sink.values) and len(sink.values[-1]) == 3
+        return bool(sink.taken["readings"]) and len(sink.taken["readings"][-1]) == 3
 
     await harness.until(is_read)
     wanted = {"yaw": 0.5, "battery": 0.75, "battery_voltage": 12.0}
-    assert sink.values[-1] == pytest.approx(wanted)
+    assert sink.taken["readings"][-1] == pytest.approx(wanted)
     assert sink.lost.count("ros1/scan") == 0
 
 

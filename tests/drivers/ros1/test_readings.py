@@ -30,7 +30,7 @@ def test_a_vendors_message_is_read(roscore: RosCore, tmp_path: Path) -> None:
     async def story(harness: DriverHarness) -> None:
         def is_read() -> bool:
             robot.put("status", message, encode(message))
-            return harness.sink.values[-1:] == [{"docked": 1.0}]
+            return harness.sink.taken["readings"][-1:] == [{"docked": 1.0}]
 
         await harness.until(is_read, publishing=True)
 

@@ -56,15 +56,17 @@ async def test_all_senses_arrive_with_their_meaning(
     robot.put("imu", dds.Imu(orientation=dds.Quaternion(z=1.0, w=0.0)))
     robot.put("battery_state", dds.BatteryState(voltage=11.5, percentage=0.5))
     sink = harness.sink
-    await harness.until(lambda: bool(sink.values) and "battery" in sink.values[-1])
+    await harness.until(
+        lambda: bool(sink.taken["readings"]) and "battery" in sink.taken["readings"][-1]
+    )
     await harness.until(lambda: sink.odometries[-1].stamp == 501.0)
     await harness.until(lambda: sink.scans[-1].stamp == 500.0)
     np.testing.assert_allclose(sink.scans[-1].ranges, ranges, rtol=1e-6)
     pose = sink.odometries[-1].pose
     assert pose.x == 2.0
     assert pose.yaw == pytest.approx(1.0)
-    assert sink.values[-1]["yaw"] == pytest.approx(math.pi)
-    assert sink.values[-1]["battery"] == pytest.approx(0.5)
+    assert sink.taken["readings"][-1]["yaw"] == pytest.approx(math.pi)
+    assert sink.taken["readings"][-1]["battery"] == pytest.approx(0.5)
 
 
 @story(lambda: BridgedRobot(is_stamped=True), cmd_vel_frame="base_footprint")

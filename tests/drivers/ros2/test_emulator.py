@@ -15,6 +15,7 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError, NetworkError
+from swarmd.core.events import DetectionsInput, OdometryInput, RangesInput, ReadingsInput, ScanInput
 from swarmd.core.values import Detection, Odometry, Platform, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 from swarmd.driver_api.emulator import Emulator
@@ -182,8 +183,8 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
                     len([t for _, t in stage.commands if not t.is_zero]) < 3 or len(sink.scans) < 3
                 ):
                     seq += 1
-                    stage.side.scan("r-2", varied_scan(stage.platform, seq))
-                    stage.side.odometry("r-2", odometry(seq))
+                    stage.side.publish("r-2", ScanInput(varied_scan(stage.platform, seq)))
+                    stage.side.publish("r-2", OdometryInput(odometry(seq)))
                     driver.send(Twist(0.1, 0.3), seq, seq)
                     await asyncio.sleep(0.05)
         finally:
@@ -275,11 +276,11 @@ def test_readings_of_the_platform_reach_the_driver_by_topics(scheme: str) -> Non
         sink = CollectingSink()
         task = asyncio.create_task(stage.driver("r-1").run(sink))
         async with asyncio.timeout(TIMEOUT):
-            while not (sink.values and sink.values[-1].get("light") == 0.25):
-                stage.side.scan("r-1", varied_scan(BURGER))
-                stage.side.odometry("r-1", odometry())
-                stage.side.readings("r-1", {"light": 0.25})
-                stage.side.readings("r-2", {"light": 0.75})
+            while not (sink.taken["readings"] and sink.taken["readings"][-1].get("light") == 0.25):
+                stage.side.publish("r-1", ScanInput(varied_scan(BURGER)))
+                stage.side.publish("r-1", OdometryInput(odometry()))
+                stage.side.publish("r-1", ReadingsInput({"light": 0.25}))
+                stage.side.publish("r-2", ReadingsInput({"light": 0.75}))
                 await asyncio.sleep(0.02)
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -330,12 +331,12 @@ def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
         task = asyncio.create_task(stage.driver("r-1").run(sink))
         async with asyncio.timeout(TIMEOUT):
             count = 0
-            while not (sink.recognised and sink.recognised[-1]):
+            while not (sink.taken["detections"] and sink.taken["detections"][-1]):
                 count += 1
-                stage.side.scan("r-1", varied_scan(BURGER, count))
-                stage.side.odometry("r-1", odometry(count))
-                stage.side.detections("r-1", [*seen, *unseen])
-                stage.side.detections("r-2", unseen)
+                stage.side.publish("r-1", ScanInput(varied_scan(BURGER, count)))
+                stage.side.publish("r-1", OdometryInput(odometry(count)))
+                stage.side.publish("r-1", DetectionsInput((*seen, *unseen)))
+                stage.side.publish("r-2", DetectionsInput(tuple(unseen)))
                 await asyncio.sleep(0.02)
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -344,7 +345,7 @@ def test_objects_with_a_kind_of_the_platform_reach_the_driver_as_tags(
         asyncio.run(story())
     finally:
         stage.side.close()
-    found = sink.recognised[-1] or ()
+    found = sink.taken["detections"][-1] or ()
     assert [(one.kind, one.id) for one in found] == [("robot", "2"), ("box", "7")]
     for one, original in zip(found, seen, strict=True):
         assert one.bearing == pytest.approx(original.bearing, abs=1e-6)
@@ -368,9 +369,11 @@ def test_an_emulated_ring_arrives_beside_the_scan() -> None:
             async with asyncio.timeout(TIMEOUT):
                 while not (len(sink.rings) > 2 and sink.scans):
                     count += 1
-                    stage.side.scan("r-1", varied_scan(BURGER, count))
-                    stage.side.odometry("r-1", odometry(count))
-                    stage.side.ranges("r-1", structs.replace(seen, seq=count, stamp=0.1 * count))
+                    stage.side.publish("r-1", ScanInput(varied_scan(BURGER, count)))
+                    stage.side.publish("r-1", OdometryInput(odometry(count)))
+                    stage.side.publish(
+                        "r-1", RangesInput(structs.replace(seen, seq=count, stamp=0.1 * count))
+                    )
                     await asyncio.sleep(0.02)
         finally:
             task.cancel()

@@ -37,7 +37,7 @@ async def test_a_reading_arrives_becomes_stale_and_comes_back(
     harness: DriverHarness, robot: Robot
 ) -> None:
     def heat(harness: DriverHarness) -> float:
-        values = harness.sink.values
+        values = harness.sink.taken["readings"]
         return values[-1].get("temperature", -1.0) if values else -1.0
 
     def is_heat(harness: DriverHarness, degrees: float) -> bool:
@@ -157,7 +157,7 @@ def test_a_vendors_message_is_read(make: Callable[[], Robot], tmp_path: Path) ->
     async def story(harness: DriverHarness) -> None:
         def is_read() -> bool:
             robot.hub.put(key if isinstance(robot, ZenohRobot) else "hazards", payload)
-            return harness.sink.values[-1:] == [{"hazard": 4.0}]
+            return harness.sink.taken["readings"][-1:] == [{"hazard": 4.0}]
 
         await harness.until(is_read, publishing=True)
         # On a busy machine a newer message overtakes a message that still waits.

@@ -10,10 +10,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from msgspec.structs import astuple
 
 from swarmd.core.codec import encode
 from swarmd.core.errors import SwarmError
-from swarmd.core.values import Detection, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.events import OdometryInput, ScanInput, SensorInput, tag_of
+from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import EmulatorFactory, OnCommand
 from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.settings.platforms import load_platform
@@ -63,8 +65,9 @@ class HandLink:
         requests, self.requests = self.requests, []
         return requests
 
-    def send(self, robot: str, name: str, value: Any) -> None:
-        self.sent.append((robot, name, value))
+    def send(self, robot: str, input: SensorInput) -> None:
+        (value,) = astuple(input)
+        self.sent.append((robot, tag_of(input), value))
 
     def messages(self, robot: str, messages: Sequence[MessageWire]) -> None:
         self.sent.append((robot, "received", list(messages)))
@@ -85,20 +88,11 @@ class Side:
         self.scans: list[tuple[str, Scan]] = []
         self.poses: list[tuple[str, Odometry]] = []
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        self.scans.append((robot, scan))
-
-    def ranges(self, robot: str, scan: Scan) -> None:
-        """There is no ring."""
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
-        self.poses.append((robot, odometry))
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """There are no fields."""
-
-    def detections(self, robot: str, found: Sequence[Detection]) -> None:
-        """It recognises nothing."""
+    def publish(self, robot: str, input: SensorInput) -> None:
+        if isinstance(input, ScanInput):
+            self.scans.append((robot, input.scan))
+        elif isinstance(input, OdometryInput):
+            self.poses.append((robot, input.odometry))
 
     def close(self) -> None:
         """Nothing is open."""

@@ -1,0 +1,35 @@
+"""The options whose entries name topics of their own: one row an option."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_detections import Detections, topic_detections
+from swarmd.drivers.ros.topic_hazards import Hazards, topic_hazard
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
+from swarmd.drivers.ros.topic_readings import Readings, topic_readings
+
+FullName = Callable[[str], str]
+
+
+class EntryKind(NamedTuple):
+    """`read`: what an entry reads, by its name, options, the full names of topics and types.
+
+    `read` raises ConfigError that names the key. `inputs`: the values of all entries.
+    """
+
+    read: Callable[[str, Any, FullName, MessageTypes], tuple[TopicEntry, ...]]
+    inputs: Callable[[Mapping[str, Any]], TopicInputs[Any, Any]]
+
+
+ENTRY_KINDS: Mapping[str, EntryKind] = MappingProxyType(
+    {
+        "readings": EntryKind(topic_readings, Readings),
+        "hazards": EntryKind(topic_hazard, Hazards),
+        "detections": EntryKind(topic_detections, Detections),
+    }
+)
+"""By the option, a field of `TopicOptions`."""

@@ -1,0 +1,67 @@
+"""What the entries of an option such as `readings` give together, from topics of their own."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from swarmd.core.events import SensorInput
+
+
+@dataclass(frozen=True, slots=True)
+class TopicEntry:
+    """What is read in messages of `message_type` on `topic`."""
+
+    name: str
+    option: str
+    """Names the entry and its topic in messages, such as `hazards.bumper`."""
+    topic: str
+    message_type: type
+    stale_after: float
+    """Seconds; inf: the last message counts until the next one."""
+
+    @property
+    def is_never_stale(self) -> bool:
+        """True if the last message counts until the next one."""
+        return self.stale_after == math.inf
+
+
+E = TypeVar("E", bound=TopicEntry)
+V = TypeVar("V")
+
+
+class TopicInputs(ABC, Generic[E, V]):
+    """The present values of all entries of one option; times in s of the caller."""
+
+    def __init__(self, entries: Mapping[str, E]) -> None:
+        self._entries = entries
+        self._values: dict[str, tuple[V, float]] = {}  # value and arrival by entry
+
+    @abstractmethod
+    def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
+        """Take in a message for an entry; its value as text.
+
+        `is_kept`: an earlier message that was asked for; it counts if none is known.
+        """
+
+    @abstractmethod
+    def input(self, now: float, *, again: bool = False) -> SensorInput | None:
+        """The input of all entries, if it has changed since the last call; `again`: in any case.
+
+        None also if there are no entries.
+        """
+
+    def forget(self, topic: str | None = None) -> None:
+        """Drop values that never become stale, of a topic or of all: a message may be missed."""
+        for name, entry in self._entries.items():
+            if entry.is_never_stale and topic in (None, entry.topic):
+                self._values.pop(name, None)
+
+    def _stale(self, now: float) -> Iterator[E]:
+        """The entries that are silent for too long, or were never heard."""
+        for name, entry in self._entries.items():
+            if name not in self._values or now - self._values[name][1] > entry.stale_after:
+                yield entry
