@@ -69,12 +69,12 @@ CASES = (
     malformed("reset", ids="all"),
     malformed("reload", pattern=5),
     malformed("reload", is_rerun="yes"),
-    # Not even the refusal can be addressed: no targets, or an id that no reply can carry.
+    malformed("run", id="x" * 64),
+    # Not even the refusal can be addressed.
     *(
         Case(verb, None, {"targets": None}, drops=True)
         for verb in ("run", "reset", "reload", "param", "forget")
     ),
-    Case("run", None, {"id": "x" * 64}, drops=True),
     Case("run", None, {"targets": {"r" * 64: None}}, drops=True),
     # For other robots.
     *(
