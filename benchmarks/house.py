@@ -10,12 +10,11 @@ import argparse
 import re
 import statistics
 from collections.abc import Iterable, Mapping
-from importlib.metadata import entry_points
 
 from swarmd.core.key_table import PUBLISHED
 from swarmd.core.verbs import VERBS
 from swarmd.drivers.ros.options import TopicOptions
-from swarmd.plugins import PATTERNS
+from swarmd.plugins import pattern_folders
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.sim.metrics.catalog import METRICS
 from tests.support.weight import (
@@ -98,7 +97,7 @@ def examples() -> dict[str, list[str]]:
     """Names of each kind of feature; those without an underscore are ordinary words as well."""
     options = [*BaseOptions.__struct_fields__, *TopicOptions.__struct_fields__]
     kinds: dict[str, Iterable[str]] = {
-        "pattern": entry_points(group=PATTERNS).names,
+        "pattern": pattern_folders(),
         "driver option": options,
         "metric": METRICS,
     }
