@@ -4,8 +4,8 @@ They are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swarmd.
 `swarmd.commands`). An entry of patterns names a class, or a package whose folders are patterns:
 `<package>/<name>/pattern.py`, with the class of that name. A file `<plugin_dir>/<name>.py` or
 `<plugin_dir>/<name>/pattern.py` with exactly one Pattern is a pattern too, unless it is called
-`test_*.py`. So is a mission: a `<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that
-comes with swarmd. Reading the metadata of all installed packages takes 40 ms and more, so the
+`test_*.py`. A mission is a pattern, too: a `<plugin_dir>/<name>.yaml` with a line `mission: ...`,
+or a mission of swarmd. Reading the metadata of all installed packages takes 40 ms and more, so the
 command line calls these functions only where it must.
 """
 

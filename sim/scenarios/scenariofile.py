@@ -43,7 +43,7 @@ SCENARIO = "scenario.yaml"
 
 def scenario_names() -> tuple[str, ...]:
     """The scenarios that come with the project, and those of installed patterns."""
-    return tuple(sorted(_named()))
+    return tuple(sorted({path.stem for path in _folder().glob("*.yaml")} | _of_patterns().keys()))
 
 
 def load_scenario(
@@ -75,22 +75,25 @@ def scenario_of(
     return _overridden(sources, overrides, "scenario", source)
 
 
-def _named() -> dict[str, Path]:
-    """The files of scenarios with a name: that of the file, or of the pattern beside it."""
-    of_patterns = {name: one.path / SCENARIO for name, one in pattern_folders().items()}
-    folder = Path(swarmd.config.__path__[0]).resolve() / "scenarios"
-    return {name: path for name, path in of_patterns.items() if path.is_file()} | {
-        path.stem: path for path in folder.glob("*.yaml")
-    }
+def _folder() -> Path:
+    return Path(swarmd.config.__path__[0]).resolve() / "scenarios"
+
+
+def _of_patterns() -> dict[str, Path]:
+    """The scenarios of installed patterns by name; reads the metadata of all packages."""
+    files = {name: folder.path / SCENARIO for name, folder in pattern_folders().items()}
+    return {name: file for name, file in files.items() if file.is_file()}
 
 
 def _find(name: str, near: Path) -> Path:
     if name.endswith(".yaml"):
         return near / user_path(name)
-    named = _named()
-    if name not in named:
-        raise ConfigError(f"{unknown('scenario', name, named)} (or give a path ending in .yaml)")
-    return named[name]
+    if (file := _folder() / f"{name}.yaml").is_file():
+        return file
+    if name not in (of_patterns := _of_patterns()):
+        known = unknown("scenario", name, scenario_names())
+        raise ConfigError(f"{known} (or give a path ending in .yaml)")
+    return of_patterns[name]
 
 
 def _chain(path: Path) -> Iterator[tuple[str, Data]]:

@@ -171,30 +171,29 @@ def write_plugin(
     network = "" if policy is None else _network_text(policy)
     kind = kind if policy is None else "policy"
     _check_name(name)
-    heads, module = ["", "test_"], name
-    paths = [folder / f"{name}.py", folder / f"test_{name}.py"]
+    own = folder / name if has_folder else folder
+    paths = {
+        kind: own / (PATTERN_FILE if has_folder else f"{name}.py"),
+        f"test_{kind}": own / f"test_{name}.py",
+    }
     if has_folder:
-        heads, module = [*heads, "scenario", "page"], "pattern"
-        names = (PATTERN_FILE, f"test_{name}.py", "scenario.yaml", "page.md")
-        paths = [folder / name / file for file in names]
-    for path in paths:
+        paths |= {"scenario": own / "scenario.yaml", "page": own / "page.md"}
+    for path in paths.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
     _check_free(name)
-    folder_of_texts = files("swarmd.cli") / "templates"
-    texts = [
-        (folder_of_texts / f"{head if head.isalpha() else head + kind}.txt").read_text()
-        for head in heads
-    ]
+    templates = files("swarmd.cli") / "templates"
+    texts = {path: (templates / f"{head}.txt").read_text() for head, path in paths.items()}
     title = class_name(name)
-    if title in "".join(texts):  # such as Twist, which it imports
+    if title in "".join(texts.values()):  # such as Twist, which it imports
         title += "Pattern"
-    paths[0].parent.mkdir(parents=True, exist_ok=True)
-    for path, text in zip(paths, texts, strict=True):
+    own.mkdir(parents=True, exist_ok=True)
+    module = paths[kind].stem
+    for path, text in texts.items():
         with path.open("x", encoding="utf-8") as file:
             fields = {"name": name, "module": module, "kind": title, "network": network}
             file.write(Template(text).substitute(fields))
-    return tuple(paths)
+    return tuple(texts)
 
 
 def _network_text(policy: Path) -> str:

@@ -230,7 +230,7 @@ class RequestServer:
         """Refuse a request that is malformed or of another version, or tell that it has failed.
 
         The reply is not kept if its id is that of another request that is pending or was answered,
-        or is none: then it is UNREADABLE in the reply.
+        or cannot be read. The reply then has the id UNREADABLE.
         """
         try:
             header = _header(query.payload)

@@ -63,7 +63,7 @@ class StopSender:
                         break
                     before, selected = selected, pending.selected()
                     lacking = pending.lacking(now)
-                    # A base rests, or its robot has failed, by then: one that moved has gone.
+                    # By then each base rests, or its robot has failed; a robot in motion has left.
                     silent = lacking if now >= named else pending.silent(now)
                     is_due, new = repeat.is_due(now), selected - before
                     # Robots that were just found get a copy of their own before the next repeat.
