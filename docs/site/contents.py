@@ -54,7 +54,6 @@ CONTENTS = {
         "docs/robots/new_robot",
         "docs/robots/calibration",
         "docs/robots/last_word",
-        "docs/robots/trouble",
     ],
     "Reference": [
         "docs/reference/commands",
