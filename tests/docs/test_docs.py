@@ -133,8 +133,9 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 
 def test_each_page_has_its_place_on_the_site() -> None:
     """In docs/site/contents.py."""
-    contents = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))["CONTENTS"]
-    listed = [f"{page}.md" for pages in contents.values() for page in pages]
+    made = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))
+    contents = [*made["CONTENTS"].values(), *made["INNER"].values()]
+    listed = [f"{page}.md" for pages in contents for page in pages]
     assert sorted(["docs/README.md", *listed]) == sorted(map(name_of, PAGES))
 
 
