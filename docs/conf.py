@@ -27,10 +27,10 @@ project_copyright = "the authors of swarmd, Apache 2.0"
 release = version = metadata.version("swarmd")
 
 root_doc = "docs/README"
-include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md"]
+include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md", "studies/**.md"]
 # Only so that Sphinx does not walk them.
 exclude_patterns = [".*", "build", "dist", "mutants", "runs", "experiments", "*.egg-info"]
-exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests", "studies"]
+exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests"]
 
 extensions = ["myst_parser"]
 myst_heading_anchors = 4

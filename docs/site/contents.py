@@ -25,6 +25,7 @@ CONTENTS = {
         "docs/safety",
         *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),
         *_inside("docs/evidence", "network", "security", "simulation"),
+        "studies/ros/faults",
     ],
     "Reference": [
         *_inside("docs/reference", "commands", "patterns", "comparison", "platforms", "scenarios"),

@@ -654,6 +654,7 @@ if __name__ == "__main__":
             *ROOT.glob("*.md"),
             *ROOT.glob("docs/**/*.md"),
             *ROOT.glob("patterns/**/*.md"),
+            *ROOT.glob("studies/**/*.md"),
             ROOT / "benchmarks/README.md",
         ):
             copy = ROOT / "build/pages" / page.relative_to(ROOT)

@@ -36,6 +36,7 @@ PAGES = sorted(
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("patterns/**/*.md"),
+        *ROOT.glob("studies/**/*.md"),
         ROOT / "benchmarks/README.md",
     ]
 )
