@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import click
+import driver_messages
 import msgspec
 import zenoh
 from docstrings import module, prose
@@ -498,6 +499,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "testing": testing,
     "experiments": experiments,
     "python": python,
+    **driver_messages.PARTS,
 }
 """The parts by the name in their pages."""
 

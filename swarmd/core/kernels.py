@@ -6,6 +6,13 @@ the environment has SWARMD_COMPILED=0, and where a library was compiled from ano
 source: the code around it may call what it lacks. All libraries import `_views.abi3.so`, which
 holds Cython's code for views of memory. Where `_views` is absent or was compiled by another version
 of Cython, CPython runs the file, too.
+
+There are several libraries and not one. A call between two costs 50 ns, an estimated 2 % of all
+time with 100 robots, and the compiler works on all of them at once. Python classes that were
+compiled as they stood gained nothing; fields of C, buffers of doubles and fewer calls gain.
+Measured per event of the corpus: a numpy twin of the barrier 1.01 ms, interpreted 0.71 ms, compiled
+0.07 ms. Seven robots in lockstep took 1.1 to 1.35 times the time of numpy twins when interpreted.
+numba was refused: it adds 117 MB to a daemon.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ NO_CLAIM = {
     "paper.md": ("1.4 times",),
     "patterns.md": ("twice as often", "1.5 times"),
     "recording.md": ("7 % more",),  # the end of a range
-    "ros.md": ("1.5 times",),
+    "ros_faults.md": ("1.5 times",),
     "best_of_n": ("1.89 times",),
     "chain_formation": ("half as often",),
     "hexagonal_lattice": ("1.5 times", "1.3 times"),

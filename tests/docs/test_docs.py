@@ -265,6 +265,7 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("commands", ["`--interface NAME`", "`--seeds SEEDS`"]),
         ("reasons", ["`stale_scan`", "`estop`"]),
         ("keys", [*(f"`state/{name}`" for name in PUBLISHED), "`control/run/ASKER`", "`yaw`"]),
+        ("messages_any_driver", ["`waits for its watchdog`"]),
     ],
 )
 def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None:

@@ -1,13 +1,9 @@
-"""Writes trouble.md: the drivers' diagnoses of example robots, each with its cause and the remedy.
-
-python docs/robots/trouble.py
-"""
+"""The drivers' messages about example robots, each with its cause and the remedy."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -39,38 +35,9 @@ from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
 from swarmd.settings.driver_options import base_options
 from swarmd.settings.platforms import load_platform
 
-PAGE = Path(__file__).with_suffix(".md")
 PLATFORM = load_platform("burger")
 ENDPOINT, MASTER = "tcp/127.0.0.1:7447", "http://127.0.0.1:11311"
 SCAN, ODOM, TWIST = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "geometry_msgs/msg/Twist"
-
-HEAD = """\
-# Usual problems
-
-<!-- drivers: docs/robots/trouble.py writes this page from their own messages -->
-
-`swarmd ... --check` reports what it finds within 5 s and moves nothing; `members` and `describe`
-report the same of a running daemon, under `driver lost`. Meanwhile the robot is held at zero.
-The tables list the messages of one robot; `FAIL` and the subject precede each.
-
-Check before the daemon is started: a check counts the commands of a running daemon, and after a
-crash those of its watchdog, as commands of another node.
-"""
-
-CONTENDED = """\
-A running daemon reports another publisher as
-
-```
-{}
-```
-
-What follows depends on the state of the robot. A stopped, estopped or faulted robot is sent zero
-10 times per second, and 20 times while the base is lost or another node drives the base, at once
-after each command of the other node, and every 5 ms until 0.2 s after its last. To an idle
-or running robot the driver sends nothing for 2 s; its first command afterwards is zero. A running
-robot is held, and stopped after 2 s. Zeros of other nodes do not count.
-[The last word](last_word.md) shows how to share a base.
-"""
 
 Row = tuple[str, str, str]
 
@@ -282,7 +249,7 @@ def _commands(dds: Ros2Dds) -> Iterator[Row]:
     yield (
         check("last_word", scans({}), foreign_commands=87),
         "two publishers: a joystick, navigation, a second daemon",
-        "end it, or give swarmd [the last word](last_word.md)",
+        "end it, or give swarmd [the last word](robots/last_word.md)",
     )
     yield (
         action(),
@@ -344,7 +311,7 @@ def _scans() -> Iterator[Row]:
             TopicOptions(battery="battery_state", battery_volts=(11.0, 12.6)),
         ),
         "the message says that nothing is measured; the robot has no battery, and not an empty one;"
-        " [all messages that can say so](../ros.md#messages-that-say-that-they-measure-nothing)",
+        " [all messages that can say so](ros.md#messages-that-say-that-they-measure-nothing)",
         "the driver of the battery",
     )
 
@@ -435,7 +402,7 @@ def ros1() -> Iterator[Row]:
     yield (
         driven_by_others("/cmd_vel", ["/teleop"], is_heard=False),
         "two publishers, active or not",
-        "end it, or share the base as [The last word](last_word.md) shows",
+        "end it, or share the base as [The last word](robots/last_word.md) shows",
     )
 
 
@@ -483,19 +450,21 @@ def any_driver() -> Iterator[Row]:
         )
 
 
-def page() -> str:
-    """The whole page."""
-    parts = [HEAD, _section("ROS 2", ros2()), CONTENDED.format(driven_by_others("/cmd_vel"))]
-    parts += [_section("ROS 1", ros1()), _section("Any driver", any_driver())]
-    return "\n".join([*parts, "<!-- end -->\n"])
+def contended() -> Iterator[str]:
+    """The message of a running daemon about another publisher."""
+    yield f"```\n{driven_by_others('/cmd_vel')}\n```"
 
 
-def _section(title: str, rows: Iterator[Row]) -> str:
+def table(rows: Iterator[Row]) -> Iterator[str]:
+    """A table of messages with their causes and remedies."""
     lines = [f"| `{message}` | {cause} | {remedy} |" for message, cause, remedy in rows]
-    return "\n".join(
-        [f"## {title}", "", "| message | cause | remedy |", "|---|---|---|", *lines, ""]
-    )
+    yield "\n".join(["| message | cause | remedy |", "|---|---|---|", *lines])
 
 
-if __name__ == "__main__":
-    PAGE.write_text(page())
+PARTS = {
+    "messages_ros2": lambda: table(ros2()),
+    "messages_contended": contended,
+    "messages_ros1": lambda: table(ros1()),
+    "messages_any_driver": lambda: table(any_driver()),
+}
+"""The parts of `docs/trouble.md`."""
