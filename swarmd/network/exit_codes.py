@@ -10,6 +10,8 @@ from collections.abc import Collection
 from swarmd.core.messages import Refusal
 
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
+CLOSED_PIPE = 141
+"""As of a program that SIGPIPE ends: the reader of the output, such as `head`, has ended."""
 EXIT_CODES_HELP = """\b
 Exit codes:
   0  all targeted robots applied it
@@ -20,7 +22,8 @@ Exit codes:
   5  none applied it or failed, and at least one did not answer in time
   6  no daemon could be reached
   7  all robots refused
-  130  interrupted"""
+  130  interrupted
+  141  the reader of the output has ended, such as head"""
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:
