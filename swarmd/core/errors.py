@@ -109,13 +109,17 @@ def fail_stop(function: Callable[P, R]) -> Callable[P, R]:
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """One line for an unknown name, with the nearest valid one or all of them."""
+    names = sorted(known)
+    if close := nearest(name, names):
+        return f"no {what} {name!r}; did you mean {close!r}?"
+    return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known name that is most like an unknown one; empty if none is."""
     from difflib import get_close_matches  # 1 ms of each start of swarmctl
 
-    names = sorted(known)
-    close = get_close_matches(name, names, n=1, cutoff=0.6)
-    if close:
-        return f"no {what} {name!r}; did you mean {close[0]!r}?"
-    return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"
+    return next(iter(get_close_matches(name, sorted(known), n=1, cutoff=0.6)), "")
 
 
 def named(value: object) -> str:

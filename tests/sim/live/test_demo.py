@@ -157,7 +157,9 @@ def test_ctrl_c_at_the_start_of_a_demo_is_one_line(tmp_path: Path, wait: float) 
         time.sleep(wait)
         os.killpg(process.pid, signal.SIGINT)
         out, errors = process.communicate(timeout=CAP)
-    told = [line for line in errors.splitlines() if line and not line.startswith("Starting a world")]
+    told = [
+        line for line in errors.splitlines() if line and not line.startswith("Starting a world")
+    ]
     assert (process.returncode, out, told) == (130, "", ["error: interrupted"])
     logs = [path / "logs" for path in (tmp_path / "runs").glob("*")]
     wait_until(lambda: not any(named("", one) for one in logs), "no process is left")
