@@ -122,8 +122,7 @@ def _paint(axes: Axes, curve: Curve, index: int, label: str, *, has_band: bool) 
         low, high = (np.repeat(bound, 2)[:-2] for bound in (curve.low, curve.high))
         axes.fill_between(corners, low, high, color=colour, alpha=0.16, linewidth=0.0)
     axes.step(curve.t, curve.share, where="post", color=colour, linestyle=style, linewidth=1.8,
-              clip_on=False,
-              zorder=3.0, label=label)  # fmt: skip
+              zorder=3.0, label=label, clip_on=False)  # fmt: skip
     if not len(curve.censored):  # an empty line outside of the axes has no extent for the layout
         return
     at = np.searchsorted(curve.t, curve.censored, side="right") - 1
