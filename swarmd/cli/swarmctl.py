@@ -25,6 +25,9 @@ from swarmd.core.errors import (
     SwarmError,
 )
 from swarmd.core.files import as_text
+<<<<<<< HEAD
+=======
+>>>>>>> cli
 
 LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
 OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
@@ -39,7 +42,10 @@ Exit codes:
   5  none applied it or failed, and at least one did not answer in time
   6  no daemon could be reached
   7  all robots refused
-  130  interrupted"""
+  130  interrupted
+  141  the reader of the output has ended, such as head"""
+CLOSED_PIPE = 141
+"""As of a program that SIGPIPE ends."""
 
 
 def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
@@ -167,8 +173,7 @@ def main(args: list[str] | None = None) -> NoReturn:
         code = run_cli(cli, args, "swarmctl", exit_code_of)
     except SystemExit as end:  # by a signal
         code = end.code if isinstance(end.code, int) else 1
-    if not _is_flushed():
-        code = code or 1
+    code = code or _flushed()
     if "zenoh" in sys.modules:
         # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
         # into an interpreter which ends aborts the process. The answer is out.
@@ -178,21 +183,21 @@ def main(args: list[str] | None = None) -> NoReturn:
     sys.exit(code)
 
 
-def _is_flushed() -> bool:
-    """Write what is buffered; False if that fails, as on a full disk.
+def _flushed() -> int:
+    """Write what is buffered; the exit code if that fails: a closed pipe, or a full disk.
 
     What cannot be written goes nowhere then: else Python fails at its end, with exit code 120.
     """
-    is_flushed = True
+    code = 0
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except AttributeError:  # it was closed before the start
             continue
-        except OSError:
-            is_flushed = False
+        except OSError as error:
+            code = CLOSED_PIPE if isinstance(error, BrokenPipeError) else 1
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    return is_flushed
+    return code
 
 
 def run_cli(
@@ -204,6 +209,7 @@ def run_cli(
     completes a line, nothing is written on stderr: it would be drawn into that line.
     """
     words = sys.argv[1:] if args is None else args
+    stdout = sys.stdout
     if os.environ.get(f"_{name.upper()}_COMPLETE"):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     elif fault := _not_text(words):
@@ -222,9 +228,13 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
-    except BrokenPipeError:  # the reader, such as `head`, has ended
+    except SystemExit:
+        # Click makes exit code 1 of a closed pipe, as of a failure, and replaces the stream.
+        if sys.stdout is stdout:
+            raise
+        sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return CLOSED_PIPE
     except UnicodeEncodeError as error:  # such as a file below a folder
         try:
             as_text(error.object)

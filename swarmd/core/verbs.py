@@ -524,8 +524,13 @@ MAX_PART = 60
 
 
 def shortened(text: str, length: int = MAX_PART) -> str:
-    """The text, cut with an ellipsis beyond `length` characters."""
-    return text if len(text) <= length else f"{text[: length - 3]}..."
+    """The text, cut between words, with an ellipsis, to at most `length` characters."""
+    if len(text) <= length:
+        return text
+    kept = text[: length - 3]
+    words, blank, _ = kept.rpartition(" ")
+    is_whole = text[len(kept)] == " " or not blank
+    return f"{kept if is_whole else words.rstrip(' ,;:')}..."
 
 
 def _assignments(values: Mapping[str, object]) -> str:

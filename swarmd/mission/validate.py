@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from swarmd.core.bounds import BoundedScalar
-from swarmd.core.errors import SwarmError, unknown
+from swarmd.core.errors import ParameterError, SwarmError, unknown
 from swarmd.core.values import Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name
@@ -23,6 +23,7 @@ from swarmd.settings.layered import Fault, Keys, fault_at
 Parts = Mapping[str, Pattern[Any]]
 Table = Mapping[BoundedScalar, BoundedScalar]
 T = TypeVar("T")
+_NOT_MADE = "cannot be made: "
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,11 +55,8 @@ class Setter:
 
 
 def build_parts(builder: PartBuilder) -> dict[str, Pattern[Any]]:
-    """All parts but the faulty ones."""
-    built = {
-        name: _noting(builder, ("parts", name), partial(builder, name))
-        for name in builder.document.parts
-    }
+    """All parts, those with a refused parameter without it, but not those that raise an error."""
+    built = {name: _built(builder, name) for name in list(builder.document.parts)}
     parts = {name: part for name, part in built.items() if part is not None}
     senders: dict[str, str] = {}
     for name, part in parts.items():
@@ -83,6 +81,11 @@ def build_setters(
     for keys, one in builder.document.maps:
         source, target = split(one.source), split(one.target)
         if source[0] not in parts or target[0] not in parts:
+            continue
+        known = [spec.name for spec in schema(parts[target[0]].params_type)]
+        if target[1] not in known:  # once, not for each value
+            text = f"names {unknown('parameter', target[1], known)} (of {target[0]})"
+            builder.faults.append(fault_at((*keys, "to"), text))
             continue
         count = (opinions or {}).get(source[0], getattr(parts[source[0]].params, "opinions", 0))
         is_opinion = isinstance(parts[source[0]], VotingPattern) and source[1] == OPINION
@@ -121,6 +124,29 @@ def check_reports(builder: PartBuilder, parts: Parts) -> None:
             name = report_of(simple)
             if name is not None:
                 check(keys, split(name), set())
+
+
+def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
+    """A new part; a fault for each parameter that it refuses, which the part then does not get."""
+    parts, exposed = builder.document.parts, builder.exposed.get(name, {})
+    while True:
+        part = parts[name]
+        try:
+            return builder(name)
+        except ParameterError as error:
+            key = error.parameter
+            if key in part.params and key not in exposed:
+                text = f"is refused: {error_text(error)}"
+                builder.faults.append(fault_at(("parts", name, "params", key), text))
+                rest = {k: value for k, value in part.params.items() if k != key}
+                parts[name] = msgspec.structs.replace(part, params=rest)
+                continue
+            builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
+        except RecursionError:
+            raise  # a part made of itself: each of its copies would append it
+        except (Exception, SystemExit) as error:  # a plugin may raise anything
+            builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
+        return None
 
 
 def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> Any:
@@ -175,9 +201,7 @@ def _reports(builder: PartBuilder, name: str) -> set[str]:
         return set()
 
 
-def _noting(
-    builder: PartBuilder, keys: Keys, call: Callable[[], T], prefix: str = "cannot be made: "
-) -> T | None:
+def _noting(builder: PartBuilder, keys: Keys, call: Callable[[], T], prefix: str) -> T | None:
     """The result of the call; None, and a fault, if it raises."""
     try:
         return call()

@@ -26,11 +26,12 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd import api
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import is_id
 from swarmd.core.processes import die_with_parent, limit_growth
-from swarmd.core.values import Platform, Value
+from swarmd.core.values import Outputs, Platform, Twist, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.conditions import needs_of
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
 
 LOADING = "the file holds one pattern"
 IMPORTS = "it imports arithmetic alone"
+DROPPED = "no command is made and dropped"
 MIRRORED = "mirrored scans give mirrored commands"
 NOT_CLAIMED = "is_symmetric is not claimed"
 MAX_GROWTH = 1024 * 1024 * 1024
@@ -238,12 +240,14 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
         return
     from swarmd.testing.no_side_effects import forbidden_imports
 
-    found = [
-        f"imports {name} ({path.name}:{line})"
-        for line, name in forbidden_imports(path.read_bytes())
-    ]
-    answer.send(begin=IMPORTS)
-    answer.send(result=IMPORTS, **({"fault": "; ".join(found)} if found else {}))
+    source = path.read_bytes()
+    for point, found in (
+        (IMPORTS, [(line, f"imports {name}") for line, name in forbidden_imports(source)]),
+        (DROPPED, [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]),
+    ):
+        texts = [f"{text} ({path.name}:{line})" for line, text in found]
+        answer.send(begin=point)
+        answer.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
     for point, check in _contract_tests(loaded[0], path.parent):
         if point in done:
             continue
@@ -253,6 +257,29 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
         answer.send(result=point, **{"text": text, **fault})
         if fault.get("is_hang"):
             return
+
+
+_UNUSED = "and does not use the value; is a return missing?"
+
+
+def dropped(source: bytes) -> Iterator[tuple[int, str]]:
+    """The line and the call of each expression statement that makes a Twist or Outputs.
+
+    By the name alone: the class, or a function of `swarmd.api` that returns one.
+    """
+    makers = {Twist.__name__, Outputs.__name__}
+    for name, value in vars(api).items():
+        returned = getattr(value, "__annotations__", {}).get("return")
+        makers |= {name} if returned in (Twist, Twist.__name__) else set()
+    for statement in ast.walk(ast.parse(source)):
+        if not isinstance(statement, ast.Expr):
+            continue
+        value = statement.value
+        for branch in (value.body, value.orelse) if isinstance(value, ast.IfExp) else (value,):
+            called = branch.func if isinstance(branch, ast.Call) else None
+            name = getattr(called, "id", "") or getattr(called, "attr", "")
+            if name in makers:
+                yield statement.lineno, name
 
 
 def _contract_tests(

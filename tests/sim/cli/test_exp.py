@@ -245,6 +245,7 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
         (["run", "DUO", "--sweep", "duration=3,x"], "'x'"),
         (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "duration"),
         (["run", "DUO", "--metrics", "path_lenght"], "'path_length'"),
+        (["run", "DUO", "--metrics", "contacts"], "'robot_contacts'"),
         (["run", "DUO", "--set", "arena.size=[0.2, 0.2]"], "start"),
         (["run", "DUO", "--out", "."], "it holds duo"),
         (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
