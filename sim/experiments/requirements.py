@@ -74,11 +74,11 @@ def parse_requirement(text: str) -> Requirement:
 
     ConfigError names the text and what is wrong with it.
     """
-    found = _GRAMMAR.fullmatch(text)
+    match = _GRAMMAR.fullmatch(text)
     wanted = "expected one such as 'median(gather_time) <= 60', with >= <= > < or =="
-    if found is None:
+    if match is None:
         raise ConfigError(f"requirement {text!r}: {wanted}")
-    statistic, inner, bare, comparison, number = found.groups()
+    statistic, inner, bare, comparison, number = match.groups()
     if statistic is not None and statistic not in _STATISTICS:
         raise ConfigError(f"requirement {text!r}: {unknown('statistic', statistic, _STATISTICS)}")
     value = float(number) if number in ("inf", "-inf") else finite_number(number)

@@ -39,7 +39,7 @@ class PartBuilder:
     faults: list[Fault]
 
     def __call__(self, name: str, **changes: Any) -> Pattern[Any]:
-        """A new part, with some parameters changed; SwarmError if one is refused."""
+        """A new part, with some parameters changed; SwarmError if a value is refused."""
         part = self.document.parts[name]
         params = {**part.params, **self.exposed.get(name, {}), **changes}
         return self.make(part.pattern, part=name, private=part.private, **params)
@@ -61,9 +61,9 @@ def build_parts(builder: PartBuilder) -> dict[str, Pattern[Any]]:
     senders: dict[str, str] = {}
     for name, part in parts.items():
         for channel in sorted(outer_name(part, channel) for channel in part.channels):
-            other = senders.setdefault(channel, name)
-            if other != name:
-                text = f"sends on {channel} as {other} does; make one private or leave it out"
+            sender = senders.setdefault(channel, name)
+            if sender != name:
+                text = f"sends on {channel} as {sender} does; make one private or leave it out"
                 builder.faults.append(fault_at(("parts", name), text))
                 break
     return parts
@@ -74,12 +74,12 @@ def build_setters(
 ) -> list[Setter]:
     """A setter for each map between these parts.
 
-    Each value is tried on a part that starts with it and on one that is changed to it. `opinions`
-    overrides how many a part has.
+    Each value is tried on a part that starts with the value, and on a part that is changed to the
+    value. `opinions` overrides the number of opinions of a part.
     """
-    found = []
-    for keys, one in builder.document.maps:
-        source, target = split(one.source), split(one.target)
+    setters = []
+    for keys, mapping in builder.document.maps:
+        source, target = split(mapping.source), split(mapping.target)
         if source[0] not in parts or target[0] not in parts:
             continue
         known = [spec.name for spec in schema(parts[target[0]].params_type)]
@@ -90,13 +90,15 @@ def build_setters(
         count = (opinions or {}).get(source[0], getattr(parts[source[0]].params, "opinions", 0))
         is_opinion = isinstance(parts[source[0]], VotingPattern) and source[1] == OPINION
         table: dict[BoundedScalar, BoundedScalar] = {}
-        for reported, value in _values(builder, keys, one, count if is_opinion else None).items():
-            prefix = f"sets {one.target} to {value} where {one.source} is {reported}: "
+        for reported, value in _values(
+            builder, keys, mapping, count if is_opinion else None
+        ).items():
+            prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
             tried = _noting(builder, keys, partial(_tried, builder, target, value), prefix)
             if tried is not None:
                 table[reported] = tried
-        found.append(Setter(source, target, table))
-    return found
+        setters.append(Setter(source, target, table))
+    return setters
 
 
 def check_reports(builder: PartBuilder, parts: Parts) -> None:
@@ -113,8 +115,8 @@ def check_reports(builder: PartBuilder, parts: Parts) -> None:
             text = f"names {unknown('report', key, known[part] | more)} (of {part})"
             builder.faults.append(fault_at(keys, text))
 
-    for keys, one in document.maps:
-        check((*keys, "from"), split(one.source), set())
+    for keys, mapping in document.maps:
+        check((*keys, "from"), split(mapping.source), set())
     for own, reference in document.report.items():
         part = parts.get(reference[0])
         params = {spec.name for spec in schema(part.params_type)} if part is not None else set()
@@ -161,32 +163,41 @@ def error_text(error: BaseException) -> str:
     return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"
 
 
-def _values(builder: PartBuilder, keys: Keys, one: Map, opinions: int | None) -> Table:
+def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None) -> Table:
     """The values of a map by report; {} with a fault if some are missing.
 
-    `opinions`: how many the source has; None if it is not the opinion of a vote.
+    `opinions`: the number of opinions of the source; None if the source is no opinion of a vote.
     """
     table: dict[BoundedScalar, BoundedScalar]
-    if one.values is not None:
-        rows = enumerate(one.values) if isinstance(one.values, list) else one.values.items()
+    if mapping.values is not None:
+        rows = (
+            enumerate(mapping.values)
+            if isinstance(mapping.values, list)
+            else mapping.values.items()
+        )
         table = dict(rows)
     else:
-        count = one.count or opinions
+        count = mapping.count or opinions
         if count is None:
-            text = f"has base and step, but {one.source} is not the opinion of a vote; give count"
+            text = (
+                f"has base and step, but {mapping.source} is not the opinion of a vote; give count"
+            )
             builder.faults.append(fault_at(keys, text))
             return {}
-        table = {number: (one.base or 0.0) + (one.step or 0.0) * number for number in range(count)}
+        table = {
+            number: (mapping.base or 0.0) + (mapping.step or 0.0) * number
+            for number in range(count)
+        }
     missing = [number for number in range(opinions or 0) if number not in table]
     if missing:
-        text = f"has no value for opinion {missing[0]}; {split(one.source)[0]} has {opinions}"
+        text = f"has no value for opinion {missing[0]}; {split(mapping.source)[0]} has {opinions}"
         builder.faults.append(fault_at((*keys, "values"), f"{text} opinions"))
         return {}
     return table
 
 
 def _tried(builder: PartBuilder, target: Reference, value: BoundedScalar) -> BoundedScalar:
-    """The value as the target's parameter holds it; SwarmError if it would be refused."""
+    """The value as the target's parameter holds it; SwarmError if the target refuses the value."""
     part, name = target
     started = builder(part, **{name: value})
     changed = builder(part)

@@ -26,9 +26,12 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("State", _state(status)),
         ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
         ("Protection", _protection(status)),
-        ("Peers", [(f.robot, f"{'holds it: ' * f.holds}{f.text}") for f in status.peers]),
+        ("Peers", [(f.robot, f"holds it: {f.text}" if f.holds else f.text) for f in status.peers]),
         ("Parameters", _parameters(status)),
-        (_report_title(status), [(name, short_number(one)) for name, one in status.report.items()]),
+        (
+            _report_title(status),
+            [(name, short_number(value)) for name, value in status.report.items()],
+        ),
         ("Readings", _readings(status)),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
@@ -38,8 +41,8 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
 
 def _readings(status: Status) -> list[tuple[str, str]]:
     stale = "stale: no fresh value; patterns get none"
-    found = {name: short_number(value) for name, value in status.readings.items()}
-    return sorted({**found, **dict.fromkeys(status.stale_readings, stale)}.items())
+    texts = {name: short_number(value) for name, value in status.readings.items()}
+    return sorted({**texts, **dict.fromkeys(status.stale_readings, stale)}.items())
 
 
 def _report_title(status: Status) -> str:
