@@ -25,9 +25,6 @@ from swarmd.core.errors import (
     SwarmError,
 )
 from swarmd.core.files import as_text
-<<<<<<< HEAD
-=======
->>>>>>> cli
 
 LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
 OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
