@@ -12,7 +12,6 @@ from typing import Any
 
 import click
 
-from swarmd.core.verbs import shortened
 from swarmd.texts.values import printable
 
 API_VERSION = "swarm/v1"
@@ -62,6 +61,8 @@ def print_table(
     if width is not None:
         used = [max(map(len, column)) + 2 for column in zip(header, *rows, strict=True)][:-1]
         room = max(width - sum(used), len(header[-1]))
+        from swarmd.core.verbs import shortened  # `--help` reads no message
+
         rows = [(*row[:-1], shortened(row[-1], room)) for row in rows]
     for line in table_lines(header, rows, is_coloured=is_coloured):
         click.echo(line, color=is_coloured)
