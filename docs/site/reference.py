@@ -655,6 +655,7 @@ if __name__ == "__main__":
             *ROOT.glob("*.md"),
             *ROOT.glob("docs/**/*.md"),
             *ROOT.glob("patterns/**/*.md"),
+            *ROOT.glob("studies/**/*.md"),
             ROOT / "benchmarks/README.md",
         ):
             copy = ROOT / "build/pages" / page.relative_to(ROOT)

@@ -37,6 +37,7 @@ PAGES = sorted(
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("patterns/**/*.md"),
+        *ROOT.glob("studies/**/*.md"),
         ROOT / "benchmarks/README.md",
     ]
 )
@@ -142,8 +143,9 @@ def test_links_lead_to_files_and_headings() -> None:
 
 def test_each_page_has_its_place_on_the_site() -> None:
     """In docs/site/contents.py."""
-    contents = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))["CONTENTS"]
-    listed = [f"{page}.md" for pages in contents.values() for page in pages]
+    made = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))
+    contents = [*made["CONTENTS"].values(), *made["INNER"].values()]
+    listed = [f"{page}.md" for pages in contents for page in pages]
     assert sorted(["docs/README.md", *listed]) == sorted(map(name_of, PAGES))
 
 
