@@ -28,7 +28,12 @@ from tests.support.chromium import Browser, Page, chromium
 from tests.support.fed_swarm import FedOperator, FedSwarm
 
 COUNTS = 3, 7, 30, 200
-WINDOWS = {"phone": (390, 844), "laptop": (1280, 720), "projector": (1920, 1080)}
+WINDOWS = {
+    "small": (320, 640),
+    "phone": (390, 844),
+    "laptop": (1280, 720),
+    "projector": (1920, 1080),
+}
 SETTLE = 4.0
 """Seconds of a living swarm before its picture is taken, for trails and plots."""
 KINDS: Sequence[tuple[State, dict[str, Any]]] = (
@@ -74,7 +79,7 @@ def vary(swarm: FedSwarm) -> None:
 def begin(page: Page, address: str, window: str, theme: str, count: int) -> None:
     """Open a page of a size and theme, and wait for its robots."""
     width, height = WINDOWS[window]
-    page.resize(width, height, is_phone=window == "phone")
+    page.resize(width, height, is_phone=width < 900)
     page.open(address)
     page.evaluate(f"localStorage.setItem('dark', {str(theme == 'dark').lower()})")
     page.open(address)
