@@ -1,4 +1,4 @@
-"""Pictures of the page, to look at: light and dark, 3 to 200 robots, three widths, and each panel.
+"""Pictures of the page, to look at: light and dark, 3 to 200 robots, four widths, and each panel.
 
 `make screens` writes them to `build/screens`. The robots are fed, in all states. With `--figure
 FILE` it writes the picture of the docs instead, which shows a simulated world.
@@ -27,7 +27,7 @@ from swarmd.view.live import LiveSource
 from tests.support.chromium import Browser, Page, chromium
 from tests.support.fed_swarm import FedOperator, FedSwarm
 
-COUNTS = 3, 7, 30, 200
+COUNTS = 3, 7, 40, 200
 WINDOWS = {
     "small": (320, 640),
     "phone": (390, 844),
@@ -146,6 +146,7 @@ def figure(browser: Browser, file: Path) -> None:
             lines = iter(process.stderr.readline, "")
             address = next(one for one in lines if one.startswith("page: ")).partition(": ")[2]
             page.open(address.strip())
+            page.evaluate("document.getElementById('overload').style.display = 'none'")
             page.until("swarm.model.plots.times.length > 45", "most of a minute", 300.0)
             page.evaluate("swarm.model.select(['tb3-03'])")
             page.until("document.getElementById('detail-why').textContent.length > 3", "details")

@@ -303,14 +303,13 @@ class LiveSource:
         """
         for platform in platforms:
             with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine
-                patterns = [one for one in describe(platform) if "error" not in one]
-                described = {**self.descriptions}
-                for one in patterns:
-                    usual = {key: one[key] for key in ("summary", "group", "platform", "params")}
-                    needs = f"lacks {', '.join(one['missing'])}" if one["missing"] else ""
-                    known = described.get(one["name"], {"unfit": {}, **usual})
-                    unfit = {**known["unfit"], platform: needs or one["refused"]}
-                    described[one["name"]] = {**known, "unfit": unfit}
+                described = dict(self.descriptions)
+                for row in (row for row in describe(platform) if "error" not in row):
+                    usual = {key: row[key] for key in ("summary", "group", "platform", "params")}
+                    known = described.get(row["name"], {"unfit": {}, **usual})
+                    needs = f"lacks {', '.join(row['missing'])}" if row["missing"] else ""
+                    unfit = {**known["unfit"], platform: needs or row["refused"]}
+                    described[row["name"]] = {**known, "unfit": unfit}
                 self.descriptions = described
                 self._descriptions += 1
 

@@ -334,9 +334,10 @@ class ViewServer:
         others.append(json_of({"kind": "boxes", "boxes": boxes}))
         marks = [(*mark, robots[:MAX_NAMES], len(robots)) for *mark, robots in self.source.marks()]
         others.append(json_of({"kind": "marks", "marks": marks}))
-        others.append(json_of({"kind": "overload", "text": overload(os.getloadavg()[0])}))
         if self.source.playback is not None:
             others.append(json_of({"kind": "playback", **self.source.playback.plain()}))
+        else:
+            others.append(json_of({"kind": "overload", "text": overload(os.getloadavg()[0])}))
         return Rows(short, whole, ages, others)
 
     def _begin(self, work: Any) -> asyncio.Task[None]:

@@ -368,6 +368,8 @@ def test_the_search_finds_what_is_shown_and_arms_no_unknown_pattern(
         assert page.evaluate(found) == []
         assert page.evaluate(armed) is False
         assert "zzz" in page.evaluate("document.getElementById('pattern-list').textContent")
+        page.click("#pattern-list p button:last-child")  # a pattern that only robots have
+        assert page.evaluate("swarm.actions.form.chosen.name") == "zzz"
         type_name("disperson")
         assert page.evaluate(armed) is False
         page.click("#run")
@@ -467,3 +469,25 @@ def test_the_slider_has_the_axis_of_the_plots(
         )
         left, right = page.evaluate("[swarm.plots.left, swarm.plots.right]")
         assert ends[1] == pytest.approx([ends[0][0] + left - 8, ends[0][1] - right + 8], abs=1.0)
+
+
+def test_names_cover_neither_each_other_nor_robots(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        ready(page, address, 7)
+        boxes = page.evaluate(
+            "(() => { const { map, model } = swarm, robots = [...model.robots.values()];"
+            " robots.forEach((one, i) => { one.x = 0.4 * (i % 3); one.y = 0.1 * (i - i % 3); });"
+            " map.fit(); map.draw(); const boxes = [], { ctx } = map, fill = ctx.fillText;"
+            " ctx.fillText = function (text, x, y) { if (/^tb3/.test(text))"
+            " boxes.push([x, y, this.measureText(text).width / 2]); fill.call(this, text, x, y); };"
+            " map.draw(); delete ctx.fillText;"
+            " const places = robots.map((one) => map.toScreen(one.x, one.y));"
+            " return [boxes, 0.9 * map.nameSize * map.rem, places]; })()"
+        )
+        names, high, robots = boxes
+        assert names
+        for i, (x, y, half) in enumerate(names):
+            assert not any(abs(u - x) < half + w and abs(v - y) < high for u, v, w in names[:i])
+            assert not any(abs(u - x) < half and abs(v - y) < high for u, v in robots)

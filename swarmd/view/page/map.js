@@ -400,24 +400,28 @@ export class SwarmMap {
     ctx.lineJoin = 'round';
     ctx.font = `${this.nameSize * this.rem}px system-ui, sans-serif`;
     ctx.textAlign = 'center';
-    const size = this.nameSize * this.rem, taken = [];
+    ctx.textBaseline = 'middle';
+    const size = this.nameSize * this.rem, high = 0.55 * size;
     const isMarked = (robot) => robot === this.hovered || this.model.selected.has(robot.name);
+    const reach = (robot) => Math.max(robot.radius * this.scale, LEAST) * this.ratio;
+    const taken = robots.map((robot) => [...this.toScreen(robot.x, robot.y), 0.7 * reach(robot), 0.7 * reach(robot)]);
     for (const robot of [...robots].sort((one, other) => isMarked(other) - isMarked(one))) {
-      const [x, y] = this.toScreen(robot.x, robot.y), far = Math.max(robot.radius * this.scale, LEAST) * this.ratio;
+      const [x, y] = this.toScreen(robot.x, robot.y), far = reach(robot) * (isMarked(robot) || robot.row.lost ? 1.5 : 1); // its ring
       const word = robot === this.hovered ? ` ${this.model.isHeard(robot, performance.now()) ? wordOf(robot.row) : 'silent'}` : '';
       const half = ctx.measureText(robot.name + word).width / 2, beside = far + half + 0.4 * size;
-      // Below, above or beside the robot, where no other name is; of a robot without room no name.
-      const places = [[x, y + far + 1.2 * size], [x, y - far - 0.5 * size], [x + beside, y + 0.35 * size], [x - beside, y + 0.35 * size]];
-      const isFree = ([u, v]) => taken.every(([a, b, width]) => Math.abs(u - a) > half + width || Math.abs(v - b) > 1.1 * size);
+      // Below, above or beside the robot, where no robot and no other name is; of a robot without room no name.
+      const places = [[x, y + far + 0.9 * size], [x, y - far - 0.8 * size], [x + beside, y], [x - beside, y]];
+      const isFree = ([u, v]) => taken.every(([a, b, width, height]) => Math.abs(u - a) > half + width || Math.abs(v - b) > high + height);
       const place = places.find(isFree) || (isMarked(robot) ? places[0] : null);
       if (!place) continue;
-      taken.push([...place, half]);
+      taken.push([...place, half, high]);
       ctx.lineWidth = 3 * this.ratio;
       ctx.strokeStyle = back;
       ctx.strokeText(robot.name + word, ...place); // readable on trails and other robots
       ctx.fillStyle = isMarked(robot) ? text : dim;
       ctx.fillText(robot.name + word, ...place);
     }
+    ctx.textBaseline = 'alphabetic';
   }
 
   // A bar of a round length above the legend.

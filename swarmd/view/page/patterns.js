@@ -16,6 +16,7 @@ export class PatternForm {
     this.name = element('pattern'); // searches the list
     this.list = element('pattern-list');
     this.fields = element('params');
+    this.named = new Set(); // patterns that the operator says robots have
     this.name.addEventListener('input', () => this.draw());
     this.name.addEventListener('keydown', (event) => {
       const rows = this.list.querySelectorAll('[data-name]');
@@ -35,10 +36,11 @@ export class PatternForm {
     return this.patterns().find((one) => wordsOf(one.name) === typed);
   }
 
-  // Those of this computer, and what robots run besides.
+  // Those of this computer, those that robots run besides, and those that the operator says robots have.
   patterns() {
     const { patterns, robots } = this.model, names = new Set(patterns.map((one) => one.name));
     const others = new Set([...robots.values()].map((one) => one.row.pattern).filter((name) => name && !names.has(name)));
+    for (const name of this.named) if (!names.has(name)) others.add(name);
     return [...patterns, ...[...others].map((name) => ({ name, summary: 'On the robots, not on this computer.' }))];
   }
 
@@ -83,10 +85,11 @@ export class PatternForm {
     const key = JSON.stringify([known ? known.name : typed, recent, shown.map((one) => [one.name, one.group, one.summary, this.refusal(one)])]);
     if (key === this.drawn) return; // a hello must not take the focus
     this.drawn = key;
-    const groupOf = (one) => one.group || 'yours', order = (group) => `${LAST.indexOf(group) + 1}${group}`;
+    const groupOf = (one) => one.group || 'yours', isGrey = (one) => Number(this.refusal(one).isAll);
+    const order = (group) => `${Math.min(...shown.filter((one) => groupOf(one) === group).map(isGrey))}${LAST.indexOf(group) + 1}${group}`;
     const groups = new Map([['recent', recent.map((name) => all.find((one) => one.name === name)).filter(Boolean)]]);
     for (const group of [...new Set(shown.map(groupOf))].sort((one, other) => (order(one) < order(other) ? -1 : 1))) {
-      groups.set(group, shown.filter((one) => groupOf(one) === group));
+      groups.set(group, shown.filter((one) => groupOf(one) === group).sort((one, other) => isGrey(one) - isGrey(other)));
     }
     const isGrouped = all.some((one) => one.group);
     this.list.replaceChildren(...[...groups].flatMap(([group, some]) => (
@@ -107,16 +110,18 @@ export class PatternForm {
     return row;
   }
 
-  // That no pattern matches, and the pattern whose name is nearest.
+  // That no pattern matches, the pattern whose name is nearest, and that robots may have it.
   nothing(typed, all) {
-    const note = made('p', `No pattern matches "${typed}". `);
-    const [near] = all.map((one) => [edits(typed, wordsOf(one.name)), one.name]).sort(([one], [other]) => one - other);
-    if (near && near[0] < FAR * typed.length) {
-      const button = made('button', `Did you mean ${wordsOf(near[1])}?`);
+    const note = made('p', `No pattern here matches "${typed}".`), name = typed.replaceAll(' ', '_');
+    const offer = (text, act) => {
+      const button = made('button', text);
       button.type = 'button';
-      button.addEventListener('click', () => this.choose(near[1]));
+      button.addEventListener('click', act);
       note.append(button);
-    }
+    };
+    const [near] = all.map((one) => [edits(typed, wordsOf(one.name)), one.name]).sort(([one], [other]) => one - other);
+    if (near && near[0] < FAR * typed.length) offer(`Did you mean ${wordsOf(near[1])}?`, () => this.choose(near[1]));
+    offer('The robots have it', () => { this.named.add(name); this.choose(name); });
     return note;
   }
 
