@@ -198,7 +198,7 @@ voting: $(VENV)/tools
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
 
-# The page in Chromium: light and dark, 3 to 200 robots, three widths, each panel. ARGS="--figure
+# The page in Chromium: light and dark, 3 to 200 robots, four widths, each panel. ARGS="--figure
 # docs/figures/page.png" makes the picture of docs/watching.md anew.
 screens: $(VENV)/tools
 	@$(BIN)/python -m studies.page_screens $(ARGS)

@@ -100,6 +100,7 @@ class CueAggregationParams(Params, frozen=True, kw_only=True):
 class CueAggregation(TimedPattern[CueAggregationParams]):
     """Drives; waits where it meets a robot, the longer the warmer it is; turns away."""
 
+    group = "gather"
     params_type = CueAggregationParams
     needs = frozenset({"scan", "reading:temperature"})
 

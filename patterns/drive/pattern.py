@@ -52,6 +52,7 @@ class Drive(MovementPattern[DriveParams]):
     It uses no sensor; only protection stops it before obstacles.
     """
 
+    group = "move together"
     params_type = DriveParams
     needs = frozenset[str]()
     is_symmetric = True

@@ -99,6 +99,7 @@ class LeaderFollowingParams(Params, frozen=True, kw_only=True):
 class LeaderFollowing(Pattern[LeaderFollowingParams]):
     """Follows the last robot before it in the chain; leads where none is before it."""
 
+    group = "move together"
     params_type = LeaderFollowingParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base

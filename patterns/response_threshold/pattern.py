@@ -57,6 +57,7 @@ class ResponseThresholdParams(Params, frozen=True, kw_only=True):
 class ResponseThreshold(Pattern[ResponseThresholdParams]):
     """Reports whether it works, and decides anew once a period; it stands."""
 
+    group = "decide"
     params_type = ResponseThresholdParams
     needs = frozenset({"reading:stimulus"})
 

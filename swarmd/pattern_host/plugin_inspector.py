@@ -164,6 +164,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "summary": (kind.__doc__ or "").strip().split("\n")[0],
         "text": (kind.__doc__ or "").strip(),
         "kind": _kind(kind),
+        "group": kind.group or ("missions" if issubclass(kind, Mission) else "yours"),
         "source": source,
         "needs": sorted(kind.needs),
         "missing": sorted(kind.needs - platform.provides),
