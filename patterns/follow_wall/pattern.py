@@ -88,7 +88,9 @@ class FollowWall(TimedPattern[FollowWallParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """The command along the wall; around its end where it is lost, then straight ahead."""
-        params, side, scan = self.params, self._side, inputs.scan
+        params = self.params
+        side = self._side
+        scan = inputs.scan
         offset = self.context.platform.scan.offset
         ray = nearest(scan, bearing=side * math.pi / 2.0, half_width=_HALF_WIDTH)
         if ray is not None and ray.range <= params.reach:

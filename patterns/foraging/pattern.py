@@ -81,7 +81,8 @@ class Foraging(CombinedPattern[ForagingParams]):
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The search, and the way home."""
-        make, speed, turn = self.context.make, self.params.speed, self.params.turn
+        make = self.context.make
+        speed, turn = self.params.speed, self.params.turn
         clear = self.params.clearance
         return {
             _WALK: make("random_walk", part=_WALK, speed=speed, clearance=clear),

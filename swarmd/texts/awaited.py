@@ -14,8 +14,8 @@ from swarmd.texts.why import absence
 
 KINDS = ("state", "pattern", "presence", "goal", "count")
 _VALUES = {
-    "state": tuple(one.value for one in State),
-    "presence": tuple(one.value for one in Presence),
+    "state": tuple(state.value for state in State),
+    "presence": tuple(presence.value for presence in Presence),
 }
 
 

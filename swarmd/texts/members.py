@@ -52,7 +52,7 @@ def row(member: SeenMember) -> tuple[str, ...]:
 
 
 def wide_cells(member: SeenMember) -> tuple[str, ...]:
-    """The cells of a member below WIDE; the goal with what it does about it."""
+    """The cells of a member below WIDE; the goal with the state of its run."""
     status = member.status
     if status is None or member.contact is not Contact.ANSWERED:
         return *(NOTHING,) * 3, member.version or NOTHING, NOTHING, NOTHING
