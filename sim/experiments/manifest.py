@@ -46,7 +46,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     `scenario` is its name as given; `sets` and `sweep` are by dotted key; `variants` hold the
     resulting complete scenarios. `made_with`: versions and the digest of the code. `plugins`:
     digests of one-file patterns, and of custom metrics by their origin. `metrics`: those
-    measured besides the catalog's. `git`: the checkouts of swarmd and of the scenario's
+    measured besides the catalog's. `shown`: the names of the metrics that the user asked for.
+    `git`: the checkouts of swarmd and of the scenario's
     folder, None without one. `traces`: whether they are kept. `command`: the command line that
     repeats it, empty if it was made from Python. `created` in UTC. `shard`: the part of the runs
     that the folder holds, None for all.
@@ -66,6 +67,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     variants: list[Variant]
     shard: Shard | None = None
     metrics: list[OwnMetric] = []
+    shown: list[str] = []
 
     @property
     def plan(self) -> Plan:
@@ -81,7 +83,12 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def manifest_of(
-    plan: Plan, *, traces: bool, command: list[str], metrics: Iterable[Metric] = ()
+    plan: Plan,
+    *,
+    traces: bool,
+    command: list[str],
+    metrics: Iterable[Metric] = (),
+    shown: Iterable[str] = (),
 ) -> Manifest:
     """The manifest of a plan, with the present software; `metrics` are those beyond the catalog.
 
@@ -112,6 +119,7 @@ def manifest_of(
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
         metrics=measured,
+        shown=[*shown],
     )
     try:
         msgspec.json.encode(manifest)
