@@ -55,7 +55,7 @@ def table(files: Sequence[str]) -> str:
     rows = [["task", "rank", "pattern", "median", "95 %", "unit", "runs"]]
     for task in tasks:
         listed = [(row, found[task.name]) for row, found in cells.items() if task.name in found]
-        for row, cell in sorted(listed, key=lambda item: (item[1].rank or math.inf, item[0])):
+        for row, cell in sorted(listed, key=lambda item: (item[1].place, item[0])):
             summary = cell.summary
             between = summary.median_interval
             rows.append(

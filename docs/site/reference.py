@@ -25,6 +25,7 @@ from docstrings import module, prose
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
+from swarmd.cli.swarmctl import VERBS as COMMANDS
 from swarmd.cli.swarmctl import cli
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
@@ -308,7 +309,7 @@ def keys() -> Iterator[str]:
             f"`control/{row.name}/ASKER`",
             f"`{row.asked.__name__}`" if row.asked.__struct_fields__ else "nothing",
             f"`{row.answer.__name__}`",
-            row.help,
+            COMMANDS[row.name].text if row.name in COMMANDS else "",
             _roles(CONTROL, row.name, "query"),
         )
         for row in VERBS.values()

@@ -1,11 +1,11 @@
 """Attraction: the robots gather in one cluster.
 
 Source of law "paper": Kaiser et al., ICRA 2022, pattern "attraction", and its code ROS2swarm: an
-attractive potential field over all returns of the lidar, always at full speed. It never settles,
-and walls attract more than robots.
+attractive potential field over all returns of the lidar, always at full speed. Its robots never
+settle, and walls attract more than robots.
 
-Law "settling" is ours. An object attracts if it may be a robot: it is not wider than `object_width`
-and nothing nearer hides part of it. The attraction grows with the distance, as in the paper. Near
+Law "settling" is ours. An object attracts if it may be a robot: not wider than `object_width`, and
+not partly hidden by a nearer object. The attraction grows with the distance, as in the paper. Near
 obstacles limit only the speed towards them, so that the robot slides past. The robot rests once the
 attraction is small.
 
@@ -61,9 +61,11 @@ _ROLL_TIME = 8.0
 # With so few robots in sight the rest may be lost. s and share of full speed for which it leads.
 _FEW_ROBOTS = 2
 _LEAD_TIME, _LEAD_SPEED = 12.0, 0.6
-# s at rest before it rolls the first time; above which it leads instead, if few are in sight; and
-# above which it tries no more. Each try doubles it.
-_FIRST_REST_TIME, _LEAD_REST_TIME, _MAX_REST_TIME = 0.5, 10.0, 40.0
+# s at rest before a robot rolls the first time; above which the robot leads instead, if few robots
+# are in sight; and above which the robot tries no more. Each try doubles the time.
+_FIRST_REST_TIME = 0.5
+_LEAD_REST_TIME = 10.0
+_MAX_REST_TIME = 40.0
 # While searching the heading drifts by up to so many rad, for so many s.
 _MAX_DRIFT = 0.4
 _DRIFT_TIMES = (2.0, 5.0)
@@ -160,6 +162,7 @@ def _range(robot: tuple[float, float]) -> float:
 class Attraction(FieldPattern[AttractionParams]):
     """Drives to other robots and stands next to them; alone it searches."""
 
+    group = "gather"
     params_type = AttractionParams
     field_kind = "attraction"
     is_symmetric = True
@@ -220,7 +223,8 @@ class Attraction(FieldPattern[AttractionParams]):
 
     def _follow(self, view: _Surroundings, vector: Vector) -> Twist:
         params = self.params
-        spacing, brake, points = params.spacing - params.slack, params.brake, view.points
+        points = view.points
+        spacing, brake = params.spacing - params.slack, params.brake
         x, y = points.keep_clear(*vector, spacing=spacing, brake=brake)
         if self.state in ("search", "lead") and math.hypot(x, y) < _MIN_SEARCH_SPEED:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))

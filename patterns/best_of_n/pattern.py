@@ -3,14 +3,14 @@
 Source: Valentini, Hamann and Dorigo, "Self-organized collective decision making: the weighted voter
 model", AAMAS 2014; Valentini, Ferrante, Hamann and Dorigo, "Collective decision with 100 Kilobots:
 speed versus accuracy in binary discrimination problems", Autonomous Agents and Multi-Agent Systems
-30, 2016: a robot explores its option for a random time of mean sigma and measures its quality. It
-then sends its opinion for a random time of mean g times the quality. At the end it adopts the
-opinion of the majority of the neighbours that it heard last and itself, or that of a random one of
-these neighbours (the weighted voter). So better options are heard by more.
+30, 2016: a robot explores its option for a random time of mean sigma and measures the quality. Then
+the robot sends its opinion for a random time of mean g times the quality. At the end the robot
+adopts the majority opinion among itself and the neighbours heard last, or the opinion of a random
+neighbour among these (the weighted voter). So more robots hear of better options.
 
 Ours: a driver gives the quality of option k, from 0 to 1, as the reading `quality_k`. The robot
-stands; `exploration` of the source is a time here. A mission may combine it with a walk, since a
-robot that meets the same ones again hears the same opinions again.
+stands, and `exploration` of the source is a time here. A mission may combine the pattern with a
+walk, since a robot that meets the same neighbours again hears the same opinions again.
 """
 
 from __future__ import annotations
@@ -102,6 +102,7 @@ class BestOfNParams(Params, frozen=True, kw_only=True):
 class BestOfN(Pattern[BestOfNParams]):
     """Explores, promotes its opinion for a time by its quality, and decides; it stands."""
 
+    group = "decide"
     params_type = BestOfNParams
     needs = frozenset({"reading:quality_0", "reading:quality_1"})
     channels = {_CHANNEL: int}  # noqa: RUF012 - a Mapping, as in the base
@@ -165,7 +166,8 @@ class BestOfN(Pattern[BestOfNParams]):
 
     def _decide(self, now: float) -> None:
         """Adopt an opinion of those heard last; without any it keeps its own."""
-        recent = sorted(one for one in self._heard.values() if one[0] >= now - self.params.memory)
+        since = now - self.params.memory
+        recent = sorted(heard for heard in self._heard.values() if heard[0] >= since)
         votes = [opinion for _, opinion in recent[-self.params.group :]]
         self._heard = {}
         if not votes:

@@ -48,7 +48,7 @@ Vector = tuple[float, float]
 
 
 class _Member(NamedTuple):
-    hops: int  # to the nest; _GOAL: it is the goal
+    hops: int  # to the nest; _GOAL: the robot is the goal
     before: str  # id of the next robot on the way to the nest
     leads: bool  # its chain has the goal in sight
     at: float
@@ -121,8 +121,9 @@ class ChainFormationParams(Params, frozen=True, kw_only=True):
 
 
 class ChainFormation(CombinedPattern[ChainFormationParams]):
-    """Searches the nest or a chain, explores it to its tail, and is a member of it for a while."""
+    """Searches the nest or a chain, explores a chain to its tail and joins there for a while."""
 
+    group = "formation"
     params_type = ChainFormationParams
     needs = frozenset({"scan", "neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base
@@ -174,7 +175,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return Outputs(twist, sent, report)
 
     def _hear(self, inputs: Inputs) -> None:
-        """Keep what members told of late, and where those are that are sensed."""
+        """Keep the latest messages of members, and the places of the members that are sensed."""
         now = inputs.now
         for message in inputs.messages:
             match (message.channel == _CHANNEL) and message.value:
@@ -182,34 +183,40 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
                     at = now - message.age
                     self._heard[message.sender] = _Member(int(hops), before[:64], leads, at)
         since = now - self.params.lease
-        self._heard = {name: one for name, one in self._heard.items() if one.at >= since}
+        self._heard = {name: member for name, member in self._heard.items() if member.at >= since}
         self._goal, self._places = math.inf, {}
-        for one in inputs.neighbors:
-            member = self._heard.get(one.id)
-            if member is None or one.distance is None or one.bearing is None:
+        for neighbor in inputs.neighbors:
+            member = self._heard.get(neighbor.id)
+            distance, bearing = neighbor.distance, neighbor.bearing
+            if member is None or distance is None or bearing is None:
                 continue
             if member.hops == _GOAL:
-                self._goal = min(self._goal, one.distance)
+                self._goal = min(self._goal, distance)
                 continue
-            x, y = one.distance * math.cos(one.bearing), one.distance * math.sin(one.bearing)
-            self._places[one.id] = x, y
+            self._places[neighbor.id] = distance * math.cos(bearing), distance * math.sin(bearing)
 
     def _after(self, name: str) -> list[str]:
         """The members whose member before is `name`."""
-        return sorted(one for one in self._places if self._heard[one].before == name)
+        return sorted(member for member in self._places if self._heard[member].before == name)
 
     def _leads(self) -> bool:
-        """Whether it sees the goal, or a member behind it leads there."""
+        """Whether this robot sees the goal, or a member behind it leads to the goal."""
         keep = _KEEP if self._own is not None and self._own.leads else 1.0
         return self._goal <= keep * self.params.sight or any(
-            self._heard[one].leads for one in self._after(self.context.robot)
+            self._heard[name].leads for name in self._after(self.context.robot)
         )
 
     def _hold(self, inputs: Inputs, own: _Member) -> Twist:
         """Keep the place in the chain, or leave it."""
-        params, before, robot = self.params, self._places.get(own.before), self.context.robot
-        near, leads, is_tail = _NEAR * params.distance, self._leads(), not self._after(robot)
-        is_double = any(  # a member that leads stays, else one with a chain, else the lower id
+        params = self.params
+        robot = self.context.robot
+        before = self._places.get(own.before)
+        near = _NEAR * params.distance
+        leads = self._leads()
+        is_tail = not self._after(robot)
+        # Of two near members behind the same member stays the one that leads to the goal, else the
+        # one with a chain behind it, else the one with the lower id.
+        is_double = any(
             (not self._heard[name].leads, not self._after(name), name) < (not leads, is_tail, robot)
             and math.hypot(*self._places[name]) < near
             for name in self._after(own.before)
@@ -217,7 +224,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         is_loose = is_tail and not leads
         is_over = is_loose and float(self.context.rng.random()) < params.leave * inputs.dt
         if before is None or is_double or is_over:
-            self._own, self._by, self._is_homeward = None, own.before, True
+            self._own = None
+            self._by = own.before
+            self._is_homeward = True
             return ZERO
         self._own = _Member(self._heard[own.before].hops + 1, own.before, leads, inputs.now)
         if leads:
@@ -251,7 +260,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         is_end = is_near and self._by == by  # of a chain, or the nest, where another may start
         if is_end and self._heard[by].leads and not self._starts and not self._is_homeward:
             return ZERO
-        nearest = min(math.hypot(*one) for one in places.values())
+        nearest = min(math.hypot(*place) for place in places.values())
         may_join = is_end and not self._is_homeward and nearest >= _NEAR * params.distance
         if may_join and float(self.context.rng.random()) < params.join * inputs.dt:
             self._own = _Member(self._heard[by].hops + 1, by, False, inputs.now)
@@ -272,13 +281,19 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return NearPoints(()).steer(x, y, params.speed, params.turn, spacing=0.0, brake=1.0)
 
     def _next(self, by: str) -> str:
-        """The member to go to from `by`; `by` at a tail, or at the nest to start a chain."""
+        """The member to go to from `by`.
+
+        1. At the nest, on arrival: a chain that leads to the goal if there is one. Else any chain,
+           or seldom none, which starts a chain: long chains find the goal.
+        2. At the nest with a chain to start, or without a member to go to: `by` itself.
+        3. Homeward: the member before. Else the member after, and at a tail `by` itself.
+        """
         here, after = self._heard[by], self._after(by)
         if here.hops == 0:
-            leading = [one for one in after if self._heard[one].leads]
+            leading = [name for name in after if self._heard[name].leads]
             if self._is_homeward or leading or not self._starts:
                 self._is_homeward = False
-                choices = leading or [*after, *after, ""]  # seldom a new chain: long ones find it
+                choices = leading or [*after, *after, ""]
                 chosen = choices[int(self.context.rng.integers(len(choices)))]
                 self._starts = not chosen
                 self._side = float(self.context.rng.choice((-1.0, 1.0)))

@@ -2,10 +2,11 @@
 
 Source: Valentini, Brambilla, Hamann and Dorigo, "Collective perception of environmental features in
 a robot swarm", ANTS 2016: 20 e-pucks on 400 black and white tiles. A robot explores for a random
-time and measures the share of the time in which the floor has the colour of its opinion, its
-quality. Then it tells its opinion for a random time, and decides by what it heard last. The rules
-"voter" (DMVD) and "majority" (DMMD) tell for a time that is proportional to the quality; rule
-"comparison" (DC) tells its quality too, for a time that is not.
+time and measures the quality of its opinion: the share of the time in which the floor has that
+colour. Then the robot sends its opinion for a random time, and decides by the opinions heard last.
+With the rules "voter" (DMVD) and "majority" (DMMD) the mean time of sending is proportional to the
+quality. With rule "comparison" (DC) the robot sends its quality too, for a mean time that does not
+depend on the quality.
 
 Ours: the walk is that of random_walk.
 """
@@ -100,6 +101,7 @@ class CollectivePerceptionParams(Params, frozen=True, kw_only=True):
 class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
     """Walks, measures the floor, tells its opinion and decides, in turns."""
 
+    group = "decide"
     params_type = CollectivePerceptionParams
     needs = frozenset({"scan", "reading:ground"})
     channels = {OPINION: list}  # noqa: RUF012 - a Mapping, as in the base
@@ -153,7 +155,8 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
         return Outputs(self.step_part(_WALK, inputs).twist, sent, report)
 
     def _explore(self, now: float) -> None:
-        self._is_exploring, self._looked, self._matched = True, 0.0, 0.0
+        self._is_exploring = True
+        self._looked = self._matched = 0.0
         self._until = now + float(self.context.rng.exponential(self.params.explore))
 
     def _tell(self, now: float) -> None:
@@ -165,7 +168,7 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
     def _decide(self, now: float) -> None:
         """Adopt an opinion by the rule; the own one stays if nothing was heard."""
         since = now - self.params.listen
-        heard = {robot: one for robot, one in self._heard.items() if one[0] >= since}
+        heard = {robot: told for robot, told in self._heard.items() if told[0] >= since}
         self._heard = {}
         if not heard:
             return

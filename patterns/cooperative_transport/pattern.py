@@ -1,9 +1,10 @@
 """Cooperative transport: robots push a box to a lamp from where the box hides the lamp.
 
 Source: Chen, Gauci, Li, Kolling and Gross, "Occlusion-based cooperative transport with a swarm of
-miniature mobile robots", IEEE Transactions on Robotics 31(2), 2015: a robot searches the object,
-goes to it, pushes it where it does not see the goal, and else moves around it. Robots do not
-communicate. The source proves that a convex object, pushed over the whole hidden side, arrives.
+miniature mobile robots", IEEE Transactions on Robotics 31(2), 2015: a robot searches the object and
+goes there. Where the object hides the goal the robot pushes, elsewhere the robot moves around the
+object. Robots do not communicate. The source proves that a convex object, pushed over the whole
+hidden side, arrives.
 
 Ours: the robot recognises the box, the lamp and other robots, all around (`detections`), goes
 around on a ring by the shorter way, and pushes towards the middle of the box.
@@ -72,8 +73,9 @@ class CooperativeTransportParams(Params, frozen=True, kw_only=True):
 
 
 class CooperativeTransport(CombinedPattern[CooperativeTransportParams]):
-    """Searches the box, goes around it while the lamp is seen, and pushes where it is hidden."""
+    """Searches the box, goes around while the lamp is seen, and pushes where the lamp is hidden."""
 
+    group = "carry"
     params_type = CooperativeTransportParams
     needs = frozenset({"scan", "detections"})
     touches = TouchZone(bearing=0.0, half_width=math.radians(60.0), speed=0.1)
@@ -89,16 +91,20 @@ class CooperativeTransport(CombinedPattern[CooperativeTransportParams]):
     def step(self, inputs: Inputs) -> Outputs:
         """The search without a box, a push where the box hides the lamp, else the way around."""
         params, seen = self.params, inputs.detections or ()
-        placed = [one for one in seen if one.distance is not None]
-        box = min((one for one in placed if one.kind == "box"), key=_away, default=None)
+        placed = [detection for detection in seen if detection.distance is not None]
+        boxes, lamps, robots = (
+            [detection for detection in placed if detection.kind == kind]
+            for kind in ("box", "lamp", "robot")
+        )
+        box = min(boxes, key=_away, default=None)
         if box is None:
             return Outputs(self.step_part(_SEARCH, inputs).twist, report={"state": "search"})
-        lamp = min((one for one in placed if one.kind == "lamp"), key=_away, default=None)
+        lamp = min(lamps, key=_away, default=None)
         is_hidden = lamp is None
         x, y = _place(box) if lamp is None else self._around(box, lamp)
         length = max(math.hypot(x, y), 1e-9)
         speed = params.push if is_hidden else params.speed
-        others = NearPoints([(_away(one), one.bearing) for one in placed if one.kind == "robot"])
+        others = NearPoints([(_away(robot), robot.bearing) for robot in robots])
         x, y = others.keep_clear(x / length, y / length, spacing=params.spacing, brake=_BRAKE)
         twist = others.steer(x, y, speed, params.turn, spacing=params.spacing, brake=_BRAKE)
         return Outputs(
@@ -118,9 +124,10 @@ class CooperativeTransport(CombinedPattern[CooperativeTransportParams]):
         return x + self.params.ring * math.cos(at), y + self.params.ring * math.sin(at)
 
 
-def _away(one: Detection) -> float:
-    return math.inf if one.distance is None else one.distance
+def _away(detection: Detection) -> float:
+    return math.inf if detection.distance is None else detection.distance
 
 
-def _place(one: Detection) -> tuple[float, float]:
-    return _away(one) * math.cos(one.bearing), _away(one) * math.sin(one.bearing)
+def _place(detection: Detection) -> tuple[float, float]:
+    away, bearing = _away(detection), detection.bearing
+    return away * math.cos(bearing), away * math.sin(bearing)

@@ -3,11 +3,11 @@
 Source: the stop signal of honeybees (Seeley et al., Science 335, 2012) as a rule of robots: Reina,
 Valentini, Fernandez-Oto, Dorigo and Trianni, PLoS ONE 10(10), 2015; with stubborn robots Reina,
 Zakir, De Masi and Ferrante, Communications Physics 6:236, 2023. A committed robot that hears
-another opinion becomes uncommitted; an uncommitted one adopts what it hears. Where stubborn robots
-hold both opinions, direct switching (the voter model) leaves the swarm undecided, and
-cross-inhibition lets one opinion prevail.
+another opinion becomes uncommitted. An uncommitted robot adopts the opinion that it hears. Where
+stubborn robots hold both opinions, direct switching (the voter model) leaves the swarm undecided,
+and cross-inhibition lets one opinion prevail.
 
-Ours: windows, expiry and messages are those of every voting pattern; opinion 0 is "uncommitted".
+Ours: windows, expiry and messages are those of every voting pattern. Opinion 0 is "uncommitted".
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ class CrossInhibitionParams(VotingParams, frozen=True, kw_only=True):
 class CrossInhibition(VotingPattern[CrossInhibitionParams]):
     """Draws one neighbour's opinion after each window; it does not move."""
 
+    group = "decide"
     params_type = CrossInhibitionParams
 
     def decide(self, votes: Mapping[str, int]) -> int:

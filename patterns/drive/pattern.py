@@ -49,9 +49,10 @@ class DriveParams(Params, frozen=True, kw_only=True):
 class Drive(MovementPattern[DriveParams]):
     """Drives straight ahead, along a circle or sideways until the run ends.
 
-    It uses no sensor; only protection stops it before obstacles.
+    The pattern uses no sensor: only protection stops the robot before obstacles.
     """
 
+    group = "move together"
     params_type = DriveParams
     needs = frozenset[str]()
     is_symmetric = True

@@ -1,15 +1,15 @@
 """Firefly synchronisation: the robots flash at the same time, and name robots that went silent.
 
 Source: Mirollo and Strogatz, "Synchronization of pulse-coupled biological oscillators", SIAM J.
-Applied Mathematics 50(6), 1990: a phase rises from 0 to 1, where the robot flashes; a flash of
-another makes it jump ahead, by more the later it is. The refractory share after a flash, in which
-flashes of others count for nothing, keeps echoes from circling where messages take time (Mathar and
-Mattfeldt, SIAM J. Applied Mathematics 56, 1996). Silent robots: Christensen, O'Grady and Dorigo,
-"From fireflies to fault-tolerant swarms of robots", IEEE Trans. Evolutionary Computation 13(4),
-2009.
+Applied Mathematics 50(6), 1990: a phase rises from 0 to 1, where the robot flashes. A flash of
+another robot makes the phase jump ahead, by more the greater the phase is. The refractory share
+after a flash, in which flashes of other robots count for nothing, keeps echoes from circling where
+messages take time (Mathar and Mattfeldt, SIAM J. Applied Mathematics 56, 1996). Silent robots:
+Christensen, O'Grady and Dorigo, "From fireflies to fault-tolerant swarms of robots", IEEE Trans.
+Evolutionary Computation 13(4), 2009.
 
 Ours: a message holds the time since its flash and is repeated. So neither the rate of the steps nor
-a lost message shifts a phase; the time on the air does.
+a lost message shifts a phase. The time on the air does shift a phase.
 """
 
 from __future__ import annotations
@@ -97,6 +97,7 @@ class FireflySynchronizationParams(Params, frozen=True, kw_only=True):
 class FireflySynchronization(Pattern[FireflySynchronizationParams]):
     """Flashes in step with the neighbours, and names those that no longer flash; it stands."""
 
+    group = "decide"
     params_type = FireflySynchronizationParams
     needs = frozenset[str]()
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base

@@ -204,6 +204,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
 class Flocking(MovementPattern[FlockingParams]):
     """Drives with the robots around it, at a distance from them."""
 
+    group = "move together"
     params_type = FlockingParams
 
     def __init__(self, params: FlockingParams, context: Context) -> None:
@@ -289,8 +290,8 @@ class Flocking(MovementPattern[FlockingParams]):
         walls = []
         for distance, bearing in closest_points(scan, within=params.wall).tolist():
             point = cmath.rect(distance, bearing)
-            for other in narrow:
-                if abs(point - other) <= _ROBOT_RADIUS:
+            for narrow_object in narrow:
+                if abs(point - narrow_object) <= _ROBOT_RADIUS:
                     break
             else:
                 walls.append((distance, bearing))

@@ -75,6 +75,7 @@ class FollowWallParams(Params, frozen=True, kw_only=True):
 class FollowWall(TimedPattern[FollowWallParams]):
     """Drives along the nearest surface on its side, around its end, and else straight ahead."""
 
+    group = "search"
     params_type = FollowWallParams
     needs = frozenset({"scan"})
     default_state = "search"
@@ -87,7 +88,9 @@ class FollowWall(TimedPattern[FollowWallParams]):
 
     def drive(self, inputs: Inputs) -> Twist:
         """The command along the wall; around its end where it is lost, then straight ahead."""
-        params, side, scan = self.params, self._side, inputs.scan
+        params = self.params
+        side = self._side
+        scan = inputs.scan
         offset = self.context.platform.scan.offset
         ray = nearest(scan, bearing=side * math.pi / 2.0, half_width=_HALF_WIDTH)
         if ray is not None and ray.range <= params.reach:

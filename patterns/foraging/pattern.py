@@ -71,6 +71,7 @@ class ForagingParams(Params, frozen=True, kw_only=True):
 class Foraging(CombinedPattern[ForagingParams]):
     """Searches, picks up, homes and drops. The item's kind is `food`, the floor's name `ground`."""
 
+    group = "carry"
     params_type = ForagingParams
     needs = frozenset({"scan", "gripper", *(f"reading:{name}" for name in _READ | _EYES)})
 
@@ -80,7 +81,8 @@ class Foraging(CombinedPattern[ForagingParams]):
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The search, and the way home."""
-        make, speed, turn = self.context.make, self.params.speed, self.params.turn
+        make = self.context.make
+        speed, turn = self.params.speed, self.params.turn
         clear = self.params.clearance
         return {
             _WALK: make("random_walk", part=_WALK, speed=speed, clearance=clear),

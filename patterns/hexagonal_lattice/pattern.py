@@ -108,6 +108,7 @@ class HexagonalLatticeParams(Params, frozen=True, kw_only=True):
 class HexagonalLattice(MovementPattern[HexagonalLatticeParams]):
     """Drives along the sum of the forces, forward or backward."""
 
+    group = "formation"
     params_type = HexagonalLatticeParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
 
@@ -116,7 +117,7 @@ class HexagonalLattice(MovementPattern[HexagonalLatticeParams]):
         self._near = 0
 
     def report(self) -> Mapping[str, Scalar]:
-        """The number of neighbours that it feels."""
+        """The number of neighbours within reach of the force."""
         return {"near": self._near}
 
     def drive(self, inputs: Inputs) -> Twist:
@@ -129,16 +130,17 @@ class HexagonalLattice(MovementPattern[HexagonalLatticeParams]):
 
     def _force(self, neighbors: Iterable[Neighbor]) -> tuple[float, float]:
         """The sum of all forces as a velocity in m/s, in the base frame."""
-        params, x, y = self.params, 0.0, 0.0
+        params = self.params
+        x = y = 0.0
         self._near = 0
-        for one in neighbors:
-            if one.distance is None or one.bearing is None:
+        for neighbor in neighbors:
+            if neighbor.distance is None or neighbor.bearing is None:
                 continue
-            share = one.distance / params.distance
+            share = neighbor.distance / params.distance
             if share < _REACH:
                 self._near += 1
                 force = min(max(share, 1e-3) ** -params.exponent, params.strongest)
                 force *= params.force * max(-1.0, min(1.0, (share - 1.0) / params.band))
-                x += force * math.cos(one.bearing)
-                y += force * math.sin(one.bearing)
+                x += force * math.cos(neighbor.bearing)
+                y += force * math.sin(neighbor.bearing)
         return x, y

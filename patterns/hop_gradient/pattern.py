@@ -1,12 +1,13 @@
-"""Hop gradient: the robots elect a leader, and each knows its number of hops to it.
+"""Hop gradient: the robots elect a leader, and each counts its hops to the leader.
 
 Source: leader election by flooding the best id, in O(diameter) rounds (FloodMax: Lynch, Distributed
 Algorithms, 1996, 4.1); hop counts by adding one to the least of the neighbours (distributed
 Bellman-Ford; on robots the gradient of the Kilobots: Rubenstein, Cornejo and Nagpal, Science 345,
 2014).
 
-Ours: the leader counts up, and a leader whose count stands still is no longer one. So the swarm
-elects another when its leader dies, and no hop count circulates for ever: an old count is not news.
+Ours: the leader counts up, and a leader whose count stands still is no leader any more. So the
+swarm elects a new leader when its leader dies, and no hop count circulates for ever: old counts do
+not pass on.
 """
 
 from __future__ import annotations
@@ -78,8 +79,9 @@ class HopGradientParams(Params, frozen=True, kw_only=True):
 
 
 class HopGradient(Pattern[HopGradientParams]):
-    """Sends its leader, its hops to it and the leader's count; it stands."""
+    """Sends its leader, its hops to the leader and the leader's count; stands."""
 
+    group = "decide"
     params_type = HopGradientParams
     needs = frozenset[str]()
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base
@@ -112,8 +114,8 @@ class HopGradient(Pattern[HopGradientParams]):
             return
         leader, hops, count = read
         if leader.id == self.context.robot:
-            self._count = max(self._count, count + 1)  # it was restarted, and is remembered
-            self._heard.pop(message.sender, None)  # a way to this robot leads past no other
+            self._count = max(self._count, count + 1)  # others know a count from before a restart
+            self._heard.pop(message.sender, None)  # a way to this robot leads past no neighbour
             return
         self._heard[message.sender] = _Heard(leader, hops, at)
         known = self._counts.get(leader)
@@ -123,20 +125,20 @@ class HopGradient(Pattern[HopGradientParams]):
                 self._forget()
 
     def _forget(self) -> None:
-        """Forget the half of the leaders whose counts rose first, but none that is heard."""
-        kept = {one.leader for one in self._heard.values()}
-        kept |= set(sorted(self._counts, key=lambda one: self._counts[one][1])[_MAX_LEADERS // 2 :])
-        self._counts = {one: count for one, count in self._counts.items() if one in kept}
+        """Forget the half of the leaders whose counts rose first, but no leader of a neighbour."""
+        by_rise = sorted(self._counts, key=lambda leader: self._counts[leader][1])
+        kept = {heard.leader for heard in self._heard.values()} | {*by_rise[_MAX_LEADERS // 2 :]}
+        self._counts = {leader: count for leader, count in self._counts.items() if leader in kept}
 
     def _choose(self, now: float) -> tuple[_Leader, int] | None:
-        """The best living leader and the hops to it; None without a source."""
+        """The best living leader, and the hops to this leader; None without a source."""
         params = self.params
         ways: list[tuple[_Leader, int]] = [
-            (one.leader, one.hops + 1)
-            for one in self._heard.values()
-            if now - one.at <= params.expiry
-            and now - self._counts[one.leader][1] <= params.lease
-            and one.hops < _MAX_HOPS
+            (heard.leader, heard.hops + 1)
+            for heard in self._heard.values()
+            if now - heard.at <= params.expiry
+            and now - self._counts[heard.leader][1] <= params.lease
+            and heard.hops < _MAX_HOPS
         ]
         if params.source != "elsewhere":
             ways.append((self._self(), 0))

@@ -7,9 +7,9 @@ which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, va
 Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
 2014).
 
-Ours: the chain is in the order of ids behind the leader. Each robot follows the last robot before
-it that it senses, so that a robot that is lost leaves no gap in the chain for longer than `lease`.
-A robot that senses none before it leads; its id passes down the chain by messages.
+Ours: the chain is in the order of ids behind the leader. Each robot follows the last of the robots
+before it that are sensed, so that a lost robot leaves no gap in the chain for longer than `lease`.
+A robot that senses no robot before it leads. The leader's id passes down the chain by messages.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from swarmd.api import (
 )
 
 _CHANNEL = "leader"
-_MAX_ID = 64  # characters; a longer one is no robot's
+_MAX_ID = 64  # characters of a robot's id
 
 
 class LeaderFollowingParams(Params, frozen=True, kw_only=True):
@@ -97,8 +97,9 @@ class LeaderFollowingParams(Params, frozen=True, kw_only=True):
 
 
 class LeaderFollowing(Pattern[LeaderFollowingParams]):
-    """Follows the last robot before it in the chain; leads where none is before it."""
+    """Follows the last sensed robot before it in the chain; leads if there is none."""
 
+    group = "move together"
     params_type = LeaderFollowingParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base
@@ -116,7 +117,8 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         self._since = now if self._since is None else self._since
         before = self._before(inputs)
         if before is None and self._sensed:
-            aim, turn, before_id = self._speed, 0.0, max(self._sensed, key=self._place)
+            aim, turn = self._speed, 0.0
+            before_id = max(self._sensed, key=self._place)
         elif before is None:
             before_id = ""
             # At the start it waits for robots to be sensed.
@@ -149,12 +151,13 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
     def _before(self, inputs: Inputs) -> tuple[str, float, float] | None:
         """The last robot before it that is sensed: its id, distance and bearing."""
         own, last = self._place(self.context.robot), None
-        for one in inputs.neighbors:
-            if one.distance is None or one.bearing is None or self._place(one.id) >= own:
+        for neighbor in inputs.neighbors:
+            place = self._place(neighbor.id)
+            if neighbor.distance is None or neighbor.bearing is None or place >= own:
                 continue
-            self._sensed[one.id] = inputs.now
-            if last is None or self._place(one.id) > self._place(last[0]):
-                last = one.id, one.distance, one.bearing
+            self._sensed[neighbor.id] = inputs.now
+            if last is None or place > self._place(last[0]):
+                last = neighbor.id, neighbor.distance, neighbor.bearing
         since = inputs.now - self.params.lease
         self._sensed = {name: at for name, at in self._sensed.items() if at >= since}
         return last

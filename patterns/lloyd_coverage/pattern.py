@@ -82,6 +82,7 @@ class LloydCoverageParams(Params, frozen=True, kw_only=True):
 class LloydCoverage(MovementPattern[LloydCoverageParams]):
     """Drives to the centroid of the places that are nearer to it than to another robot."""
 
+    group = "spread"
     params_type = LloydCoverageParams
     needs = frozenset({"scan", "neighbors.distance", "neighbors.bearing"})
 
@@ -116,11 +117,11 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
         order = np.argsort(angle)
         angle = angle[order]
         far = np.minimum(np.hypot(x, y)[order], reach)
-        for one in neighbors:
-            if one.distance is not None and one.bearing is not None:
-                ahead = np.cos(angle - one.bearing)
+        for neighbor in neighbors:
+            if neighbor.distance is not None and neighbor.bearing is not None:
+                ahead = np.cos(angle - neighbor.bearing)
                 # Up to the line halfway to the neighbour.
-                limit = 0.5 * one.distance / np.maximum(ahead, 1e-9)
+                limit = 0.5 * neighbor.distance / np.maximum(ahead, 1e-9)
                 far = np.where(ahead > 0.0, np.minimum(far, limit), far)
         gap = np.append(np.diff(angle), angle[:1] + 2.0 * math.pi - angle[-1:])
         gap = np.where(gap <= _MAX_GAP, gap, 0.0)

@@ -35,6 +35,7 @@ from swarmd.api import (
 
 _CHANNEL = "patrol"
 _BRAKE = 0.3  # m before a place over which the speed falls
+_MAX_PLACES = 50
 
 
 class PatrolParams(Params, frozen=True, kw_only=True):
@@ -71,6 +72,7 @@ class PatrolParams(Params, frozen=True, kw_only=True):
 class Patrol(Pattern[PatrolParams]):
     """Drives to the adjacent place that was left alone for longest."""
 
+    group = "spread"
     params_type = PatrolParams
     needs = frozenset({"pose"})
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base
@@ -126,15 +128,15 @@ class Patrol(Pattern[PatrolParams]):
         return Outputs(twist, {_CHANNEL: [self._target, *ages]}, report)
 
     def _choose(self, now: float, away: list[float]) -> int:
-        """The adjacent place of the greatest idleness that no other is on its way to."""
+        """The adjacent place of the greatest idleness among those that no robot has as target."""
         params, rng = self.params, self.context.rng
         here = self._target if self._target >= 0 else min(range(len(away)), key=away.__getitem__)
         x, y = self._places[here]
         near = [
             k
-            for k, (other_x, other_y) in enumerate(self._places)
+            for k, (place_x, place_y) in enumerate(self._places)
             if k != here
-            and (not params.reach or math.hypot(other_x - x, other_y - y) <= params.reach)
+            and (not params.reach or math.hypot(place_x - x, place_y - y) <= params.reach)
         ] or [here]
         claimed = {k for at, k in self._claims.values() if at >= now - params.lease}
         free = [k for k in near if k not in claimed] or near
@@ -160,13 +162,15 @@ class Patrol(Pattern[PatrolParams]):
 
 def places_of(text: str) -> list[tuple[float, float]]:
     """The places of the parameter; ValueError if the text is of another form."""
-    found = []
-    for one in text.split(","):
+    places = []
+    for words in text.split(","):
         try:
-            x, y = map(float, one.split())
+            x, y = map(float, words.split())
         except ValueError:
-            raise ValueError(f"places has {one.strip()!r}; expected x y in m") from None
-        found.append((x, y))
-    if not 2 <= len(found) <= 50 or not all(math.isfinite(v) for one in found for v in one):
-        raise ValueError(f"places has {len(found)} places; expected 2 to 50, all finite")
-    return found
+            raise ValueError(f"places has {words.strip()!r}; expected x y in m") from None
+        places.append((x, y))
+    is_finite = all(math.isfinite(x) and math.isfinite(y) for x, y in places)
+    if not 2 <= len(places) <= _MAX_PLACES or not is_finite:
+        text = f"places has {len(places)} places; expected 2 to {_MAX_PLACES}, all finite"
+        raise ValueError(text)
+    return places

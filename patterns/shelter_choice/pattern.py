@@ -117,6 +117,7 @@ class ShelterChoiceParams(Params, frozen=True, kw_only=True):
 class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
     """Walks, rests under a shelter, and leaves the sooner the fewer rest there."""
 
+    group = "gather"
     params_type = ShelterChoiceParams
     needs = frozenset({"scan", "reading:ground", "neighbors.distance"})
     channels = {_CHANNEL: bool}  # noqa: RUF012 - a Mapping, as in the base
@@ -164,10 +165,12 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
         return float(self.context.rng.random()) < rate * dt
 
     def _count(self, inputs: Inputs) -> int:
-        """How many others rest near it."""
+        """The number of neighbours within `near` that rest."""
         since = inputs.now - 3.0 * self.params.share_period
         self._heard = {name: at for name, at in self._heard.items() if at >= since}
         return sum(
-            one.id in self._heard and one.distance is not None and one.distance <= self.params.near
-            for one in inputs.neighbors
+            neighbor.id in self._heard
+            and neighbor.distance is not None
+            and neighbor.distance <= self.params.near
+            for neighbor in inputs.neighbors
         )

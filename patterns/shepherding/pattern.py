@@ -1,14 +1,14 @@
-"""Shepherding: a robot drives a herd of others to a goal.
+"""Shepherding: a robot, the shepherd, drives a herd of robots, the sheep, to a goal.
 
 Source: Strombom, Mann, Wilson, Hailes, Morton, Sumpter and King, "Solving the shepherding problem:
-heuristics for herding autonomous, interacting agents", J. Royal Society Interface 11, 2014: where a
-sheep is farther from the herd's centre than r_a N^(2/3) the shepherd collects it, from r_a behind
-it; else it drives the herd, from r_a sqrt(N) behind the centre. A sheep with the shepherd within
-r_s flees it, keeps r_a from others and goes to the centre of its nearest others; the weights are
-those of the source.
+heuristics for herding autonomous, interacting agents", J. Royal Society Interface 11, 2014. The
+shepherd collects a sheep that is farther from the herd's centre than r_a N^(2/3), from r_a behind
+the sheep. Without such a sheep the shepherd drives the herd, from r_a sqrt(N) behind the centre. A
+sheep with the shepherd within r_s flees the shepherd, keeps r_a from other sheep and goes to the
+centre of its nearest sheep. The weights are those of the source.
 
-Ours: a third role, the goal, is a robot that stands there, so that no shared frame is needed; the
-robots tell their roles. Sheep are slower by `pace`, as the source's.
+Ours: a third role, the goal, is a robot that stands there, so that no shared frame is needed. The
+robots send their roles. Sheep are slower by `pace`, as in the source.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from swarmd.api import (
 )
 
 _CHANNEL = "role"
+_WAIT = 1.5  # of the spacing: the shepherd stands while a sheep is nearer; the source has 3 r_a
 Vector = tuple[float, float]
 
 
@@ -107,6 +108,7 @@ class ShepherdingParams(Params, frozen=True, kw_only=True):
 class Shepherding(Pattern[ShepherdingParams]):
     """Flees, drives or stands, by its role."""
 
+    group = "move together"
     params_type = ShepherdingParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base
@@ -123,12 +125,14 @@ class Shepherding(Pattern[ShepherdingParams]):
             if message.channel == _CHANNEL and isinstance(message.value, str):
                 self._roles[message.sender] = message.value[:16]
         places: dict[str, list[Vector]] = {"sheep": [], "shepherd": [], "goal": []}
-        for one in inputs.neighbors:
-            role = self._roles.get(one.id, "")
-            if role in places and one.distance is not None and one.bearing is not None:
-                x, y = one.distance * math.cos(one.bearing), one.distance * math.sin(one.bearing)
-                places[role].append((x, y))
-        self._roles = {one.id: self._roles.get(one.id, "") for one in inputs.neighbors}
+        for neighbor in inputs.neighbors:
+            role = self._roles.get(neighbor.id, "")
+            distance, bearing = neighbor.distance, neighbor.bearing
+            if role in places and distance is not None and bearing is not None:
+                places[role].append((distance * math.cos(bearing), distance * math.sin(bearing)))
+        self._roles = {
+            neighbor.id: self._roles.get(neighbor.id, "") for neighbor in inputs.neighbors
+        }
         report: dict[str, Scalar] = {"role": params.role}
         twist = ZERO
         if params.role == "sheep":
@@ -142,18 +146,19 @@ class Shepherding(Pattern[ShepherdingParams]):
         return Outputs(twist, {_CHANNEL: params.role}, report)
 
     def _flee(self, sheep: list[Vector], shepherds: list[Vector]) -> Vector:
-        """The way of a sheep: from others that are too near, with the herd, from shepherds."""
+        """The way of a sheep: away from sheep that are too near, to the herd, from shepherds."""
         params = self.params
         x = y = 0.0
-        for other in sheep:
-            if math.hypot(*other) < params.spacing:
-                unit = _unit(other)
+        for neighbor in sheep:
+            if math.hypot(*neighbor) < params.spacing:
+                unit = _unit(neighbor)
                 x, y = x - 2.0 * unit[0], y - 2.0 * unit[1]
-        threats = [one for one in shepherds if math.hypot(*one) < params.flight * params.spacing]
+        reach = params.flight * params.spacing
+        threats = [shepherd for shepherd in shepherds if math.hypot(*shepherd) < reach]
         if threats:
-            near = sorted(sheep, key=lambda one: math.hypot(*one))[: params.nearest]
+            near = sorted(sheep, key=lambda place: math.hypot(*place))[: params.nearest]
             center = _unit(_mean(near)) if near else (0.0, 0.0)
-            away = _unit(_mean([_unit(one) for one in threats]))
+            away = _unit(_mean([_unit(threat) for threat in threats]))
             x += params.cohesion * center[0] - away[0]
             y += params.cohesion * center[1] - away[1]
         return x, y
@@ -164,16 +169,18 @@ class Shepherding(Pattern[ShepherdingParams]):
         center = _mean(sheep)
         if math.dist(center, goal) <= params.arrived:
             return (0.0, 0.0), "arrived"
-        if min(math.hypot(*one) for one in sheep) < 1.5 * params.spacing:
-            return (0.0, 0.0), "wait"  # the source: 3 r_a
-        farthest = max(sheep, key=lambda one: math.dist(one, center))
+        if min(math.hypot(*place) for place in sheep) < _WAIT * params.spacing:
+            return (0.0, 0.0), "wait"
+        farthest = max(sheep, key=lambda place: math.dist(place, center))
         if math.dist(farthest, center) > params.spacing * count ** (2.0 / 3.0):
-            behind, what, state = params.spacing, farthest, "collect"
+            state = "collect"
+            pushed, behind = farthest, params.spacing
             away = _unit((farthest[0] - center[0], farthest[1] - center[1]))
         else:
-            behind, what, state = params.spacing * math.sqrt(count), center, "drive"
+            state = "drive"
+            pushed, behind = center, params.spacing * math.sqrt(count)
             away = _unit((center[0] - goal[0], center[1] - goal[1]))
-        return (what[0] + behind * away[0], what[1] + behind * away[1]), state
+        return (pushed[0] + behind * away[0], pushed[1] + behind * away[1]), state
 
     def _steer(self, way: Vector, share: float) -> Twist:
         x, y = way
@@ -186,10 +193,10 @@ class Shepherding(Pattern[ShepherdingParams]):
         )
 
 
-def _unit(one: Vector) -> Vector:
-    length = math.hypot(*one)
-    return (one[0] / length, one[1] / length) if length > 0.0 else (0.0, 0.0)
+def _unit(vector: Vector) -> Vector:
+    length = math.hypot(*vector)
+    return (vector[0] / length, vector[1] / length) if length > 0.0 else (0.0, 0.0)
 
 
-def _mean(some: list[Vector]) -> Vector:
-    return sum(x for x, _ in some) / len(some), sum(y for _, y in some) / len(some)
+def _mean(vectors: list[Vector]) -> Vector:
+    return sum(x for x, _ in vectors) / len(vectors), sum(y for _, y in vectors) / len(vectors)

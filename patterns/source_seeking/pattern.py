@@ -1,9 +1,10 @@
 """Source seeking: up a gradient that one sensor reads, by runs and tumbles.
 
 Source: Berg and Brown, "Chemotaxis in Escherichia coli analysed by three-dimensional tracking",
-Nature 239, 1972: a bacterium runs on while the concentration rises and tumbles, which is a turn by
-a random angle, sooner while it falls. Ours: a robot runs as long as the reading rises, and tumbles
-once it has fallen; it turns away from obstacles, and stands where the reading is high enough.
+Nature 239, 1972: a bacterium runs on while the concentration rises, and tumbles sooner while the
+concentration falls. A tumble is a turn by a random angle. Ours: a robot runs as long as the reading
+rises, and tumbles once the reading has fallen. The robot turns away from obstacles, and stands
+where the reading is high enough.
 """
 
 from __future__ import annotations
@@ -89,6 +90,7 @@ class SourceSeekingParams(Params, frozen=True, kw_only=True):
 class SourceSeeking(TimedPattern[SourceSeekingParams]):
     """Runs straight while `concentration` rises, and tumbles where it has fallen."""
 
+    group = "search"
     params_type = SourceSeekingParams
     needs = frozenset({"scan", "reading:concentration"})
     default_state = "run"

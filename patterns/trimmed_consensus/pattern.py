@@ -72,8 +72,9 @@ class TrimmedConsensusParams(Params, frozen=True, kw_only=True):
 
 
 class TrimmedConsensus(Pattern[TrimmedConsensusParams]):
-    """Sends its value, and moves it to the mean of what is left of the neighbours'; it stands."""
+    """Sends its value, moves the value to the trimmed mean of the neighbours', and stands."""
 
+    group = "decide"
     params_type = TrimmedConsensusParams
     needs = frozenset[str]()
     channels = {_CHANNEL: float}  # noqa: RUF012 - a Mapping, as in the base
@@ -98,9 +99,10 @@ class TrimmedConsensus(Pattern[TrimmedConsensusParams]):
             return Outputs(report={"value": self.value})
         self._update_at = now + self.params.update_period
         oldest = now - self.params.expiry
-        self._heard = {name: one for name, one in self._heard.items() if one[1] >= oldest}
+        self._heard = {name: heard for name, heard in self._heard.items() if heard[1] >= oldest}
         if not self.params.is_stubborn:
-            kept = trimmed([one for one, _ in self._heard.values()], self.value, self.params.trim)
+            values = [value for value, _ in self._heard.values()]
+            kept = trimmed(values, self.value, self.params.trim)
             self.value = math.fsum([*kept, self.value]) / (len(kept) + 1)
         return Outputs(messages={_CHANNEL: self.value}, report={"value": self.value})
 
@@ -113,7 +115,7 @@ class TrimmedConsensus(Pattern[TrimmedConsensusParams]):
 
 
 def trimmed(values: list[float], own: float, trim: int) -> list[float]:
-    """The values without the `trim` largest above the own one and the `trim` smallest below it."""
+    """The values without the `trim` largest above `own` and the `trim` smallest below `own`."""
     below = sorted(value for value in values if value < own)
     above = sorted(value for value in values if value > own)
     equal = [value for value in values if value == own]

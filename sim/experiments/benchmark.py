@@ -120,14 +120,16 @@ class Task:
     def robots(self) -> int:
         """The number of robots of all groups."""
         groups = self.file.scenario["groups"].values()
-        return sum(one.get("count") or len(one["robots"]) for one in groups)
+        return sum(group.get("count") or len(group["robots"]) for group in groups)
 
     def scenario(self, pattern: str, plugin_dir: Path | None = None) -> Scenario:
         """The scenario in which the judged groups run `pattern`, with its parameters in the file.
 
         ConfigError if the pattern does not fit: it names the need that the robots do not meet.
         """
-        declared = next((one for one in self.file.candidates if one.pattern == pattern), None)
+        declared = next(
+            (candidate for candidate in self.file.candidates if candidate.pattern == pattern), None
+        )
         chosen = declared or Candidate(pattern=pattern)
         data = dict(self.file.scenario)
         groups = {name: dict(group) for name, group in data["groups"].items()}
@@ -178,9 +180,8 @@ def load_task(name: str) -> Task:
             )
             raise layers.error(("scenario", "platforms", platform, "extends"), text)
     try:
-        if names_file(
-            file.metric.name
-        ):  # whoever runs a task of others would run its author's code
+        # Whoever runs a task of somebody else would run the code of its author.
+        if names_file(file.metric.name):
             raise ConfigError(f"{file.metric.name}: a task names no file; see `exp metrics`")
         metric = metric_of(file.metric.name)
     except ConfigError as error:
@@ -194,10 +195,10 @@ def load_task(name: str) -> Task:
 
 def schema_text() -> str:
     """The JSON schema of a file of the suite, a line for each of its structs."""
-    found = msgspec.json.schema(CompleteTaskFile)
-    defs = found.pop("$defs")
+    schema = msgspec.json.schema(CompleteTaskFile)
+    defs = schema.pop("$defs")
     lines = [f"{json.dumps(name)}: {json.dumps(defs[name])}" for name in sorted(defs)]
-    head = json.dumps(found).rstrip("}")
+    head = json.dumps(schema).rstrip("}")
     return f'{head}, "$defs": {{\n' + ",\n".join(lines) + "\n}}\n"
 
 
@@ -234,7 +235,7 @@ def entries_of(
         find_pattern(pattern, plugin_dir)
     entries, misfits = [], []
     for task in tasks:
-        declared = [one.pattern for one in task.file.candidates]
+        declared = [candidate.pattern for candidate in task.file.candidates]
         for pattern in patterns or declared:
             try:
                 scenario = task.scenario(pattern, plugin_dir=plugin_dir)
@@ -276,20 +277,23 @@ def run_entry(
 def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
     """The metric of each seed of an entry; NaN for a run that failed."""
     values = results.metric(metric_of(entry.task.file.metric.name)).tolist()
-    found = dict(zip(results.seeds(""), values, strict=True))
-    return dict.fromkeys(results.plan.seeds, math.nan) | found
+    measured = dict(zip(results.seeds(""), values, strict=True))
+    return dict.fromkeys(results.plan.seeds, math.nan) | measured
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """The results of one row in one task: values by seed, NaN without one; `rank` from 1 on.
+    """The results of one row in one task: values by seed, NaN without one.
 
-    None without a median. Rows of equal median share the better rank.
+    `rank` from 1 on; None where the interval of the median overlaps that of another row, so that
+    other seeds may change the order, and where either has none. `place`: the order of the medians
+    alone, infinite without a median; rows of equal median share the better one.
     """
 
     values: Mapping[int, float]
     summary: statistics.Summary
     rank: int | None = None
+    place: float = math.inf
 
 
 Table = dict[str, dict[str, Cell]]
@@ -301,25 +305,38 @@ def table_of(
 ) -> Table:
     """The table of values by (row, task) and seed; `better` by task.
 
-    Rows in the order of their best rank, then of their number of tasks, then of their name.
+    Rows in the order of their best place, then of their number of tasks, then of their name.
     """
-    cells = {key: Cell(found, _summary(found)) for key, found in values.items()}
+    cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
     ranked: Table = {}
     for (row, task), cell in cells.items():
         sign = 1.0 if better[task] == "less" else -1.0
-        medians = [one.summary.median for (_, other), one in cells.items() if other == task]
+        rivals = [
+            rival.summary
+            for (name, rival_task), rival in cells.items()
+            if rival_task == task and name != row
+        ]
         own = cell.summary.median
-        rank = None
         if own is not None:
-            rank = 1 + sum(sign * one < sign * own for one in medians if one is not None)
-        ranked.setdefault(row, {})[task] = Cell(cell.values, cell.summary, rank)
+            medians = [rival.median for rival in rivals if rival.median is not None]
+            place = 1 + sum(sign * median < sign * own for median in medians)
+            rank = place if all(_is_apart(cell.summary, rival) for rival in rivals) else None
+            cell = Cell(cell.values, cell.summary, rank, place)
+        ranked.setdefault(row, {})[task] = cell
     return dict(sorted(ranked.items(), key=_order))
+
+
+def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:
+    """Whether the intervals of two medians do not overlap; True if `b` has no median."""
+    if b.median is None:
+        return True
+    one, other = a.median_interval, b.median_interval
+    return one is not None and other is not None and (one.high < other.low or other.high < one.low)
 
 
 def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:
     row, cells = item
-    ranks = [math.inf if cell.rank is None else cell.rank for cell in cells.values()]
-    return (min(ranks, default=math.inf), -len(cells), row)
+    return (min((cell.place for cell in cells.values()), default=math.inf), -len(cells), row)
 
 
 def _summary(values: Mapping[int, float]) -> statistics.Summary:
@@ -327,7 +344,7 @@ def _summary(values: Mapping[int, float]) -> statistics.Summary:
 
 
 def cell_text(cell: Cell | None) -> str:
-    """Median, its 95 % interval and the rank, such as `0.71 (0.6 to 0.8) #2`.
+    """Median, its 95 % interval and the rank, if there is one, such as `0.71 (0.6 to 0.8) #2`.
 
     `0.71 (0.6 to 0.8) #2 of 3/20`: only three of twenty runs have a value.
     """
@@ -338,7 +355,8 @@ def cell_text(cell: Cell | None) -> str:
     if median is None:
         return statistics.NOTHING
     between = "" if interval is None else f" ({interval.low:.3g} to {interval.high:.3g})"
-    return f"{median:.3g}{between} #{cell.rank}" + f" of {n}/{runs}" * (n < runs)
+    rank = "" if cell.rank is None else f" #{cell.rank}"
+    return f"{median:.3g}{between}{rank}" + (f" of {n}/{runs}" if n < runs else "")
 
 
 def read_results(
@@ -351,7 +369,7 @@ def read_results(
     ConfigError with file and line for anything else.
     """
     known = tuple(tasks)
-    found: dict[tuple[str, str], dict[int, float]] = {}
+    values: dict[tuple[str, str], dict[int, float]] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
@@ -372,13 +390,13 @@ def read_results(
                 if (low is not None and value < low) or (high is not None and value > high):
                     text = f"{where}: value is {value:g}; expected {low} to {high}"
                     raise ConfigError(f"{text} in the unit of the task's metric")
-                if seed in found.setdefault((name, task), {}):
+                if seed in values.setdefault((name, task), {}):
                     raise ConfigError(f"{where}: {name} has seed {seed} of {task} twice; keep one")
-                found[name, task][seed] = value
+                values[name, task][seed] = value
     except (OSError, UnicodeError, csv.Error) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"{path}: cannot be read: {why}") from error
-    return found
+    return values
 
 
 def _seed(where: str, text: str) -> int:
@@ -410,21 +428,24 @@ def document(tasks: Sequence[Task], table: Table, misfits: Sequence[Misfit]) -> 
             }
             for task in tasks
         ],
-        "misfits": [{"task": one.task, "pattern": one.pattern, "why": one.why} for one in misfits],
+        "misfits": [
+            {"task": misfit.task, "pattern": misfit.pattern, "why": misfit.why}
+            for misfit in misfits
+        ],
     }
 
 
 def _results_of(task: str, table: Table) -> Iterator[dict[str, Any]]:
     for row, cells in table.items():
         if task in cells:
-            one = cells[task]
+            cell = cells[task]
             yield {
                 "name": row,
-                "rank": one.rank,
-                "median": one.summary.median,
-                "median_interval": one.summary.median_interval,
-                "mean": one.summary.mean,
-                "mean_interval": one.summary.mean_interval,
-                "runs": one.summary.n,
-                "values": {s: None if math.isnan(v) else v for s, v in one.values.items()},
+                "rank": cell.rank,
+                "median": cell.summary.median,
+                "median_interval": cell.summary.median_interval,
+                "mean": cell.summary.mean,
+                "mean_interval": cell.summary.mean_interval,
+                "runs": cell.summary.n,
+                "values": {s: None if math.isnan(v) else v for s, v in cell.values.items()},
             }

@@ -114,9 +114,11 @@ class Cluster:
     ) -> None:
         self.manifest = manifest
         self._client, self._address = client, address
-        self._timeout, self._note, self._at_a_time = timeout, note, at_a_time
+        self._timeout = timeout
+        self._note = note
+        self._at_a_time = at_a_time
         self._folders = plugin_folders(manifest.plan)
-        self._metrics = [one.origin for one in manifest.metrics]
+        self._metrics = [metric.origin for metric in manifest.metrics]
         self._topic = f"swarmd-{uuid.uuid4().hex}"
         self._workers: dict[str, _Worker] = {}
         self._asked: dict[str, str] = {}  # worker by key of the question
@@ -243,10 +245,10 @@ class Cluster:
         # In small waits, so that time in which this process stood still does not count.
         for _ in range(math.ceil(limit / _POLL_PERIOD)):
             with suppress(queue.Empty):
-                found = answers.get(timeout=_POLL_PERIOD)
-                if isinstance(found, Exception):
-                    raise self._lost_scheduler() from found
-                return cast("dict[str, Any]", found)
+                answer = answers.get(timeout=_POLL_PERIOD)
+                if isinstance(answer, Exception):
+                    raise self._lost_scheduler() from answer
+                return cast("dict[str, Any]", answer)
         raise self._lost_scheduler(f"has not answered for {limit:g} s")
 
     def _check_scheduler(self) -> None:
@@ -343,8 +345,8 @@ def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | N
     # Dask removes this folder also after a crash.
     with TemporaryDirectory(prefix="swarmd-", dir=worker.local_directory) as place:
         trace = None if job.trace is None else Path(place) / "trace.npz"
-        with closing(run_jobs([replace(job, trace=trace)], 1, timeout)) as found:
-            for item in found:
+        with closing(run_jobs([replace(job, trace=trace)], 1, timeout)) as results:
+            for item in results:
                 if isinstance(item, JobResult):
                     if item.write_error:
                         return replace(item, reason=item.write_error, write_error=""), None

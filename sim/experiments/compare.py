@@ -101,7 +101,7 @@ def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]
     Two folders with the same variants are compared variant by variant. ConfigError if the names
     are ambiguous. `is_trusted`: as of `load_results`.
     """
-    left, right = (sides_of(one, is_trusted=is_trusted) for one in (a, b))
+    left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
     if len(left) == 1 or len(right) == 1:
         if len(left) == len(right):
             return [(left[0], right[0])]
@@ -138,14 +138,18 @@ def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> li
     the sides are resampled independently.
     """
     both = [name for name in a.results.metrics if name in b.results.metrics]
-    found = [_difference(a, b, a.results.about(one)) for one in (both if names is None else names)]
-    return corrected(found)
+    differences = [
+        _difference(a, b, a.results.about(name)) for name in (both if names is None else names)
+    ]
+    return corrected(differences)
 
 
-def corrected(found: Sequence[Difference]) -> list[Difference]:
+def corrected(differences: Sequence[Difference]) -> list[Difference]:
     """The differences with Holm's correction for all of them."""
-    values = holm([one.p for one in found])
-    return [replace(one, p_holm=p) for one, p in zip(found, values, strict=True)]
+    values = holm([difference.p for difference in differences])
+    return [
+        replace(difference, p_holm=p) for difference, p in zip(differences, values, strict=True)
+    ]
 
 
 DIFFERENCE_HEADER = (
@@ -154,12 +158,16 @@ DIFFERENCE_HEADER = (
 )
 
 
-def difference_row(one: Difference) -> tuple[str, ...]:
+def difference_row(difference: Difference) -> tuple[str, ...]:
     """The cells of a table below DIFFERENCE_HEADER."""
-    runs = str(one.n_a) if one.n_a == one.n_b else f"{one.n_a}, {one.n_b}"
-    numbers = number(one.mean_a), number(one.mean_b), number(one.difference)
-    found = interval(one.interval), number(one.p_holm), runs, one.conclusion
-    return (one.metric, one.unit or "-", *numbers, *found)
+    runs = (
+        str(difference.n_a)
+        if difference.n_a == difference.n_b
+        else f"{difference.n_a}, {difference.n_b}"
+    )
+    numbers = number(difference.mean_a), number(difference.mean_b), number(difference.difference)
+    cells = interval(difference.interval), number(difference.p_holm), runs, difference.conclusion
+    return (difference.metric, difference.unit or "-", *numbers, *cells)
 
 
 def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:
@@ -168,10 +176,15 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
         "a": a.label,
         "b": b.label,
         "level": LEVEL,
-        "differ_by_chance": 0.05 * sum(one.interval is not None for one in differences),
+        "differ_by_chance": 0.05
+        * sum(difference.interval is not None for difference in differences),
         "metrics": {
-            one.metric: {**asdict(one), "differs": one.differs, "holds": one.holds}
-            for one in differences
+            difference.metric: {
+                **asdict(difference),
+                "differs": difference.differs,
+                "holds": difference.holds,
+            }
+            for difference in differences
         },
     }
 
@@ -193,13 +206,13 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         left, right = left[places_a], right[places_b]
         both = ~(np.isnan(left) | np.isnan(right))
         left, right = left[both], right[both]
-        found = mean_interval(right - left)
+        bounds = mean_interval(right - left)
     else:
         left, right = left[~np.isnan(left)], right[~np.isnan(right)]
-        found = difference_interval(left, right)
+        bounds = difference_interval(left, right)
     better: Literal["a", "b"] | None = None
-    if found is not None and metric.better is not None and 0.0 not in found:
-        better = "b" if (found.low > 0.0) == (metric.better == "more") else "a"
+    if bounds is not None and metric.better is not None and 0.0 not in bounds:
+        better = "b" if (bounds.low > 0.0) == (metric.better == "more") else "a"
     if horizon is None:
         p = difference_p(left, right, is_paired=is_paired)
     mean_a, mean_b = (float(some.mean()) if some.size else None for some in (left, right))
@@ -211,7 +224,7 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         mean_a=mean_a,
         mean_b=mean_b,
         difference=None if mean_a is None or mean_b is None else mean_b - mean_a,
-        interval=found,
+        interval=bounds,
         is_paired=is_paired,
         better=better,
         never_a=never_a if horizon is not None else 0,
@@ -223,5 +236,5 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
 
 def _duration(side: Side) -> float:
     """The simulated seconds of the runs of one side."""
-    variants = {one.name: one for one in side.results.plan.variants}
+    variants = {variant.name: variant for variant in side.results.plan.variants}
     return float(variants[side.variant].effective["duration"])

@@ -35,7 +35,7 @@ def cores_of_a_run(cores: int, runs: int, robots: int) -> int:
 
 def _groups(root: Path) -> list[Path]:
     """The folders of the control groups of this process, and of all groups around them."""
-    base, found = root / "sys/fs/cgroup", []
+    base, folders = root / "sys/fs/cgroup", []
     with suppress(OSError):
         for line in (root / "proc/self/cgroup").read_text().splitlines():
             _, controllers, path = line.split(":", 2)
@@ -43,8 +43,8 @@ def _groups(root: Path) -> list[Path]:
                 continue
             folder = (base / controllers if controllers else base) / path.strip("/")
             # A container sees its own group as the root, whatever its path outside is.
-            found += [folder, *folder.parents[: len(folder.relative_to(base).parts)]]
-    return found
+            folders += [folder, *folder.parents[: len(folder.relative_to(base).parts)]]
+    return folders
 
 
 def _quota(folder: Path) -> float:

@@ -45,7 +45,7 @@ def measured_cost(folder: Path) -> Cost:
     cluster are left out.
     """
     software = made_with()
-    found: dict[str, list[float]] = {}
+    costs_of: dict[str, list[float]] = {}
     places = sorted(folder.glob("*/manifest.json"), key=lambda path: -path.stat().st_mtime)
     for place in places[:_NEWEST]:
         try:
@@ -59,14 +59,14 @@ def measured_cost(folder: Path) -> Cost:
         except SwarmError:  # damaged or of another version: no basis
             continue
         costs = [row.wall / row.run.robot_seconds for row in rows]
-        found.setdefault(plan.scenario, []).extend(costs)
-    found = {name: costs for name, costs in found.items() if costs}
-    if not found:
+        costs_of.setdefault(plan.scenario, []).extend(costs)
+    costs_of = {name: costs for name, costs in costs_of.items() if costs}
+    if not costs_of:
         return _calibrated()
-    every = [cost for costs in found.values() for cost in costs]
+    every = [cost for costs in costs_of.values() for cost in costs]
     usual = float(np.median(every))
     basis = f"{len(every)} recorded runs in {folder}/: {_shown(usual)}"
-    return Cost(usual, {name: float(np.median(costs)) for name, costs in found.items()}, basis)
+    return Cost(usual, {name: float(np.median(costs)) for name, costs in costs_of.items()}, basis)
 
 
 def _calibrated() -> Cost:

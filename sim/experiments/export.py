@@ -124,8 +124,8 @@ def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
 def _status(trace: Trace, k: int, i: int) -> dict[str, str]:
     """The words of a robot at an instant."""
     own = {"state": trace.state, "reason": trace.reason}
-    found = {name: str(words[k, i]) for name, words in own.items() if words is not None}
-    return found | {f"report:{name}": str(words[k, i]) for name, words in trace.words.items()}
+    texts = {name: str(words[k, i]) for name, words in own.items() if words is not None}
+    return texts | {f"report:{name}": str(words[k, i]) for name, words in trace.words.items()}
 
 
 def _speeds(trace: Trace) -> Array:

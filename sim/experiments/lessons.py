@@ -26,7 +26,6 @@ from swarmd.sim.experiments.requirements import (
     RUNS,
     Finding,
     check,
-    missing_runs,
     parse_requirement,
 )
 from swarmd.sim.experiments.results import Results
@@ -91,7 +90,7 @@ def mark_results(lesson: Lesson, folder: Path) -> Mark:
             sides = sides_of(str(folder / where))
             _check_measured(sides[0].results, texts)
             findings += _findings(sides, texts)
-            if lacking := missing_runs(sides):
+            if lacking := sides[0].results.lacking:
                 faults.append(f"{where}: {lacking}")
         except (SwarmError, OSError) as error:
             faults.append(str(error).replace(f"{folder}/", ""))
@@ -131,8 +130,8 @@ def mark_pattern(
 def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[JobResult]:
     """The results that come within the time; after the first failure no further ones."""
     deadline = time.monotonic() + timeout
-    with closing(run_jobs(jobs, processes, min(STEP_TIMEOUT, timeout / 2.0))) as found:
-        for result in found:
+    with closing(run_jobs(jobs, processes, min(STEP_TIMEOUT, timeout / 2.0))) as results:
+        for result in results:
             if isinstance(result, JobResult):
                 yield result
             if time.monotonic() > deadline:
@@ -140,7 +139,7 @@ def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[Jo
 
 
 def _with_pattern(effective: Mapping[str, Any], pattern: str, folder: Path) -> dict[str, Any]:
-    groups = {name: {**one, "pattern": pattern} for name, one in effective["groups"].items()}
+    groups = {name: {**group, "pattern": pattern} for name, group in effective["groups"].items()}
     return {**effective, "groups": groups, "plugin_dir": str(folder)}
 
 
@@ -150,19 +149,19 @@ def _findings(sides: Sequence[Side], texts: Sequence[str]) -> list[Finding]:
 
 def _check_measured(results: Results, texts: Sequence[str]) -> None:
     """ConfigError if runs lack a metric: a pupil's file would measure it, in this process."""
-    for one in map(parse_requirement, texts):
-        if one.metric not in (RUNS, *results.metrics):
-            raise ConfigError(f"{results.folder}: the runs have not measured {one.metric}")
+    for requirement in map(parse_requirement, texts):
+        if requirement.metric not in (RUNS, *results.metrics):
+            raise ConfigError(f"{results.folder}: the runs have not measured {requirement.metric}")
 
 
 def _missed(findings: Sequence[Finding]) -> Iterator[str]:
-    for one in findings:
-        if not one.is_met:
-            what, wanted = one.requirement.text.split(one.requirement.comparison, 1)
-            where = f" with {one.variant}" if one.variant else ""
-            value = f"is {one.value:.3g}" if one.value is not None else "has no value"
-            remark = f" ({one.remark})" if one.remark else ""
-            limit = f"{one.requirement.comparison} {wanted.strip()}"
+    for finding in findings:
+        if not finding.is_met:
+            what, wanted = finding.requirement.text.split(finding.requirement.comparison, 1)
+            where = f" with {finding.variant}" if finding.variant else ""
+            value = f"is {finding.value:.3g}" if finding.value is not None else "has no value"
+            remark = f" ({finding.remark})" if finding.remark else ""
+            limit = f"{finding.requirement.comparison} {wanted.strip()}"
             yield f"{what.strip()} {value}{where}, not {limit}{remark}"
 
 
@@ -170,6 +169,6 @@ def pattern_file(folder: Path, lesson: Lesson) -> Path:
     """The file of the lesson's pattern in a pupil's folder; ConfigError if it is not there."""
     file = folder / f"{lesson.pattern}.py"
     if not file.is_file():
-        others = sorted(one.name for one in folder.glob("*.py"))
+        others = sorted(path.name for path in folder.glob("*.py"))
         raise ConfigError(f"no {file.name}{f', but {others[0]}' if others else ''}")
     return file

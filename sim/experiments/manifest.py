@@ -41,31 +41,23 @@ class OwnMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The runs of an experiment, and the software that made them.
-
-    `scenario` is its name as given; `sets` and `sweep` are by dotted key; `variants` hold the
-    resulting complete scenarios. `made_with`: versions and the digest of the code. `plugins`:
-    digests of one-file patterns, and of custom metrics by their origin. `metrics`: those
-    measured besides the catalog's. `git`: the checkouts of swarmd and of the scenario's
-    folder, None without one. `traces`: whether they are kept. `command`: the command line that
-    repeats it, empty if it was made from Python. `created` in UTC. `shard`: the part of the runs
-    that the folder holds, None for all.
-    """
+    """The runs of an experiment, and the software that made them."""
 
     format: int
-    created: str
-    command: list[str]
-    scenario: str
+    created: str  # in UTC
+    command: list[str]  # the command line that repeats the experiment, empty if made from Python
+    scenario: str  # the name as given
     seeds: list[int]
-    sets: dict[str, Any]
-    sweep: dict[str, list[Any]]
-    traces: bool
-    made_with: dict[str, str]
-    git: dict[str, GitState | None]
-    plugins: dict[str, str]
-    variants: list[Variant]
-    shard: Shard | None = None
-    metrics: list[OwnMetric] = []
+    sets: dict[str, Any]  # by dotted key
+    sweep: dict[str, list[Any]]  # by dotted key
+    traces: bool  # whether traces are kept
+    made_with: dict[str, str]  # versions, and the digest of the code
+    git: dict[str, GitState | None]  # checkouts of swarmd and of the scenario's folder, or None
+    plugins: dict[str, str]  # digests of one-file patterns, and of custom metrics by origin
+    variants: list[Variant]  # with the complete scenarios
+    shard: Shard | None = None  # the part of the runs that the folder holds, None for all
+    metrics: list[OwnMetric] = []  # those measured besides the catalog's
+    shown: list[str] = []  # names of the metrics that the user asked for
 
     @property
     def plan(self) -> Plan:
@@ -81,16 +73,23 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def manifest_of(
-    plan: Plan, *, traces: bool, command: list[str], metrics: Iterable[Metric] = ()
+    plan: Plan,
+    *,
+    traces: bool,
+    command: list[str],
+    metrics: Iterable[Metric] = (),
+    shown: Iterable[str] = (),
 ) -> Manifest:
     """The manifest of a plan, with the present software; `metrics` are those beyond the catalog.
 
     ConfigError if two of them have one name, or a path is not UTF-8.
     """
     own = list(metrics)
-    measured = [msgspec.convert(one, OwnMetric, from_attributes=True) for one in own]
-    measured = [msgspec.structs.replace(one, origin=one.origin or one.name) for one in measured]
-    names = [one.name for one in measured]
+    measured = [msgspec.convert(metric, OwnMetric, from_attributes=True) for metric in own]
+    measured = [
+        msgspec.structs.replace(metric, origin=metric.origin or metric.name) for metric in measured
+    ]
+    names = [metric.name for metric in measured]
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise ConfigError(f"two metrics are named {twice}; rename a file or a function")
     place = Path(plan.scenario)
@@ -112,6 +111,7 @@ def manifest_of(
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
         metrics=measured,
+        shown=[*shown],
     )
     try:
         msgspec.json.encode(manifest)
@@ -122,7 +122,7 @@ def manifest_of(
 
 def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:
     """The digests of the code of custom metrics, by origin."""
-    return {one.origin: one.digest for one in metrics if one.digest}
+    return {metric.origin: metric.digest for metric in metrics if metric.digest}
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -134,8 +134,8 @@ def plain(values: Mapping[str, Any]) -> dict[str, Any]:
         text = json.dumps(values, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise SwarmError(f"the scenario cannot be written as JSON: {error}") from error
-    found: dict[str, Any] = json.loads(text)
-    return found
+    data: dict[str, Any] = json.loads(text)
+    return data
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -143,8 +143,8 @@ def read_manifest(folder: Path) -> Manifest:
     path = folder / NAME
     try:
         data = path.read_bytes()
-        found = msgspec.json.decode(data, type=_Format).format
-        if found == FORMAT:
+        version = msgspec.json.decode(data, type=_Format).format
+        if version == FORMAT:
             manifest = msgspec.json.decode(data, type=Manifest)
             check_seeds(manifest.seeds)
             if manifest.variants:
@@ -158,7 +158,7 @@ def read_manifest(folder: Path) -> Manifest:
     except (msgspec.MsgspecError, ConfigError, RecursionError) as error:
         text = f"{path}: damaged: {' '.join(str(error).split())[:200]}"
         raise ConfigError(f"{text}; restore it, or run the experiment again") from error
-    text = f"{path}: format {found}, and this swarmd reads {FORMAT}"
+    text = f"{path}: format {version}, and this swarmd reads {FORMAT}"
     raise ConfigError(f"{text}; use the swarmd that has made it")
 
 
@@ -168,7 +168,7 @@ def differences(old: Manifest, new: Manifest) -> Iterator[str]:
         was, now = getattr(old, name), getattr(new, name)
         if was != now or (name == "sweep" and list(was) != list(now)):  # its order is that of rows
             yield f"{name} was {_clipped(was)}, now {_clipped(now)}"
-    was, now = ([one.origin for one in side.metrics] for side in (old, new))
+    was, now = ([metric.origin for metric in side.metrics] for side in (old, new))
     if was != now:
         yield f"metrics were {_clipped(was)}, now {_clipped(now)}"
     if (old.sets, old.sweep) == (new.sets, new.sweep) and (

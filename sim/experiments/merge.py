@@ -45,15 +45,14 @@ def merge(
     tables = {folder: read_table(folder, part.plan) for folder, part in parts.items()}
     if (out / "manifest.json").exists():
         tables[out] = read_table(out, read_manifest(out).plan)
-    for folder, (_, found) in tables.items():
-        for name, row in found.items():
+    for folder, (_, own_rows) in tables.items():
+        for name, row in own_rows.items():
             known, place = rows.setdefault(name, (row, folder))
             _check_same(known, place, row, folder, has_traces=whole.traces)
-    for (one, (metrics, _)), (other, (others, _)) in pairwise(tables.items()):
-        if metrics != others:
-            raise ConfigError(
-                f"{one} and {other}: their metrics differ; merge parts of one version"
-            )
+    for (folder, (metrics, _)), (next_folder, (next_metrics, _)) in pairwise(tables.items()):
+        if metrics != next_metrics:
+            text = f"{folder} and {next_folder}: their metrics differ"
+            raise ConfigError(f"{text}; merge parts of one version")
     errors = {run: why for folder in parts for run, why in read_errors(folder).items()}
     failures = {run: why for folder in parts for run, why in read_failures(folder).items()}
     with open_store(out, whole, metrics=next(iter(tables.values()))[0]) as store:
@@ -136,8 +135,8 @@ def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
     if nowhere:
         counts = {part.shard.of if part.shard else 1 for part in parts.values()}
         every = replace(next(iter(parts.values())).plan, shard=None).runs
-        found = [(of, parts_of(every, of)) for of in counts]
-        absent = [f"{k}/{of}" for of, by in found for k in sorted({by[run] for run in nowhere})]
+        divided = [(of, parts_of(every, of)) for of in counts]
+        absent = [f"{k}/{of}" for of, by in divided for k in sorted({by[run] for run in nowhere})]
         what = f"part {_listed(absent)}, " if len(counts) == 1 else ""
         lines.append(f"{what}in no folder: {_listed(nowhere)}")
     return lines

@@ -44,7 +44,9 @@ if TYPE_CHECKING:
 
 MAX_STATES, MAX_TRANSITIONS = 4, 2
 """States of a mission, and transitions of a state."""
-PROBABILITY, NEIGHBORS, READING = "probability", "neighbors", "reading:"
+PROBABILITY = "probability"
+NEIGHBORS = "neighbors"
+READING = "reading:"
 RANGES: Mapping[str, tuple[float, float]] = {
     "timeout": (2.0, 60.0),
     "nearer": (0.3, 1.5),
@@ -91,7 +93,9 @@ class MissionSpace(Missions):
         folder: Path,
     ) -> None:
         """`ranges`: bounds by condition: timeout, nearer, probability, neighbors, reading:NAME."""
-        self.groups, self.modules, self.ranges = tuple(groups), tuple(modules), dict(ranges)
+        self.groups = tuple(groups)
+        self.modules = tuple(modules)
+        self.ranges = dict(ranges)
         self.folder = folder
         self.conditions = [
             name for key in self.ranges for name in ([key] if key in _LOG else [key, f"not {key}"])
@@ -131,7 +135,7 @@ class MissionSpace(Missions):
         if not is_machine:
             return values
         reached = _reached(values, states)
-        return {key: one for key, one in values.items() if _state(key) in (0, *reached)}
+        return {key: value for key, value in values.items() if _state(key) in (0, *reached)}
 
     def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
         """None: there are no values of the scenario as it is."""
@@ -207,10 +211,12 @@ class MissionFileSpace(Missions, ParameterSpace):
         *,
         is_present: bool,
     ) -> None:
-        """`data` is the file's; `is_present`: robots of the scenario run it as it is."""
+        """`data`: contents of the file; `is_present`: robots of the scenario run this very file."""
         super().__init__(parameters)
         self.groups, self.folder = tuple(groups), folder
-        self._path, self._data, self._is_present = path, data, is_present
+        self._path = path
+        self._data = data
+        self._is_present = is_present
 
     @property
     def text(self) -> list[str]:
@@ -225,7 +231,7 @@ class MissionFileSpace(Missions, ParameterSpace):
 
     def mission(self, values: Mapping[str, Any]) -> str:
         """The file of the mission with these values."""
-        changes = {one.key: values[one.name] for one in self.parameters}
+        changes = {parameter.key: values[parameter.name] for parameter in self.parameters}
         return _yaml({**self._data, **nested(changes, self._data, SOURCE)})
 
 
@@ -239,7 +245,9 @@ def mission_file_space(
     """
     data = read(path)
     installed = pattern_names(None)
-    find = PatternLoader({name: (one.value, one.is_file) for name, one in installed.items()})
+    find = PatternLoader(
+        {name: (origin.value, origin.is_file) for name, origin in installed.items()}
+    )
     mission_class(path, find)  # a fault is raised here, not by each candidate
     name = path.stem
     for pattern in patterns_of(scenario):
@@ -254,38 +262,46 @@ def mission_file_space(
     is_present = is_present and bool(groups)
     groups = groups or _groups(scenario)
     _check_groups(scenario, groups, name)
-    found = []
+    parameters = []
     for word in words or [f"{key}={_SPAN}" for key in _probabilities(data, shown(path))]:
-        one = file_parameter(word, data, shown(path))
-        if one.present is None or isinstance(one.present, dict | list):
-            there = "has no such value" if one.present is None else f"has {brief(one.present)}"
-            raise ConfigError(
-                f"{SOURCE} {one.key}: {shown(path)} {there}; expected one value there"
+        parameter = file_parameter(word, data, shown(path))
+        if parameter.present is None or isinstance(parameter.present, dict | list):
+            there = (
+                "has no such value"
+                if parameter.present is None
+                else f"has {brief(parameter.present)}"
             )
-        found.append(one)
-    if not found:
+            raise ConfigError(
+                f"{SOURCE} {parameter.key}: {shown(path)} {there}; expected one value there"
+            )
+        parameters.append(parameter)
+    if not parameters:
         raise ConfigError(
             f"--mission {shown(path)}: has no probability; name what is searched with"
             f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
         )
-    space = MissionFileSpace(groups, path, data, once(found), folder, is_present=is_present)
+    space = MissionFileSpace(groups, path, data, once(parameters), folder, is_present=is_present)
     _check_values(space, path, find)
     return space
 
 
 def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
     """ConfigError if the mission is refused with a bound or a choice of a parameter."""
-    present = {one.name: one.present for one in space.parameters}
+    present = {parameter.name: parameter.present for parameter in space.parameters}
     with TemporaryDirectory() as folder:
         tried = Path(folder) / path.name
-        for one in space.parameters:
-            for value in one.choices or (one.low, one.high):
-                tried.write_text(space.mission({**present, one.name: value}), encoding="utf-8")
+        for parameter in space.parameters:
+            for value in parameter.choices or (parameter.low, parameter.high):
+                tried.write_text(
+                    space.mission({**present, parameter.name: value}), encoding="utf-8"
+                )
                 try:
                     mission_class(tried, find)
                 except ConfigError as error:
                     text = str(error).removeprefix(f"{shown(tried)}:").partition(" ")[2]
-                    raise ConfigError(f"{SOURCE} {one.key}: {value} is refused: {text}") from error
+                    raise ConfigError(
+                        f"{SOURCE} {parameter.key}: {value} is refused: {text}"
+                    ) from error
 
 
 def mission_space(
@@ -359,7 +375,9 @@ def _probabilities(data: Mapping[str, Any], what: str) -> Iterator[str]:
 
     `what` is the file in messages. ConfigError for one below a name that has a dot.
     """
-    elements = {key: one for key, one in data.items() if key not in MissionFile.__struct_fields__}
+    elements = {
+        key: element for key, element in data.items() if key not in MissionFile.__struct_fields__
+    }
     for place in _places(elements):
         if dotted := next((key for key in place if "." in key), None):
             raise ConfigError(
@@ -387,28 +405,28 @@ def _state(key: str) -> int:
 
 def _reached(values: Mapping[str, Any], states: int) -> set[int]:
     """The states that transitions lead to from the first."""
-    found, todo = set[int](), [1]
+    reached, todo = set[int](), [1]
     while todo:
         n = todo.pop()
-        if n not in found:
-            found.add(n)
+        if n not in reached:
+            reached.add(n)
             keys = (f"target_{n}_{k}" for k in range(1, MAX_TRANSITIONS + 1))
             todo += [values[key] for key in keys if key in values]
-    return found
+    return reached
 
 
 def _transitions(
     values: Mapping[str, Any], n: int, names: Mapping[int, str]
 ) -> dict[str, dict[str, Any]]:
-    found = {}
+    transitions = {}
     for k in range(1, MAX_TRANSITIONS + 1):
         target, chance = values.get(f"target_{n}_{k}"), values.get(f"chance_{n}_{k}")
         if target is not None:
             condition = _condition(values, f"{n}_{k}")
             if chance is not None:
                 condition = {"all": [condition, {PROBABILITY: chance}]}
-            found[names[target]] = condition
-    return found
+            transitions[names[target]] = condition
+    return transitions
 
 
 def _condition(values: Mapping[str, Any], place: str) -> dict[str, Any]:

@@ -107,17 +107,17 @@ class Plan:
 
 def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
     """The seeds; ConfigError if they are empty, repeated or invalid."""
-    found = tuple(seeds)
-    if not found:
+    listed = tuple(seeds)
+    if not listed:
         raise ConfigError("seeds: empty; expected at least one, such as --seeds 20")
     seen: set[int] = set()
-    for seed in found:
+    for seed in listed:
         if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed <= MAX_SEED:
             raise ConfigError(f"seeds: {seed!r} is no seed; expected whole numbers 0 to {MAX_SEED}")
         if seed in seen:
             raise ConfigError(f"seeds: {seed} is given twice; keep one")
         seen.add(seed)
-    return tuple(map(int, found))  # JSON cannot hold numpy's
+    return tuple(map(int, listed))  # JSON cannot hold numpy's
 
 
 def make_plan(
@@ -132,10 +132,10 @@ def make_plan(
     `effective` gives the complete scenario for overrides by dotted key, and raises ConfigError
     for invalid ones. It is called for every variant, so that errors appear before the first run.
     """
-    found = check_seeds(seeds)
+    planned_seeds = check_seeds(seeds)
     for key, values in sweep.items():
         _check_sweep(key, values, sets, sweep)
-    count = len(found) * math.prod(map(len, sweep.values()))
+    count = len(planned_seeds) * math.prod(map(len, sweep.values()))
     if count > MAX_RUNS:
         raise ConfigError(f"these are {count} runs; at most {MAX_RUNS} are made, so sweep less")
     last = [key.rpartition(".")[2] for key in sweep]  # whole keys where these are equal
@@ -148,7 +148,7 @@ def make_plan(
         name = ",".join(f"{short[key]}={shown(value)}" for key, value in values_of.items())
         variants.append(Variant(name, values_of, effective({**sets, **values_of})))
     return Plan(
-        scenario, found, tuple(variants), dict(sets), {k: list(v) for k, v in sweep.items()}
+        scenario, planned_seeds, tuple(variants), dict(sets), {k: list(v) for k, v in sweep.items()}
     )
 
 
@@ -164,12 +164,12 @@ def parts_of(runs: Sequence[Run], count: int) -> dict[str, int]:
     The longest run goes first, each to the part that has least to do (Graham 1969).
     """
     loads = [(0.0, part) for part in range(1, count + 1)]  # a heap
-    found = {}
+    part_of = {}
     for run in sorted(runs, key=lambda run: -run.robot_seconds):
         load, part = loads[0]
         heapq.heapreplace(loads, (load + run.robot_seconds, part))
-        found[run.id] = part
-    return found
+        part_of[run.id] = part
+    return part_of
 
 
 def _check_sweep(
@@ -183,10 +183,10 @@ def _check_sweep(
         raise ConfigError(f"sweep {key}: there is no value; expected a value such as {key}=0.1,0.2")
     if key in sets:
         raise ConfigError(f"{key} is both set and swept; keep one of them")
-    for other in (*sets, *sweep):
-        if other.startswith(f"{key}."):
+    for override in (*sets, *sweep):
+        if override.startswith(f"{key}."):
             raise ConfigError(
-                f"sweep {key}: {other} is part of it and would be lost; keep one of them"
+                f"sweep {key}: {override} is part of it and would be lost; keep one of them"
             )
     name, count = Counter(map(shown, values)).most_common(1)[0]
     if count > 1:
@@ -242,23 +242,23 @@ def parse_sets(words: Iterable[str]) -> dict[str, Any]:
 def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
     """The values of `--sweep key=a,b,c` by key; ConfigError for an invalid or repeated one."""
     words = list(words)
-    found = _by_key(words, SWEEP_SOURCE, "[{}]")
-    for (key, values), word in zip(found.items(), words, strict=True):
+    sweeps = _by_key(words, SWEEP_SOURCE, "[{}]")
+    for (key, values), word in zip(sweeps.items(), words, strict=True):
         if not values or word.rstrip().endswith(","):  # which YAML allows
             raise ConfigError(
                 f"{SWEEP_SOURCE} {key}: a value is empty; expected a value such as 0.1,0.2"
             )
-    return found
+    return sweeps
 
 
 def _by_key(words: Iterable[str], source: str, form: str) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for word in words:
         key, value = parse_override(word, source, form)
-        if key in found:
+        if key in values:
             raise ConfigError(f"{source} {key} is given twice; keep one")
-        found[key] = value
-    return found
+        values[key] = value
+    return values
 
 
 def _bounded(count: int, text: str) -> int:

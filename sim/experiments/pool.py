@@ -108,7 +108,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         metrics, errors = measure(trace), dict[str, str]()
         if job.metrics and on_progress is not None:
             on_progress(OWN_METRICS)
-        for metric in (metric_of(*one) for one in job.metrics.items()):
+        for metric in (metric_of(origin, digest) for origin, digest in job.metrics.items()):
             try:
                 metrics |= measure(trace, [metric])
             except MetricError as error:

@@ -29,12 +29,12 @@ _GROWTH = math.sqrt(2.0)  # of the number of seeds from one look to the next
 
 def looks(seeds: int) -> tuple[int, ...]:
     """After how many of the seeds candidates are compared: 5, 8, 12, 17 ..., below `seeds`."""
-    found: list[int] = []
+    counts: list[int] = []
     at = FIRST
     while at < seeds:
-        found.append(at)
+        counts.append(at)
         at = math.ceil(at * _GROWTH)
-    return tuple(found)
+    return tuple(counts)
 
 
 def losers(losses: Array, level: float) -> list[int]:
@@ -51,11 +51,11 @@ def losers(losses: Array, level: float) -> list[int]:
     sums = ranks.sum(axis=0)
     leader = int(sums.argmin())
     if k == 2:
-        other = 1 - leader
-        worse = _differences(losses[:, leader], losses[:, other])
+        follower = 1 - leader
+        worse = _differences(losses[:, leader], losses[:, follower])
         if not worse.any():
             return []
-        return [other] if float(wilcoxon(worse).pvalue) <= level else []
+        return [follower] if float(wilcoxon(worse).pvalue) <= level else []
     scatter = float((ranks**2).sum()) - n * k * (k + 1) ** 2 / 4.0
     if scatter <= 0.0:  # all are equal on each seed
         return []
@@ -71,7 +71,7 @@ def losers(losses: Array, level: float) -> list[int]:
 
 def mean_loss(losses: Sequence[float]) -> tuple[int, float]:
     """For comparing candidates over the same seeds: the number of failed runs, then the mean."""
-    finite = [one for one in losses if math.isfinite(one)]
+    finite = [loss for loss in losses if math.isfinite(loss)]
     return len(losses) - len(finite), sum(finite) / len(finite) if finite else math.inf
 
 

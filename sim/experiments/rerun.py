@@ -82,10 +82,10 @@ def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
     """The manifest of the same runs, with the present software; ConfigError as of `warnings`."""
     patterns = digests_of_folders(plugin_folders(old.plan)).items()
     code = {name: digest for name, digest in patterns if name.endswith(".py")}
-    files = [one.origin for one in old.metrics if names_file(one.origin)]
+    files = [metric.origin for metric in old.metrics if names_file(metric.origin)]
     code |= {origin: digest_of_file(origin) for origin in files}
     check_code(folder, old.plugins, code, is_trusted=is_trusted)
-    metrics = [metric_of(one.origin, code.get(one.origin, "")) for one in old.metrics]
+    metrics = [metric_of(metric.origin, code.get(metric.origin, "")) for metric in old.metrics]
     return manifest_of(old.plan, traces=old.traces, command=old.command, metrics=metrics)
 
 
@@ -105,8 +105,12 @@ def _difference(
         traces = before.traces[run], after.traces[run]
     except SwarmError:  # not kept, removed or damaged: the metrics have to do
         return differing and f"metrics: {differing}"
-    found = ", ".join(trace_differences(*traces))
-    return f"trace: {found}" if found else differing and f"metrics of the same trace: {differing}"
+    differing_fields = ", ".join(trace_differences(*traces))
+    return (
+        f"trace: {differing_fields}"
+        if differing_fields
+        else differing and f"metrics of the same trace: {differing}"
+    )
 
 
 def _bits(value: Any) -> bytes:

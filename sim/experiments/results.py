@@ -117,6 +117,15 @@ class Results:
         return tuple(row.run for row in self._rows)
 
     @property
+    def lacking(self) -> str:
+        """How many of the planned runs are there, and how many failed; empty if all are there."""
+        planned, finished = len(self.plan.runs), len(self._rows)
+        if planned == finished:
+            return ""
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"{finished} of {planned} runs are there{failed}"
+
+    @property
     def traces(self) -> Traces:
         """The traces of the finished runs, in the order of `rows`."""
         return Traces(self)
@@ -148,20 +157,20 @@ class Results:
         ConfigError with the nearest name if there is no such metric or variant, SwarmError if
         traces are missing.
         """
-        one = self.about(which)
+        metric = self.about(which)
         rows = self._rows if variant is None else self._of(variant)
-        known = self._own.get(one.name)
-        if one.name in self.metrics and (known is None or known.digest == one.digest):
-            values = [row.metrics[one.name] for row in rows]
+        known = self._own.get(metric.name)
+        if metric.name in self.metrics and (known is None or known.digest == metric.digest):
+            values = [row.metrics[metric.name] for row in rows]
         else:
-            measured = self._from_traces(one)
+            measured = self._from_traces(metric)
             values = [measured[row.run.id] for row in rows]
         return np.array(values, dtype=np.float64)  # None gives NaN
 
     def unreported(self) -> dict[str, str]:
         """A line for each column that takes what no robot reports in any run."""
         empty = [m for m in self._own.values() if not any(r.metrics[m.name] for r in self._rows)]
-        return {one.name: fault[0] for one in empty if (fault := self._unreported(one))}
+        return {metric.name: fault[0] for metric in empty if (fault := self._unreported(metric))}
 
     def _unreported(self, metric: Metric) -> list[str]:
         """Why no run has a value, or only 0; empty if one of the traces has what is reported."""
@@ -178,22 +187,22 @@ class Results:
         """The value of a metric by run, measured on the traces, once."""
         key = metric.origin or metric.name, metric.digest
         if key not in self._measured:
-            found: dict[str, float | None] = {}
+            measured: dict[str, float | None] = {}
             for errors in self.errors.values():
                 errors.pop(metric.name, None)  # of other code
             for row in self._rows:
                 try:
                     value = measure(self.traces[row.run.id], [metric])[metric.name]
-                    found[row.run.id] = value
+                    measured[row.run.id] = value
                 except MetricError as error:
-                    found[row.run.id] = None
+                    measured[row.run.id] = None
                     self.errors.setdefault(row.run.id, {})[metric.name] = str(error)
                 except SwarmError as error:
                     text = f"metric {metric.name} was not measured by the runs, and {error}"
                     raise SwarmError(f"{text}; run again with --metrics {metric.name}") from error
-            if not any(found.values()) and (fault := self._unreported(metric)):
+            if not any(measured.values()) and (fault := self._unreported(metric)):
                 raise ConfigError(fault[0])
-            self._measured[key] = found
+            self._measured[key] = measured
         return self._measured[key]
 
     def seeds(self, variant: str) -> tuple[int, ...]:
@@ -220,12 +229,12 @@ class Results:
                 raise ConfigError(f"{text}; name one")
             variant = self.variants[0]
         return {
-            one.name: statistics.summarize(
-                self.metric(one, variant),
-                is_share=one.unit == YES_OR_NO,
-                is_time_to_event=one.is_time_to_event,
+            metric.name: statistics.summarize(
+                self.metric(metric, variant),
+                is_share=metric.unit == YES_OR_NO,
+                is_time_to_event=metric.is_time_to_event,
             )
-            for one in map(self.about, names or self.metrics)
+            for metric in map(self.about, names or self.metrics)
         }
 
     def document(self, names: Sequence[str | Metric] | None = None) -> dict[str, Any]:
@@ -247,8 +256,8 @@ class Results:
                     "values": dict(variant.values),
                     "finished": len(self.seeds(variant.name)),
                     "metrics": {
-                        one.name: {"unit": one.unit, **asdict(summary)}
-                        for one, summary in self._summaries(variant.name, names)
+                        metric.name: {"unit": metric.unit, **asdict(summary)}
+                        for metric, summary in self._summaries(variant.name, names)
                     },
                 }
                 for variant in self.plan.variants
@@ -259,37 +268,37 @@ class Results:
         self, variant: str, names: Sequence[str | Metric] | None
     ) -> list[tuple[Metric, statistics.Summary]]:
         metrics = [self.about(name) for name in names or self.metrics]
-        found = self.summary(variant, metrics)
-        return [(one, found[one.name]) for one in metrics]
+        summaries = self.summary(variant, metrics)
+        return [(metric, summaries[metric.name]) for metric in metrics]
 
     def text(self, names: Sequence[str | Metric] | None = None) -> str:
         """A table of each variant, of all metrics without `names`."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
         count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
-        found = [f"{self.plan.scenario}: {part}{count}{failed}"]
+        lines = [f"{self.plan.scenario}: {part}{count}{failed}"]
         if (speed := self._speed()) is not None:
             some = (
                 f"{speed['median']:.3g} times real time ({speed['min']:.3g} to {speed['max']:.3g})"
             )
-            found.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
+            lines.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
         if self.kernels not in ("", "compiled"):
-            found.append(f"kernels: {self.kernels}")
+            lines.append(f"kernels: {self.kernels}")
         for variant in self.variants:
-            found += ["", variant] if variant else [""]
-            found += statistics.aligned(
+            lines += ["", variant] if variant else [""]
+            lines += statistics.aligned(
                 statistics.HEADER, statistics.summary_rows(self._summaries(variant, names))
             )
-        return "\n".join(found)
+        return "\n".join(lines)
 
     def __str__(self) -> str:
         return self.text()
 
     def _speed(self) -> dict[str, float] | None:
-        found = self.times_real_time
-        if not found.size:
+        speeds = self.times_real_time
+        if not speeds.size:
             return None
-        values = float(np.median(found)), float(found.min()), float(found.max())
+        values = float(np.median(speeds)), float(speeds.min()), float(speeds.max())
         return dict(zip(("median", "min", "max"), values, strict=True))
 
     def _of(self, variant: str) -> Sequence[Row]:
@@ -323,18 +332,18 @@ def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict
 
     Their code is read when a value is asked of them, and need not be there any more.
     """
-    found = {}
-    for one in manifest.metrics:
-        code = _Code(folder, one.origin, manifest.plugins.get(one.origin, ""), is_trusted)
-        found[one.name] = Metric(
-            **msgspec.structs.asdict(one),
+    metrics = {}
+    for own in manifest.metrics:
+        code = _Code(folder, own.origin, manifest.plugins.get(own.origin, ""), is_trusted)
+        metrics[own.name] = Metric(
+            **msgspec.structs.asdict(own),
             meaning="",
-            source=one.origin,
+            source=own.origin,
             value=code.value,
             series=code.series,
             digest=code.digest,
         )
-    return found
+    return metrics
 
 
 @dataclass(frozen=True)

@@ -34,22 +34,18 @@ _EXAMPLE = "KEY=0.1..0.5, KEY=1..8 or KEY=a,b,c"
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One key of a scenario that is searched, `name` as tables show it.
-
-    From `low` to `high`, or one of `choices`. `pattern` and `param`: the parameter of a pattern
-    that it is; empty for other keys. `present`: its value without a tuning, None if unknown.
-    """
+    """A key of a scenario that a tuning searches, between `low` and `high` or among `choices`."""
 
     key: str
-    name: str
+    name: str  # as tables show the key
     low: float = 0.0
     high: float = 0.0
     is_int: bool = False
-    choices: tuple[Any, ...] = ()
-    pattern: str = ""
-    param: str = ""
+    choices: tuple[Any, ...] = ()  # instead of `low` and `high`
+    pattern: str = ""  # whose parameter the key is; empty for other keys
+    param: str = ""  # the name of that parameter
     unit: str = ""
-    present: Any = None
+    present: Any = None  # the value in the scenario, None if unknown
 
     @property
     def is_log(self) -> bool:
@@ -106,25 +102,25 @@ class ParameterSpace:
     @property
     def text(self) -> list[str]:
         """A line for each parameter: key and range."""
-        return [f"{one.key}={one.range}" for one in self.parameters]
+        return [f"{parameter.key}={parameter.range}" for parameter in self.parameters]
 
     @property
     def present(self) -> dict[str, Any] | None:
         """The values of the scenario as it is, by name; None if one is unknown or out of range."""
         try:
-            for one in self.parameters:
-                one.number_of(one.present)
+            for parameter in self.parameters:
+                parameter.number_of(parameter.present)
         except ValueError:
             return None
-        return {one.name: one.present for one in self.parameters}
+        return {parameter.name: parameter.present for parameter in self.parameters}
 
     def draw(self, trial: Trial) -> dict[str, Any]:
         """The values of a trial, by name."""
-        return {one.name: one.draw(trial) for one in self.parameters}
+        return {parameter.name: parameter.draw(trial) for parameter in self.parameters}
 
     def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """The overrides of a scenario, by dotted key."""
-        return {one.key: values[one.name] for one in self.parameters}
+        return {parameter.key: values[parameter.name] for parameter in self.parameters}
 
     def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
         """These values and their loss, as the sampler takes them; None without values."""
@@ -132,11 +128,18 @@ class ParameterSpace:
 
         if not values:
             return None
-        numbers = {one.key: one.number_of(values[one.name]) for one in self.parameters}
-        whole = {one.key for one in self.parameters if one.choices or one.is_int}
+        numbers = {
+            parameter.key: parameter.number_of(values[parameter.name])
+            for parameter in self.parameters
+        }
+        whole = {
+            parameter.key for parameter in self.parameters if parameter.choices or parameter.is_int
+        }
         return create_trial(
             params={key: int(x) if key in whole else x for key, x in numbers.items()},
-            distributions={one.key: one.distribution() for one in self.parameters},
+            distributions={
+                parameter.key: parameter.distribution() for parameter in self.parameters
+            },
             value=loss,
         )
 
@@ -153,20 +156,23 @@ def parameter_space(
     declared = _declared(scenario)
     words = list(words)
     if not words:
-        found = []
-        for one, why in declared:
+        parameters = []
+        for parameter, why in declared:
             if not why:
-                found.append(one)
-            elif one.param not in Params.__struct_fields__:
-                on_note(f"{one.name} is not tuned: {why}; name it with {SOURCE} {one.name}=LO..HI")
-        if not found:
+                parameters.append(parameter)
+            elif parameter.param not in Params.__struct_fields__:
+                name = parameter.name
+                on_note(f"{name} is not tuned: {why}; name it with {SOURCE} {name}=LO..HI")
+        if not parameters:
             raise ConfigError(
                 f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
                 f" {SOURCE} {_EXAMPLE}"
             )
     else:
-        found = [_parameter(word, declared, scenario.effective, "the scenario") for word in words]
-    return ParameterSpace(once(found))
+        parameters = [
+            _parameter(word, declared, scenario.effective, "the scenario") for word in words
+        ]
+    return ParameterSpace(once(parameters))
 
 
 def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
@@ -177,12 +183,12 @@ def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
     return _parameter(word, (), data, what)
 
 
-def once(found: Sequence[Parameter]) -> Sequence[Parameter]:
+def once(parameters: Sequence[Parameter]) -> Sequence[Parameter]:
     """The same parameters; ConfigError if two have the same key."""
-    keys = Counter(one.key for one in found)
+    keys = Counter(parameter.key for parameter in parameters)
     if (twice := next((key for key, count in keys.items() if count > 1), None)) is not None:
         raise ConfigError(f"{SOURCE} {twice} is given twice; keep one")
-    return found
+    return parameters
 
 
 def parse_range(word: str) -> tuple[float, float]:
@@ -203,7 +209,7 @@ def patterns_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
-    """Each parameter of the patterns, and why it cannot be tuned without bounds; empty if it can.
+    """Each parameter of the patterns, with the reason why a tuning needs bounds for it, or "".
 
     A bound on a speed is the limit of the slowest robot in that direction, backwards too.
     """
@@ -211,7 +217,7 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
     load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
     kinds = [(name, load(name).params_type) for name in patterns_of(scenario)]
     count = Counter(spec.name for _, kind in kinds for spec in schema(kind))
-    found = []
+    bounded = []
     for pattern, kind in kinds:
         robot = _robot_of(scenario, pattern)
         platform = scenario.robots[robot]
@@ -220,7 +226,7 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
         _, present = build(kind, layers)
         for spec in schema(kind):
             name = spec.name if count[spec.name] == 1 else f"{pattern}.{spec.name}"
-            one = Parameter(
+            parameter = Parameter(
                 _key(scenario, pattern, spec.name),
                 name,
                 pattern=pattern,
@@ -228,30 +234,32 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
                 unit=spec.unit,
                 present=present[spec.name][0],
             )
-            found.append(_with_bounds(one, spec, platform))
-    return found
+            bounded.append(_with_bounds(parameter, spec, platform))
+    return bounded
 
 
-def _with_bounds(one: Parameter, spec: ParamSpec, platform: Platform) -> tuple[Parameter, str]:
+def _with_bounds(
+    parameter: Parameter, spec: ParamSpec, platform: Platform
+) -> tuple[Parameter, str]:
     if spec.name in Params.__struct_fields__:
-        return replace(one, choices=spec.choices or (True, False)), "it is a parameter of all"
+        return replace(parameter, choices=spec.choices or (True, False)), "it is a parameter of all"
     if spec.choices:
-        return replace(one, choices=spec.choices), ""
+        return replace(parameter, choices=spec.choices), ""
     if spec.type == "bool":
-        return replace(one, choices=(False, True)), ""
+        return replace(parameter, choices=(False, True)), ""
     if spec.type == "str":
-        return one, "it is any text"
-    one = replace(one, is_int=spec.type == "int")
+        return parameter, "it is any text"
+    parameter = replace(parameter, is_int=spec.type == "int")
     if spec.ge is None or spec.le is None:
-        return one, f"it has no {'lower' if spec.ge is None else 'upper'} bound"
+        return parameter, f"it has no {'lower' if spec.ge is None else 'upper'} bound"
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
     limit = limits.get(spec.unit, math.inf)
     if spec.name == "lateral" and spec.unit == "m/s":
         limit = platform.limits.lateral
         if limit == 0.0:
-            return one, f"{platform.name} does not move sideways"
+            return parameter, f"{platform.name} does not move sideways"
     low, high = max(spec.ge, -limit), min(spec.le, limit)
-    return replace(one, low=low, high=high), "" if low < high else "it has one value"
+    return replace(parameter, low=low, high=high), "" if low < high else "it has one value"
 
 
 def _robot_of(scenario: Scenario, pattern: str) -> str:
@@ -281,39 +289,39 @@ def _parameter(
     what: str,
 ) -> Parameter:
     key, equals, text = (part.strip() for part in word.partition("="))
-    known = {one.name: (one, why) for one, why in declared}
-    known |= {one.key: (one, why) for one, why in declared}
-    one, why = known.get(key, (None, ""))
+    known = {parameter.name: (parameter, why) for parameter, why in declared}
+    known |= {parameter.key: (parameter, why) for parameter, why in declared}
+    parameter, why = known.get(key, (None, ""))
     if not equals:
-        if one is None:
-            names = [one.name for one, _ in declared]
+        if parameter is None:
+            names = [parameter.name for parameter, _ in declared]
             raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
-        if why and not one.choices:
+        if why and not parameter.choices:
             raise ConfigError(f"{SOURCE} {key}: {why}; give {key}=LO..HI")
-        return one
-    if one is None:
+        return parameter
+    if parameter is None:
         if "." not in key:
-            names = [one.name for one, _ in declared]
+            names = [parameter.name for parameter, _ in declared]
             raise ConfigError(
                 f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
             )
-        one = Parameter(key, key, present=_present(data, key))
-    is_choice = bool(one.choices)
-    one = replace(one, choices=(), low=0.0, high=0.0)
+        parameter = Parameter(key, key, present=_present(data, key))
+    is_choice = bool(parameter.choices)
+    parameter = replace(parameter, choices=(), low=0.0, high=0.0)
     match = _RANGE.fullmatch(text)
     if match is None:
         _, values = parse_override(f"{key}={text}", SOURCE, "[{}]")
         if not values or any(isinstance(value, dict | list) for value in values):
             raise ConfigError(f"{SOURCE} {word}: expected {_EXAMPLE}")
-        return replace(one, choices=tuple(dict.fromkeys(values)))
+        return replace(parameter, choices=tuple(dict.fromkeys(values)))
     if is_choice:
         raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")
     low, high = parse_range(word)
     whole = all(re.fullmatch(r"[+-]?\d+", end) for end in match.groups())
-    is_int = one.is_int if one.param else whole
+    is_int = parameter.is_int if parameter.param else whole
     if is_int and not whole:
         raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..8")
-    return replace(one, low=low, high=high, is_int=is_int)
+    return replace(parameter, low=low, high=high, is_int=is_int)
 
 
 def _present(data: Mapping[str, Any], key: str) -> Any:

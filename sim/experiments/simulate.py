@@ -40,17 +40,13 @@ from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far an experiment is: `done` of `total` runs have ended, `failed` of them in vain.
-
-    `worked`: the robot-seconds that were simulated since the start. `left`: those to come, or what
-    all workers could do until the longest run ends, if that is more.
-    """
+    """How far an experiment is: `done` of `total` runs have ended, `failed` of them in vain."""
 
     done: int
     total: int
     failed: int
-    worked: float
-    left: float
+    worked: float  # robot-seconds that were simulated since the start
+    left: float  # robot-seconds to come, or what all workers could do until the longest run ends
 
 
 OnProgress: TypeAlias = Callable[[Progress], None]
@@ -77,20 +73,23 @@ def simulate(
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
-    `set` and `sweep` are by dotted key of the scenario's file: `{"groups.tb3.count": 5}`, and
-    `{"groups.tb3.parameters.spacing": [0.6, 0.8]}`; every combination is run. With `jobs` above 1
-    as many worker processes do the runs, from scripts and notebooks alike; with 1, this process
-    does them. The results are the same, bit by bit. In worker processes, a run without progress
-    for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call
-    continues an interrupted one. Without `out`, the results are deleted with the returned object.
-    With `cores` above 1 as many processes share the robots of each run, which is for large ones.
-    `metrics` are measured besides those of the catalog: `report:...`, `reading:...`,
-    `FILE.py:FUNCTION`. With `shard="3/40"` only the third of forty parts is run; `merge` joins
-    their folders. `on_progress` is called with the progress, after each run and in worker processes
-    also during runs; `progress()` of `swarmd.sim.cli.progress` gives that of `swarmctl exp run`.
+    - `set`: overrides by dotted key of the scenario's file: `{"groups.tb3.count": 5}`.
+    - `sweep`: lists of values by dotted key: `{"groups.tb3.parameters.spacing": [0.6, 0.8]}`. Every
+      combination is run.
+    - `jobs`: worker processes that do the runs, from scripts and notebooks alike. With 1, this
+      process does the runs. The results are the same, bit by bit.
+    - `timeout`: a run in a worker process fails after so many seconds without progress.
+    - `out`: a folder as of `swarmctl exp`. The same call continues an interrupted experiment.
+      Without `out`, the results are deleted with the returned object.
+    - `cores`: processes that share the robots of each run, for runs with many robots.
+    - `metrics`: measured besides those of the catalog: `report:...`, `reading:...`,
+      `FILE.py:FUNCTION`.
+    - `shard`: with "3/40" only the third of forty parts is run; `merge` joins their folders.
+    - `on_progress`: called with the progress after each run, and in worker processes also during
+      runs. `progress()` of `swarmd.sim.cli.progress` gives the display of `swarmctl exp run`.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
-    in `failures` of the results; SwarmError if all runs failed.
+    in `failures` of the results. SwarmError if all runs failed.
     """
     if jobs < 1:
         raise ConfigError(f"jobs is {jobs}; expected 1 or more")
@@ -136,16 +135,16 @@ def plan_of(
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     first = check_seeds(seeds)
     noted: dict[str, None] = {}
-    given = [*([SOURCE] * bool(set)), *([SWEEP_SOURCE] * bool(sweep))]
+    given = [source for source, keys in ((SOURCE, set), (SWEEP_SOURCE, sweep)) if keys]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
-        found = _overridden(scenario, overrides, " or ".join(given))
-        found.starts(first[0])
-        for note in found.notes:
+        varied = _overridden(scenario, overrides, " or ".join(given))
+        varied.starts(first[0])
+        for note in varied.notes:
             if note not in noted:
                 on_note(note)
-        noted.update(dict.fromkeys(found.notes))
-        return plain(found.effective)
+        noted.update(dict.fromkeys(varied.notes))
+        return plain(varied.effective)
 
     return make_plan(name, first, set or {}, sweep or {}, effective)
 
@@ -166,8 +165,10 @@ def run_experiment(
     """
     code = manifest.plugins.items()
     remember_code(digest for name, digest in code if not name.endswith(MISSION))
-    origins = {one.origin: manifest.plugins.get(one.origin, "") for one in manifest.metrics}
-    columns = (*METRICS, *(one.name for one in manifest.metrics))
+    origins = {
+        metric.origin: manifest.plugins.get(metric.origin, "") for metric in manifest.metrics
+    }
+    columns = (*METRICS, *(metric.name for metric in manifest.metrics))
     with open_store(folder, manifest, columns) as store:
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
@@ -194,7 +195,9 @@ def _gather(
     """Keep each result as it arrives; SwarmError if one cannot be written."""
     by_id = {run.id: run for run in runs}
     work = {run.id: run.robot_seconds for run in runs}
-    total, ended, left = len(store.rows) + len(runs), 0.0, sum(work.values())
+    total = len(store.rows) + len(runs)
+    ended = 0.0  # robot-seconds
+    left = sum(work.values())  # robot-seconds
     shares: dict[str, float] = {}
 
     def report() -> None:
@@ -206,9 +209,9 @@ def _gather(
             done = len(store.rows) + failed
             on_progress(Progress(done, total, failed, ended + begun, to_come))
 
-    with closing(run_jobs) as found:
+    with closing(run_jobs) as results:
         report()
-        for result in found:
+        for result in results:
             if not isinstance(result, JobResult):
                 shares = dict(result)
                 report()
@@ -239,7 +242,7 @@ def _results(store: Store) -> Results:
         store.plan,
         rows,
         store.failures,
-        (*METRICS, *(one.name for one in store.manifest.metrics)),
+        (*METRICS, *(metric.name for metric in store.manifest.metrics)),
         store.manifest.made_with["kernels"],
         own=known_metrics(store.manifest, store.folder, is_trusted=True),
         errors=store.errors,

@@ -141,8 +141,8 @@ def ratio_interval(above: Array, below: Array) -> Interval | None:
         return np.asarray(above.mean(axis=axis) / below.mean(axis=axis))
 
     with np.errstate(divide="ignore"):
-        found = _bootstrap((above, below), ratio, "percentile")
-    return found if found is not None and np.isfinite(found).all() else None
+        bounds = _bootstrap((above, below), ratio, "percentile")
+    return bounds if bounds is not None and np.isfinite(bounds).all() else None
 
 
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
@@ -159,7 +159,7 @@ def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
     def difference(a: Array, b: Array, axis: int) -> Array:
         return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
 
-    found = permutation_test(
+    test = permutation_test(
         (a, b),
         difference,
         permutation_type="samples" if is_paired else "independent",
@@ -168,7 +168,7 @@ def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
         batch=max(1, _BATCH // (a.size + b.size)),
         rng=np.random.default_rng([_SEED, 1]),
     )
-    return float(found.pvalue)
+    return float(test.pvalue)
 
 
 def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
@@ -201,13 +201,13 @@ def restricted(times: Array, horizon: float) -> Array:
     return np.minimum(np.where(np.isnan(times), np.inf, times), horizon)
 
 
-def holm(found: Sequence[float | None]) -> list[float | None]:
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """The p of several tests, each corrected for all: Holm, Scand. J. Statist. 6, 1979.
 
     If each below 0.05 is called a finding, any of them is false with a probability below 0.05.
     """
-    known = sorted((p, index) for index, p in enumerate(found) if p is not None)
-    corrected: list[float | None] = [None] * len(found)
+    known = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
+    corrected: list[float | None] = [None] * len(p_values)
     least = 0.0
     for rank, (p, index) in enumerate(known):
         least = max(least, min(1.0, (len(known) - rank) * p))
@@ -248,8 +248,8 @@ def wilson(count: int, n: int) -> Interval:
 
     if n < 1:
         raise ValueError("a share of nothing has no interval")
-    found = binomtest(count, n).proportion_ci(LEVEL, method="wilson")
-    return Interval(float(found.low), float(found.high))
+    bounds = binomtest(count, n).proportion_ci(LEVEL, method="wilson")
+    return Interval(float(bounds.low), float(bounds.high))
 
 
 def _bootstrap(
@@ -263,7 +263,7 @@ def _bootstrap(
     # Almost equal values have no acceleration: 0 / 0.
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
-        found = bootstrap(
+        bounds = bootstrap(
             samples,
             statistic,
             n_resamples=RESAMPLES,
@@ -274,9 +274,9 @@ def _bootstrap(
             method=method,
             rng=np.random.default_rng([_SEED, 0]),
         ).confidence_interval
-    if method == "BCa" and np.isnan((found.low, found.high)).any():
+    if method == "BCa" and np.isnan((bounds.low, bounds.high)).any():
         return _bootstrap(samples, statistic, "percentile")
-    return Interval(float(found.low), float(found.high))
+    return Interval(float(bounds.low), float(bounds.high))
 
 
 HEADER = ("METRIC", "UNIT", "MEAN", "95 %", "MEDIAN", "95 %", "MIN", "MAX", "RUNS")
@@ -292,15 +292,17 @@ def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str,
         (
             metric.name,
             metric.unit or NOTHING,
-            f"{one.never} of {one.n + one.never} never" if one.never else number(one.mean),
-            interval(one.mean_interval if one.share is None else one.share_interval),
-            number(one.median) if one.share is None else NOTHING,
-            interval(one.median_interval if one.share is None else None),
-            number(one.min),
-            number(one.max),
-            str(one.n + (one.never or 0)),
+            f"{summary.never} of {summary.n + summary.never} never"
+            if summary.never
+            else number(summary.mean),
+            interval(summary.mean_interval if summary.share is None else summary.share_interval),
+            number(summary.median) if summary.share is None else NOTHING,
+            interval(summary.median_interval if summary.share is None else None),
+            number(summary.min),
+            number(summary.max),
+            str(summary.n + (summary.never or 0)),
         )
-        for metric, one in summaries
+        for metric, summary in summaries
     ]
 
 
@@ -318,6 +320,6 @@ def number(value: float | None) -> str:
     return NOTHING if value is None else f"{value:.4g}"
 
 
-def interval(found: Interval | None) -> str:
+def interval(bounds: Interval | None) -> str:
     """Both ends, with four significant digits each."""
-    return NOTHING if found is None else f"{found.low:.4g} to {found.high:.4g}"
+    return NOTHING if bounds is None else f"{bounds.low:.4g} to {bounds.high:.4g}"

@@ -8,8 +8,7 @@
     failures.json   the runs that failed, and custom metrics that failed in a run, and why
     summary.json    means, medians and intervals by variant and metric
 
-The last line of runs.csv may be torn, as a killed process leaves it. It is read as if it were not
-there.
+A killed process may leave the last line of runs.csv torn. Readers skip a torn line.
 """
 
 from __future__ import annotations
@@ -214,10 +213,10 @@ def read_failures(folder: Path) -> dict[str, str]:
 
 def read_errors(folder: Path) -> dict[str, dict[str, str]]:
     """Why custom metrics have no value, by run and metric; ConfigError as above."""
-    found: dict[str, dict[str, str]] = {}
+    errors: dict[str, dict[str, str]] = {}
     for run, metric, why in _listed(folder, "metrics"):
-        found.setdefault(run, {})[metric] = why
-    return found
+        errors.setdefault(run, {})[metric] = why
+    return errors
 
 
 def _listed(folder: Path, key: str) -> list[tuple[str, str, str]]:
@@ -225,8 +224,8 @@ def _listed(folder: Path, key: str) -> list[tuple[str, str, str]]:
     path = folder / FAILURES
     try:
         return [
-            (str(one["run"]), str(one.get("metric", "")), str(one["reason"]))
-            for one in json.loads(path.read_bytes())[key]
+            (str(entry["run"]), str(entry.get("metric", "")), str(entry["reason"]))
+            for entry in json.loads(path.read_bytes())[key]
         ]
     except FileNotFoundError:
         return []

@@ -61,18 +61,20 @@ class Factors:
 def first_and_others(results: Results, metrics: Sequence[Metric]) -> list[list[Difference]]:
     """The differences of each variant from the first, corrected for all of them together."""
     first, *others = _sides(results)
-    found = [compare(first, other, metrics) for other in others]
-    every = iter(corrected([one for some in found for one in some]))
-    return [[next(every) for _ in some] for some in found]
+    by_variant = [compare(first, side, metrics) for side in others]
+    in_order = iter(corrected([difference for row in by_variant for difference in row]))
+    return [[next(in_order) for _ in row] for row in by_variant]
 
 
 def variants_table(
     results: Results, metrics: Sequence[Metric]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Header and rows of means, variant by metric; READING explains the cells."""
-    header = ("VARIANT", *(f"{one.name} [{one.unit}]" if one.unit else one.name for one in metrics))
-    holds = [[False] * len(metrics)]
-    holds += [[one.holds for one in found] for found in first_and_others(results, metrics)]
+    names = [f"{metric.name} [{metric.unit}]" if metric.unit else metric.name for metric in metrics]
+    header = ("VARIANT", *names)
+    holds = [[False] * len(metrics)]  # of the first variant
+    for differences in first_and_others(results, metrics):
+        holds.append([difference.holds for difference in differences])
     rows = []
     for side, marked in zip(_sides(results), holds, strict=True):
         cells = []
@@ -81,7 +83,7 @@ def variants_table(
             known, never = _known(results, side.variant, metric, values)
             text = number(float(known.mean()) if known.size else None)
             text += f" ({never} of {values.size} never)" if never else ""
-            cells.append(text + MARK * has_mark)
+            cells.append(text + MARK if has_mark else text)
         rows.append((side.variant, *cells))
     return header, rows
 
@@ -90,8 +92,11 @@ def variants_document(results: Results, metrics: Sequence[Metric]) -> dict[str, 
     """The differences of each variant from the first as plain values, by variant and metric."""
     _, *others = _sides(results)
     return {
-        side.variant: {one.metric: {**asdict(one), "holds": one.holds} for one in found}
-        for side, found in zip(others, first_and_others(results, metrics), strict=True)
+        side.variant: {
+            difference.metric: {**asdict(difference), "holds": difference.holds}
+            for difference in differences
+        }
+        for side, differences in zip(others, first_and_others(results, metrics), strict=True)
     }
 
 
@@ -100,30 +105,30 @@ def factors(results: Results, metrics: Sequence[Metric]) -> list[Factors]:
     sweep = results.plan.sweep
     if len(sweep) != 2 or min(map(len, sweep.values())) < 2:
         return []
-    found = [one for metric in metrics if (one := _factors(results, metric)) is not None]
-    values = holm([one.p for one in found])
-    return [replace(one, p_holm=p) for one, p in zip(found, values, strict=True)]
+    effects = [effect for metric in metrics if (effect := _factors(results, metric)) is not None]
+    values = holm([effect.p for effect in effects])
+    return [replace(effect, p_holm=p) for effect, p in zip(effects, values, strict=True)]
 
 
 MARGINAL_HEADER = ("METRIC", "UNIT", "OF ALL WITH", "MEAN", "95 %", "SEEDS")
 INTERACTION_HEADER = ("METRIC", "UNIT", "LARGEST DEVIATION FROM THE SUM", "P (HOLM)", "INTERACTION")
 
 
-def marginal_rows(one: Factors) -> list[tuple[str, ...]]:
+def marginal_rows(effect: Factors) -> list[tuple[str, ...]]:
     """Rows below MARGINAL_HEADER."""
     return [
-        (one.metric, one.unit or "-", f"{part.key}={part.value}", number(part.mean),
-         interval(part.interval), str(one.n))
-        for part in one.marginals
+        (effect.metric, effect.unit or "-", f"{part.key}={part.value}", number(part.mean),
+         interval(part.interval), str(effect.n))
+        for part in effect.marginals
     ]  # fmt: skip
 
 
-def interaction_row(one: Factors) -> tuple[str, ...]:
+def interaction_row(effect: Factors) -> tuple[str, ...]:
     """A row below INTERACTION_HEADER."""
-    shows = one.p_holm is not None and one.p_holm <= 1.0 - LEVEL
-    result = "shown" if shows else "too few runs" if one.p_holm is None else "none shown"
-    deviation = f"{one.deviation:+.4g} with {one.largest}"
-    return (one.metric, one.unit or "-", deviation, number(one.p_holm), result)
+    shows = effect.p_holm is not None and effect.p_holm <= 1.0 - LEVEL
+    result = "shown" if shows else "too few runs" if effect.p_holm is None else "none shown"
+    deviation = f"{effect.deviation:+.4g} with {effect.largest}"
+    return (effect.metric, effect.unit or "-", deviation, number(effect.p_holm), result)
 
 
 def _sides(results: Results) -> list[Side]:
@@ -139,38 +144,37 @@ def _known(results: Results, variant: str, metric: Metric, values: Array) -> tup
 
 
 def _duration(results: Results, variant: str) -> float:
-    found = next(one for one in results.plan.variants if one.name == variant)
-    return float(found.effective["duration"])
+    named = {planned.name: planned for planned in results.plan.variants}
+    return float(named[variant].effective["duration"])
 
 
 def _factors(results: Results, metric: Metric) -> Factors | None:
-    (key, rows), (other, columns) = results.plan.sweep.items()
+    (row_key, row_values), (column_key, column_values) = results.plan.sweep.items()
     by_cell: dict[tuple[Any, Any], dict[int, float]] = {}
     for variant in results.plan.variants:
         values = results.metric(metric, variant.name)
         if metric.is_time_to_event:
             values = restricted(values, min(_duration(results, v) for v in results.variants))
         seeds = map(int, results.seeds(variant.name))
-        cell = shown(variant.values[key]), shown(variant.values[other])
+        cell = shown(variant.values[row_key]), shown(variant.values[column_key])
         by_cell[cell] = {s: v for s, v in zip(seeds, values.tolist(), strict=True) if v == v}
     common = sorted(set.intersection(*map(set, by_cell.values())))
     if not common:
         return None
-    names = [shown(one) for one in rows], [shown(one) for one in columns]
+    names = [*map(shown, row_values)], [*map(shown, column_values)]
     cells = np.array(
         [[[by_cell[a, b][seed] for seed in common] for b in names[1]] for a in names[0]]
     )
     marginals = [
         Marginal(name.rpartition(".")[2], text, float(part.mean()), mean_interval(part))
-        for axis, name in enumerate((key, other))
+        for axis, name in enumerate((row_key, column_key))
         for text, part in zip(names[axis], cells.mean(axis=1 - axis), strict=True)
     ]
     means = cells.mean(axis=2)
     away = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
     row, column = np.unravel_index(int(np.abs(away).argmax()), away.shape)
-    largest = (
-        f"{key.rpartition('.')[2]}={names[0][row]},{other.rpartition('.')[2]}={names[1][column]}"
-    )
+    row_name, column_name = (key.rpartition(".")[2] for key in (row_key, column_key))
+    largest = f"{row_name}={names[0][row]},{column_name}={names[1][column]}"
     p = interaction_p(cells, has_blocks=True)
     deviation = float(away[row, column])
     return Factors(metric.name, metric.unit, len(common), tuple(marginals), largest, deviation, p)

@@ -4,8 +4,8 @@
 
     from swarmd.sim.experiments.tune import tune
 
-    found = tune("aggregation", "gather_time:min", budget=200, param=["spacing=0.6..0.9"])
-    print(found)
+    tuning = tune("aggregation", "gather_time:min", budget=200, param=["spacing=0.6..0.9"])
+    print(tuning)
 
 The same as `swarmctl exp tune`. Races follow one another: a sampler draws candidates from the
 results of the races before, all candidates meet the same seeds in the same order, and those that
@@ -65,8 +65,12 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial
 
 Goal = Literal["min", "max"]
-STATE, RACES, HELD_OUT, RESULT = "tune.json", "races", "held_out", "tuned.yaml"
-MISSIONS, MISSION = "missions", "tuned_mission.yaml"
+STATE = "tune.json"
+RACES = "races"
+HELD_OUT = "held_out"
+RESULT = "tuned.yaml"
+MISSIONS = "missions"
+MISSION = "tuned_mission.yaml"
 PRESENT, TUNED = "present", "tuned"
 """The variants of the runs with held-out seeds: the values of the scenario, and the best found."""
 CANDIDATES = 8
@@ -77,7 +81,7 @@ _MAX_DRAWS = 40  # for one candidate, until it is neither refused nor known
 
 
 class Space(Protocol):
-    """What is searched: draws values, and makes overrides of a scenario of them."""
+    """The values that a tuning may draw, and the overrides of the scenario that they are."""
 
     @property
     def text(self) -> list[str]:
@@ -99,36 +103,35 @@ class Space(Protocol):
 
 @dataclass(slots=True)
 class Candidate:
-    """Values that are tried. Number 0 is the scenario as it is, with the values that are known.
-
-    `losses`: of the first seeds, inf of a failed run or one without a value; less is better.
-    `is_out`: a race has ended it early. `estimate`: the mean loss over all seeds of a race, of one
-    that ended early estimated; NaN during its race.
-    """
+    """Values of the parameters that a tuning tries; number 0 has the values of the scenario."""
 
     number: int
     values: dict[str, Any]
+    """Values by parameter, of candidate 0 those that are known."""
     overrides: dict[str, Any]
+    """Overrides of the scenario by dotted key."""
     effective: Mapping[str, Any]
+    """The complete scenario."""
     losses: list[float] = field(default_factory=list)
+    """A loss for each of the first seeds, less is better; inf of a run that failed or has no value.
+    """
     is_out: bool = False
+    """A race has ended the candidate early."""
     estimate: float = math.nan
+    """The mean loss over all seeds of a race, estimated if `is_out`; NaN during the race."""
     trial: Any = None
+    """The trial of optuna; None of candidate 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A moment of a tuning: `runs` of `budget` are done, in this `race`.
+    """A moment of a tuning: `runs` of `budget` are done, in this `race`."""
 
-    `candidates`: all so far, the best first, those that ended early last. `alive`: how many new
-    ones of the race go on.
-    """
-
-    race: int
+    race: int  # from 1 on
     runs: int
     budget: int
-    alive: int
-    candidates: tuple[Candidate, ...]
+    alive: int  # new candidates of the race that go on
+    candidates: tuple[Candidate, ...]  # all so far, the best first, those that ended early last
     metric: str
     goal: Goal
 
@@ -162,14 +165,7 @@ Workers: TypeAlias = Callable[[Manifest], AbstractContextManager[tuple[Runner, M
 
 @dataclass(slots=True, weakref_slot=True)
 class Tuning:
-    """The result of a tuning, which is in `folder`.
-
-    `best` is candidate number 0 if no other has a better mean over the seeds of the races. `gain`:
-    tuned against present values on held-out seeds, None without held-out seeds or without a better
-    candidate. `drops`: by variant, how the same runs differ in pseudo-reality. `importance`: the
-    share of each parameter in what makes candidates good, by PED-ANOVA; empty if unknown.
-    `document`: tuned.yaml.
-    """
+    """The result of a tuning, which is in `folder`."""
 
     folder: Path
     metric: Metric
@@ -179,17 +175,23 @@ class Tuning:
     held_out: tuple[int, ...]
     runs: int
     best: Candidate
+    """Candidate number 0 if no candidate has a better mean over the seeds of the races."""
     candidates: tuple[Candidate, ...]
     importance: dict[str, float]
+    """The share of each parameter in what makes candidates good, by PED-ANOVA; empty if unknown."""
     gain: Difference | None = None
+    """Tuned against present values on held-out seeds; None without these or if `best` is number 0.
+    """
     drops: dict[str, Difference] = field(default_factory=dict)
+    """By variant, how the same runs differ in pseudo-reality."""
     document: str = ""
+    """The text of tuned.yaml."""
 
     def value(self, candidate: Candidate) -> float:
         """The mean of the metric over the seeds of the races.
 
-        That of a candidate that ended early is estimated by the difference from the best one of its
-        race, and a failed run counts as the worst of the race.
+        The mean of a candidate that ended early is estimated by the difference from the best
+        candidate of the race. A failed run counts as the worst run of the race.
         """
         return candidate.estimate if self.goal == "min" else -candidate.estimate
 
@@ -197,25 +199,29 @@ class Tuning:
         return self.document
 
 
-def plain_tuning(found: Tuning) -> dict[str, Any]:
+def plain_tuning(tuning: Tuning) -> dict[str, Any]:
     """A tuning as plain values."""
 
-    def about(one: Candidate) -> dict[str, Any]:
-        known = {"candidate": one.number, "values": one.values, "mean": found.value(one)}
-        return {**known, "seeds": len(one.losses), "is_out": one.is_out}
+    def about(candidate: Candidate) -> dict[str, Any]:
+        known = {
+            "candidate": candidate.number,
+            "values": candidate.values,
+            "mean": tuning.value(candidate),
+        }
+        return {**known, "seeds": len(candidate.losses), "is_out": candidate.is_out}
 
     return {
-        "folder": str(found.folder),
-        "metric": found.metric.name,
-        "goal": found.goal,
-        "runs": found.runs,
-        "seeds": list(found.seeds),
-        "held_out": list(found.held_out),
-        "best": about(found.best),
-        "gain": None if found.gain is None else asdict(found.gain),
-        "drops": {name: asdict(drop) for name, drop in found.drops.items()},
-        "importance": found.importance,
-        "candidates": [about(one) for one in found.candidates],
+        "folder": str(tuning.folder),
+        "metric": tuning.metric.name,
+        "goal": tuning.goal,
+        "runs": tuning.runs,
+        "seeds": list(tuning.seeds),
+        "held_out": list(tuning.held_out),
+        "best": about(tuning.best),
+        "gain": None if tuning.gain is None else asdict(tuning.gain),
+        "drops": {name: asdict(drop) for name, drop in tuning.drops.items()},
+        "importance": tuning.importance,
+        "candidates": [about(candidate) for candidate in tuning.candidates],
     }
 
 
@@ -225,11 +231,11 @@ def split_metric(text: str, goal: str | None = None) -> tuple[Metric, Goal]:
     if goal is None and word in ("min", "max") and name not in ("", "report", "reading"):
         text, goal = name, word
     metric = metric_of(text)
-    found = {"less": "min", "more": "max"}.get(metric.better or "") if goal is None else goal
-    if found not in ("min", "max"):
+    direction = {"less": "min", "more": "max"}.get(metric.better or "") if goal is None else goal
+    if direction not in ("min", "max"):
         wanted = f"expected {text}:min or {text}:max"
         raise ConfigError(f"metric {text}: neither less nor more is better as such; {wanted}")
-    return metric, cast("Goal", found)
+    return metric, cast("Goal", direction)
 
 
 def tune(
@@ -255,23 +261,26 @@ def tune(
 ) -> Tuning:
     """Search the values of parameters with the best mean of a metric over the seeds.
 
-    `metric` is as of `--metrics`, with `:min` or `:max` where the metric has no better direction.
-    `param`: the keys to search, as `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
-    "law=settling,paper"; by default all parameters of the scenario's patterns. With
-    `mission`, names of patterns, missions of these are the candidates, and `param` has bounds of
-    conditions: "timeout=5..60", "nearer=0.3..1", "probability=0.01..1", "neighbors=1..6",
-    "reading:light=0..100". With `mission` the path of a mission's file (.yaml), this mission with
-    other values of its dotted keys: "sequence.0.until.probability=0.01..1". Races take at most
-    `budget` runs, in each at most `candidates` new candidates over `seeds`. A number of
-    `held_out` seeds means those after the greatest of `seeds`. `jobs`, `timeout` and `out` are as
-    of `simulate`, the folder of an interrupted tuning continues with the same call, and the result
-    does not depend on `jobs`. `pseudo_reality`: the held-out runs are repeated with the key of this
-    name, and `drops` tell what they lose. `workers` do the runs in place of processes of this
-    machine. `on_look` is called at every look at a race, `on_step` with a line before each race and
-    each set of held-out runs, `on_note` with what is not tuned.
+    - `metric`: as of `--metrics`, with `:min` or `:max` where the metric has no better direction.
+    - `budget`: the races take at most so many runs.
+    - `candidates`: new candidates of a race, at most; each runs over `seeds`.
+    - `param`: the keys to search, as of `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
+      "law=settling,paper". By default all parameters of the scenario's patterns.
+    - `mission`, names of patterns: the candidates are missions of these patterns, and `param` has
+      bounds of conditions: "timeout=5..60", "nearer=0.3..1", "probability=0.01..1",
+      "neighbors=1..6", "reading:light=0..100".
+    - `mission`, the path of a mission's file (.yaml): the candidates are this mission with values
+      of its dotted keys: "sequence.0.until.probability=0.01..1".
+    - `held_out`: seeds, or the number of seeds after the greatest of `seeds`.
+    - `pseudo_reality`: the held-out runs are repeated with the key of this name, for `drops`.
+    - `jobs`, `timeout`, `out`: as of `simulate`. The same call continues an interrupted tuning, and
+      the result does not depend on `jobs`.
+    - `workers`: do the runs in place of processes of this machine.
+    - `on_look`, `on_step`, `on_note`: called at each look at a race, with a line before each race
+      and each set of held-out runs, and with a line for each parameter that is not tuned.
 
-    ConfigError before anything runs if an argument is invalid; SwarmError if all runs of a race
-    failed; PluginError without optuna.
+    ConfigError before anything runs if an argument is invalid. SwarmError if all runs of a race
+    failed. PluginError without optuna.
     """
     if find_spec("optuna") is None:
         raise PluginError("tuning needs optuna, not installed; run: pip install 'swarmd[sim,tune]'")
@@ -321,15 +330,15 @@ def tune(
             if workers is not None:
                 run.runner, first = stack.enter_context(workers(run.manifest()))
                 run.made_with = first.made_with
-            found = run.search()
-            run.assess(found, kept, pseudo_reality=pseudo_reality)
+            tuning = run.search()
+            run.assess(tuning, kept, pseudo_reality=pseudo_reality)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
         raise
     if out is None:
-        weakref.finalize(found, shutil.rmtree, folder, ignore_errors=True)
-    return found
+        weakref.finalize(tuning, shutil.rmtree, folder, ignore_errors=True)
+    return tuning
 
 
 def _held_out(given: int | Iterable[int], raced: Sequence[int]) -> tuple[int, ...]:
@@ -379,15 +388,16 @@ class _Tuner:
             if not new and index > 0:
                 break
             racing = [best, *new]
-            self.races.append([one.number for one in racing])
+            self.races.append([candidate.number for candidate in racing])
             if known is None:
                 self._race(racing, index)
             else:
                 self._recall(racing, known)
-            for one in racing if index == 0 else new:
-                _tell(study, one, racing, self.space)
+            for candidate in racing if index == 0 else new:
+                _tell(study, candidate, racing, self.space)
             best = min(
-                (one for one in racing if not one.is_out), key=lambda one: mean_loss(one.losses)
+                (candidate for candidate in racing if not candidate.is_out),
+                key=lambda candidate: mean_loss(candidate.losses),
             )
             if known is None:
                 self._record()
@@ -406,59 +416,59 @@ class _Tuner:
             importance=_importance(study),
         )
 
-    def assess(self, found: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
+    def assess(self, tuning: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
         """Hold the best candidate against the present values on seeds that no race has used."""
-        found.held_out = held_out
+        tuning.held_out = held_out
         if held_out:
-            sides = {PRESENT: self.candidates[0], TUNED: found.best}
-            if found.best.number == 0:
+            sides = {PRESENT: self.candidates[0], TUNED: tuning.best}
+            if tuning.best.number == 0:
                 del sides[TUNED]
-            variants = {name: one.effective for name, one in sides.items()}
+            variants = {name: candidate.effective for name, candidate in sides.items()}
             nominal = self._run_held_out(HELD_OUT, held_out, variants)
             if TUNED in sides:
-                found.gain = self._difference(nominal, PRESENT, nominal, TUNED)
+                tuning.gain = self._difference(nominal, PRESENT, nominal, TUNED)
             if pseudo_reality:
                 drawn = {
-                    name: {**one, "pseudo_reality": one.get("pseudo_reality") or True}
-                    for name, one in variants.items()
+                    name: {**effective, "pseudo_reality": effective.get("pseudo_reality") or True}
+                    for name, effective in variants.items()
                 }
-                other = self._run_held_out(f"{HELD_OUT}_pseudo_reality", held_out, drawn)
-                found.drops = {
-                    name: self._difference(nominal, name, other, name) for name in variants
+                pseudo = self._run_held_out(f"{HELD_OUT}_pseudo_reality", held_out, drawn)
+                tuning.drops = {
+                    name: self._difference(nominal, name, pseudo, name) for name in variants
                 }
-        found.document = tuned_document(found, self.scenario, self.sets, self.manifest())
-        write_whole(self.folder / RESULT, found.document)
-        if isinstance(self.space, Missions) and found.best.number:
-            comments = [x for x in found.document.splitlines() if x.startswith("#")]
-            text = self.space.mission(found.best.values)
+        tuning.document = tuned_document(tuning, self.scenario, self.sets, self.manifest())
+        write_whole(self.folder / RESULT, tuning.document)
+        if isinstance(self.space, Missions) and tuning.best.number:
+            comments = [x for x in tuning.document.splitlines() if x.startswith("#")]
+            text = self.space.mission(tuning.best.values)
             write_whole(self.folder / MISSION, "\n".join([*comments, text]))
 
     def manifest(self, candidates: Sequence[Candidate] = ()) -> Manifest:
         """The manifest of the runs of these candidates, by default of the present values."""
-        named = {str(one.number): one.effective for one in candidates}
+        named = {str(candidate.number): candidate.effective for candidate in candidates}
         named = named or {"0": plain(self.loaded.effective)}
         return self._manifest(named, self.seeds, traces=False)
 
     def _race(self, racing: Sequence[Candidate], number: int) -> None:
         """Run blocks of seeds, and end candidates that are worse than the leader."""
-        new = [one for one in racing if not one.losses]
+        new = [candidate for candidate in racing if not candidate.losses]
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
         stages = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(stages) - 1, 1)
         for count in stages:
-            alive = [one for one in new if not one.is_out]
+            alive = [candidate for candidate in new if not candidate.is_out]
             if not alive:
                 break
             self._run_block(manifest, alive, number, count)
-            if not any(math.isfinite(loss) for one in racing for loss in one.losses):
+            if not any(math.isfinite(loss) for candidate in racing for loss in candidate.losses):
                 raise SwarmError(self._why_all_failed(number))
             if count < len(self.seeds):
-                compared = [*alive, *(one for one in racing if one not in new)]
-                table = np.array([one.losses[:count] for one in compared]).T
+                compared = [*alive, *(candidate for candidate in racing if candidate not in new)]
+                table = np.array([candidate.losses[:count] for candidate in compared]).T
                 for column in losers(table, level):
                     compared[column].is_out |= compared[column] in alive
-            self._report(number, sum(not one.is_out for one in new))
+            self._report(number, sum(not candidate.is_out for candidate in new))
 
     def _run_block(
         self, manifest: Manifest, alive: Sequence[Candidate], number: int, count: int
@@ -466,7 +476,7 @@ class _Tuner:
         """Take the losses of the first `count` seeds."""
         place = self.folder / RACES / f"{number + 1:02d}"
         seeds = {*self.seeds[:count]}
-        names = {_variant(str(one.number)): one for one in alive}
+        names = {_variant(str(candidate.number)): candidate for candidate in alive}
         only = {
             run.id for run in manifest.plan.runs if run.seed in seeds and run.variant.name in names
         }
@@ -478,11 +488,13 @@ class _Tuner:
             on_progress=self.on_progress,
             summarized=[self.metric],
         )
-        for name, one in names.items():
+        for name, candidate in names.items():
             values = dict(
                 zip(results.seeds(name), results.metric(self.metric, name).tolist(), strict=True)
             )
-            one.losses = [self._loss(values.get(seed), one) for seed in self.seeds[:count]]
+            candidate.losses = [
+                self._loss(values.get(seed), candidate) for seed in self.seeds[:count]
+            ]
 
     def _loss(self, value: float | None, candidate: Candidate) -> float:
         """Less is better; an event that never happened counts as one at the end of the run."""
@@ -518,8 +530,8 @@ class _Tuner:
 
     def _difference(self, a: Results, name_a: str, b: Results, name_b: str) -> Difference:
         first, second = (
-            Side(f"{one.folder}:{_variant(name)}", one, _variant(name))
-            for one, name in ((a, name_a), (b, name_b))
+            Side(f"{results.folder}:{_variant(name)}", results, _variant(name))
+            for results, name in ((a, name_a), (b, name_b))
         )
         return compare_sides(first, second, [self.metric])[0]
 
@@ -530,25 +542,28 @@ class _Tuner:
             self.scenario,
             tuple(seeds),
             tuple(
-                Variant(_variant(name), {"candidate": name}, one) for name, one in variants.items()
+                Variant(_variant(name), {"candidate": name}, effective)
+                for name, effective in variants.items()
             ),
             self.sets,
             {"candidate": [*variants]},
         )
         own = beyond_catalog([self.metric])
-        found = manifest_of(plan, traces=traces, command=[], metrics=own)
-        made_with = self.made_with or found.made_with
-        return msgspec.structs.replace(found, made_with=made_with)
+        manifest = manifest_of(plan, traces=traces, command=[], metrics=own)
+        made_with = self.made_with or manifest.made_with
+        return msgspec.structs.replace(manifest, made_with=made_with)
 
     def _draw(self, study: Study, count: int) -> list[Candidate]:
         """New candidates that the scenario accepts; fewer if there are no more."""
-        found: list[Candidate] = []
+        accepted: list[Candidate] = []
         draws, refused = 0, ""
-        while len(found) < count and draws < _MAX_DRAWS:
+        while len(accepted) < count and draws < _MAX_DRAWS:
             draws += 1
             trial = study.ask()
             values = self.space.draw(trial)
-            twin = next((one for one in self.candidates if one.values == values), None)
+            twin = next(
+                (candidate for candidate in self.candidates if candidate.values == values), None
+            )
             try:
                 if twin is not None:
                     raise ConfigError(f"they are those of candidate {twin.number}")
@@ -561,22 +576,22 @@ class _Tuner:
                 continue
             draws = 0
             number = len(self.candidates)
-            one = Candidate(number, values, overrides, plain(scenario.effective), trial=trial)
-            self.candidates.append(one)
-            found.append(one)
-        if count and not found and len(self.candidates) == 1:
+            candidate = Candidate(number, values, overrides, plain(scenario.effective), trial=trial)
+            self.candidates.append(candidate)
+            accepted.append(candidate)
+        if count and not accepted and len(self.candidates) == 1:
             text = f"no values of {', '.join(self.space.text)} are accepted"
             raise ConfigError(f"{text}; the last: {refused}")
-        return found
+        return accepted
 
     @property
     def _runs(self) -> int:
-        return sum(len(one.losses) for one in self.candidates)
+        return sum(len(candidate.losses) for candidate in self.candidates)
 
     def _ranked(self) -> tuple[Candidate, ...]:
-        tried = [one for one in self.candidates if one.losses]
+        tried = [candidate for candidate in self.candidates if candidate.losses]
         return tuple(
-            sorted(tried, key=lambda o: (o.is_out, -len(o.losses), mean_loss(o.losses), o.number))
+            sorted(tried, key=lambda c: (c.is_out, -len(c.losses), mean_loss(c.losses), c.number))
         )
 
     def _report(self, number: int, alive: int) -> None:
@@ -592,9 +607,9 @@ class _Tuner:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not path.exists():
-                if others := sorted(one.name for one in self.folder.iterdir()):
+                if entries := sorted(entry.name for entry in self.folder.iterdir()):
                     raise ConfigError(
-                        f"{self.folder}: is not the folder of a tuning: it holds {others[0]};"
+                        f"{self.folder}: is not the folder of a tuning: it holds {entries[0]};"
                         " name a new or empty one with --out"
                     )
                 write_json(path, {**here, "races": []})
@@ -638,22 +653,23 @@ class _Tuner:
         for index, numbers in enumerate(self.races):
             new = [self.candidates[n] for n in numbers if n != numbers[0] or index == 0]
             races.append([
-                {"candidate": one.number, "values": one.values, "is_out": one.is_out,
-                 "losses": [None if math.isinf(x) else x for x in one.losses]}
-                for one in new
+                {"candidate": candidate.number, "values": candidate.values,
+                 "is_out": candidate.is_out,
+                 "losses": [None if math.isinf(x) else x for x in candidate.losses]}
+                for candidate in new
             ])  # fmt: skip
         write_json(self.folder / STATE, {**self._head(), "races": races})
 
     def _recall(self, racing: Sequence[Candidate], known: Sequence[Mapping[str, Any]]) -> None:
         """Take the results of a race that is over."""
-        new = [one for one in racing if not one.losses]
-        drawn = [(one.number, plain(one.values)) for one in new]
-        if drawn != [(one["candidate"], one["values"]) for one in known]:
+        new = [candidate for candidate in racing if not candidate.losses]
+        drawn = [(candidate.number, plain(candidate.values)) for candidate in new]
+        if drawn != [(row["candidate"], row["values"]) for row in known]:
             path = self.folder / STATE
             raise ConfigError(f"{path}: the sampler draws other candidates; tune in a new folder")
-        for one, row in zip(new, known, strict=True):
-            one.is_out = bool(row["is_out"])
-            one.losses = [math.inf if x is None else float(x) for x in row["losses"]]
+        for candidate, row in zip(new, known, strict=True):
+            candidate.is_out = bool(row["is_out"])
+            candidate.losses = [math.inf if x is None else float(x) for x in row["losses"]]
 
 
 def _variant(name: str) -> str:
@@ -675,35 +691,36 @@ def _study() -> Study:
 
 
 def _refuse(study: Study, trial: Trial) -> None:
-    """Tell the sampler that these values cannot be run; it counts them among the bad ones."""
+    """Tell the sampler that these values cannot be run; they count as bad values."""
     from optuna.trial import TrialState
 
     study.tell(trial, state=TrialState.PRUNED)
 
 
-def _tell(study: Study, one: Candidate, racing: Sequence[Candidate], space: Space) -> None:
+def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
     """Tell the sampler the mean loss of a candidate over all seeds.
 
-    That of one that ended early is estimated: the mean of the race's first finisher, and their
-    difference on common seeds. A failed run counts as the worst run of the race.
+    The mean of a candidate that ended early is estimated: the mean of the race's leader, plus the
+    mean difference of both on their common seeds. A failed run counts as the worst run of the race.
     """
-    finite = [loss for other in racing for loss in other.losses if math.isfinite(loss)]
+    finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
     worst = max(finite)
-    leader = min((o for o in racing if not o.is_out), key=lambda o: mean_loss(o.losses))
-    ours, theirs = (np.minimum(o.losses, worst) for o in (one, leader))
-    value = one.estimate = float(theirs.mean() + (ours - theirs[: len(ours)]).mean())
-    if one.trial is not None:
-        study.tell(one.trial, value)
+    finishers = (racer for racer in racing if not racer.is_out)
+    leader = min(finishers, key=lambda racer: mean_loss(racer.losses))
+    ours, theirs = (np.minimum(racer.losses, worst) for racer in (candidate, leader))
+    value = candidate.estimate = float(theirs.mean() + (ours - theirs[: len(ours)]).mean())
+    if candidate.trial is not None:
+        study.tell(candidate.trial, value)
         return
-    if (known := space.known_trial(one.values, value)) is not None:
+    if (known := space.known_trial(candidate.values, value)) is not None:
         study.add_trial(known)
 
 
 def _importance(study: Study) -> dict[str, float]:
     """The share of each parameter, by PED-ANOVA of S. Watanabe et al., IJCAI 2023.
 
-    It asks which parameters the best tenth of the candidates has narrowed. Of those that every
-    candidate has; empty below ten candidates, and if all are equal.
+    PED-ANOVA measures how much the best tenth of the candidates narrows each parameter. Parameters
+    that some candidate lacks are left out. Empty below ten candidates, and if all losses are equal.
     """
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState

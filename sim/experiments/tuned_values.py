@@ -21,17 +21,17 @@ _SOFTWARE = ("swarmd", "python", "numpy", "mujoco", "kernels")
 
 
 def tuned_document(
-    found: Tuning, scenario: str, sets: Mapping[str, Any], manifest: Manifest
+    tuning: Tuning, scenario: str, sets: Mapping[str, Any], manifest: Manifest
 ) -> str:
     """A scenario that extends the tuned one, with the best values, and what is known of them.
 
     Values of patterns stand in a comment as a platform's file has them, too.
     """
-    comments = [line for text in _evidence(found, manifest) for line in _wrapped(text)]
+    comments = [line for text in _evidence(tuning, manifest) for line in _wrapped(text)]
     base = str(Path(scenario).absolute()) if scenario.endswith(".yaml") else scenario
-    overrides = {**sets, **found.best.overrides}
-    body = {"extends": base, **nested(overrides, found.candidates[-1].effective)}
-    platform = platform_values(found.space, found.best.values) if found.best.number else {}
+    overrides = {**sets, **tuning.best.overrides}
+    body = {"extends": base, **nested(overrides, tuning.candidates[-1].effective)}
+    platform = platform_values(tuning.space, tuning.best.values) if tuning.best.number else {}
     if platform:
         comments += ["", "In a platform's file, for all its robots and scenarios:"]
         comments += [f"  {line}" for line in _yaml({"patterns": platform}).splitlines()]
@@ -41,56 +41,62 @@ def tuned_document(
 
 def platform_values(space: Space, values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The values of patterns' parameters, as `patterns` of a platform's file holds them."""
-    found: dict[str, dict[str, Any]] = {}
-    for one in space.parameters if isinstance(space, ParameterSpace) else ():
-        if one.pattern:
-            found.setdefault(one.pattern, {})[one.param] = values[one.name]
-    return found
+    by_pattern: dict[str, dict[str, Any]] = {}
+    for parameter in space.parameters if isinstance(space, ParameterSpace) else ():
+        if parameter.pattern:
+            by_pattern.setdefault(parameter.pattern, {})[parameter.param] = values[parameter.name]
+    return by_pattern
 
 
-def _evidence(found: Tuning, manifest: Manifest) -> Iterator[str]:
-    unit = f" [{found.metric.unit}]" if found.metric.unit else ""
-    best = "less" if found.goal == "min" else "more"
-    yield f"Tuned for {found.metric.name}{unit}; {best} is better."
-    tried = f"{found.runs} runs, {len(found.candidates)} candidates"
-    present = next((one for one in found.candidates if one.number == 0), found.best)
-    if found.best.number == 0:
+def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
+    unit = f" [{tuning.metric.unit}]" if tuning.metric.unit else ""
+    best = "less" if tuning.goal == "min" else "more"
+    yield f"Tuned for {tuning.metric.name}{unit}; {best} is better."
+    tried = f"{tuning.runs} runs, {len(tuning.candidates)} candidates"
+    present = next(
+        (candidate for candidate in tuning.candidates if candidate.number == 0), tuning.best
+    )
+    if tuning.best.number == 0:
         yield f"No values are better than the present ones ({tried})."
     else:
         has_ended = f" (by {len(present.losses)} seeds)" if present.is_out else ""
+        mean, present_mean = (number(tuning.value(c)) for c in (tuning.best, present))
         yield (
-            f"Races: seeds {_seeds(found.seeds)}, {tried}. Mean: {number(found.value(found.best))}"
-            f" tuned, {number(found.value(present))} present{has_ended}. These seeds chose the"
-            " values, so this difference is too good."
+            f"Races: seeds {_seeds(tuning.seeds)}, {tried}. Mean: {mean} tuned, {present_mean}"
+            f" present{has_ended}. These seeds chose the values, so this difference is too good."
         )
-    if found.gain is not None:
-        text = _shown(found.gain, "present", "tuned", found)
-        yield f"Held-out seeds {_seeds(found.held_out)}: {text}"
-    elif found.best.number and not found.held_out:
+    if tuning.gain is not None:
+        text = _shown(tuning.gain, "present", "tuned", tuning)
+        yield f"Held-out seeds {_seeds(tuning.held_out)}: {text}"
+    elif tuning.best.number and not tuning.held_out:
         yield "No seeds were held out: nothing is claimed."
-    for name, drop in found.drops.items():
-        text = _shown(drop, "nominal", "pseudo-reality", found)
+    for name, drop in tuning.drops.items():
+        text = _shown(drop, "nominal", "pseudo-reality", tuning)
         yield f"In pseudo-reality, {name} values: {text}"
     software = [f"{name} {manifest.made_with[name]}" for name in _SOFTWARE]
     git = manifest.git.get("swarmd")
-    commit = [] if git is None else [f"commit {git.commit[:12]}{', changed' * git.is_dirty}"]
+    changed = ", changed" if git is not None and git.is_dirty else ""
+    commit = [] if git is None else [f"commit {git.commit[:12]}{changed}"]
     yield f"Made with {', '.join((*software, *commit))}; code {manifest.made_with['code'][:12]}."
 
 
-def _shown(one: Difference, a: str, b: str, found: Tuning) -> str:
+def _shown(difference: Difference, a: str, b: str, tuning: Tuning) -> str:
     """Both means, their difference and its interval, and the conclusion."""
-    text = f"mean {number(one.mean_b)} {b}, {number(one.mean_a)} {a}, of {one.n_a} seeds"
-    text += f"; difference {number(one.difference)}, 95 % interval {interval(one.interval)}"
-    if one.p is not None:
-        text += f", p {number(one.p)}"
-    if one.never_a or one.never_b:
-        text += f"; never: {one.never_b} {b}, {one.never_a} {a}"
-    if lost := len(found.held_out) - min(one.n_a, one.n_b):
+    mean_a, mean_b, mean_difference = map(
+        number, (difference.mean_a, difference.mean_b, difference.difference)
+    )
+    text = f"mean {mean_b} {b}, {mean_a} {a}, of {difference.n_a} seeds"
+    text += f"; difference {mean_difference}, 95 % interval {interval(difference.interval)}"
+    if difference.p is not None:
+        text += f", p {number(difference.p)}"
+    if difference.never_a or difference.never_b:
+        text += f"; never: {difference.never_b} {b}, {difference.never_a} {a}"
+    if lost := len(tuning.held_out) - min(difference.n_a, difference.n_b):
         text += f"; {lost} seeds more have no value on both sides"
-    if not one.holds:
+    if not difference.holds:
         return f"{text}. No difference is shown."
-    is_less = one.difference is not None and one.difference < 0.0
-    return f"{text}. Better: {b if is_less == (found.goal == 'min') else a}."
+    is_less = difference.difference is not None and difference.difference < 0.0
+    return f"{text}. Better: {b if is_less == (tuning.goal == 'min') else a}."
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -25,7 +25,8 @@ class Metric:
     `value` gives it for a trace; None if the trace has no value. `series` (T,) gives the value at
     each instant, NaN where unknown, or None if the trace lacks data; a metric without `series` is
     defined for whole runs only. `better`: the direction that is good for every task, else None.
-    `is_time_to_event`: the value is a duration in s, None where the event never happened.
+    `is_time_to_event`: the value is a duration in s, None where the event never happened; `event`
+    names the event in a figure.
 
     `origin`: what `metric_of` takes from any folder, where that is not the name; `digest` of the
     code of a metric that does not come with swarmd.
@@ -39,6 +40,7 @@ class Metric:
     series: Series | None = None
     better: Better | None = None
     is_time_to_event: bool = False
+    event: str = ""
     origin: str = ""
     digest: str = ""
 

@@ -256,7 +256,13 @@ class RequestServer:
         if version != codec.VERSION:
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
-        reply = Reply(id=id, robot=self._robot, code=code, refusal=refusal, text=text[:MAX_TEXT])
+        reply = Reply(
+            id=id,
+            robot=self._robot,
+            code=code,
+            refusal=refusal,
+            text=verbs.shortened(text, MAX_TEXT),
+        )
         is_repeat = is_readable and id in self._replies
         if is_readable and not is_repeat and pending is None:
             self._keep(reply)

@@ -34,10 +34,10 @@ class Make(Protocol):
     def __call__(
         self, name: str, /, *, part: str = "", private: bool = False, **params: Value
     ) -> Pattern[Any]:
-        """Another pattern with these parameters; the others derive from the platform.
+        """A part: pattern `name` with these parameters; all others derive from the platform.
 
-        `part` names it within this pattern (default: its own name). It shares its channels with the
-        stand-alone pattern, unless it is `private`. PluginError if there is no such pattern,
+        `part` names the part within this pattern (default: `name`). A part shares its channels with
+        the stand-alone pattern, unless it is `private`. PluginError if there is no such pattern,
         ConfigError if a parameter is wrong.
         """
 
@@ -50,17 +50,17 @@ def _no_parts(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """The robot and platform on which a pattern runs, and what it may use.
-
-    `robot` is this robot's id; `rng` the seeded random generator; `make` makes other patterns as
-    parts; `channel_prefix` is used by CombinedPattern.
-    """
+    """The robot and platform on which a pattern runs, and the tools of the pattern."""
 
     robot: str
+    """The id of this robot."""
     platform: Platform
     rng: Generator
+    """The seeded random generator."""
     make: Make = _no_parts
+    """Makes other patterns as parts."""
     channel_prefix: str = ""
+    """For CombinedPattern."""
 
 
 class Pattern(ABC, Generic[P]):
@@ -69,13 +69,14 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
+    - `group`: the heading under which lists of patterns have it, such as gather or search.
     - `needs`: what the robot must have, of scan, ranges, odometry, detections, pose, neighbors,
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
-    - `is_symmetric`: mirrored inputs give mirrored commands; PatternContract checks it.
-    - `touches`: where it must touch obstacles, to push or to dock. The robot's configuration must
-      grant it. Requests of its parts do not count.
+    - `is_symmetric`: mirrored inputs give mirrored commands, as PatternContract checks.
+    - `touches`: where the robot must touch obstacles, to push or to dock. The robot's configuration
+      must grant the zone. Requests of parts do not count.
     - `scan_delay`: s beyond `scan.latency`, at most 0.5, up to which the robot goes on with late
       scans, where its platform allows less. Protection counts what is measured: the robot keeps
       larger gaps. For patterns that measure the delay. Requests of its parts, and of
@@ -83,6 +84,7 @@ class Pattern(ABC, Generic[P]):
     """
 
     params_type: ClassVar[type[Params]] = Params
+    group: ClassVar[str] = ""
     needs: frozenset[str] = frozenset({"scan"})
     channels: Mapping[str, type] = {}
     rate: ClassVar[float] = 10.0

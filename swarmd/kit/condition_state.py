@@ -19,19 +19,15 @@ _ROUNDING = 1e-9
 
 
 class Observation(Struct, frozen=True):
-    """What conditions are evaluated on.
-
-    `done`: the parts that are done; it holds "" if the whole pattern is. `rng`: the robot's
-    generator, for conditions that draw; those of a command line do not.
-    """
+    """The values on which conditions are evaluated."""
 
     now: float
     reports: Mapping[str, Scalar]
-    done: Collection[str] = ()
+    done: Collection[str] = ()  # the parts that are done, and "" if the whole pattern is
     scan: Scan | None = None
     readings: Mapping[str, float] = {}
     neighbors: tuple[Neighbor, ...] = ()
-    rng: Generator | None = None
+    rng: Generator | None = None  # of the robot, for conditions that draw; a command line has none
 
 
 _Evaluate: TypeAlias = Callable[[Observation], bool]
@@ -58,7 +54,7 @@ class UntilConditions:
 
     def __init__(self, condition: conditions.Condition) -> None:
         several = condition.conditions if isinstance(condition, conditions.AnyOf) else (condition,)
-        self._states = [ConditionState(one) for one in several]
+        self._states = [ConditionState(part) for part in several]
         self._is_started = False
 
     def apply(self, inputs: Inputs, outputs: Outputs) -> Outputs:
@@ -69,7 +65,7 @@ class UntilConditions:
                 state.start(inputs.now)
         done = () if outputs.done is None else ("",)
         observation = Observation(inputs.now, outputs.report, done, inputs.scan, inputs.readings)
-        # Each is evaluated at every step: a settled report is timed from step to step.
+        # Every condition is evaluated at every step: a settled report is timed from step to step.
         met = [str(state.condition) for state in self._states if state.is_met(observation)]
         if not met or outputs.done is not None:
             return outputs
@@ -79,7 +75,7 @@ class UntilConditions:
 def until_conditions(until: Sequence[str], platform: Platform) -> UntilConditions | None:
     """The conditions of a run; None without any.
 
-    ConfigError if one cannot be read, MissingSensorError if the platform lacks what one needs.
+    ConfigError if a condition cannot be read, MissingSensorError if the platform lacks its inputs.
     """
     if not until:
         return None
@@ -95,9 +91,9 @@ def until_conditions(until: Sequence[str], platform: Platform) -> UntilCondition
 def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
     match condition:
         case conditions.AnyOf() | conditions.AllOf():
-            inner = [_evaluator(one, started) for one in condition.conditions]
+            inner = [_evaluator(part, started) for part in condition.conditions]
             combine = any if isinstance(condition, conditions.AnyOf) else all
-            # A list, not a generator: each must be evaluated at every step for its memory.
+            # A list, not a generator: every condition has a memory, and is evaluated at every step.
             return lambda seen: combine([evaluate(seen) for evaluate in inner])
         case conditions.Not():
             opposite = _evaluator(condition.condition, started)
@@ -159,7 +155,9 @@ def _count(condition: conditions.Neighbors, seen: Observation) -> int:
     within = condition.within
     if within is None:
         return len(seen.neighbors)
-    return sum(one.distance is not None and one.distance <= within for one in seen.neighbors)
+    return sum(
+        neighbor.distance is not None and neighbor.distance <= within for neighbor in seen.neighbors
+    )
 
 
 def _logistic(x: float) -> float:

@@ -94,10 +94,10 @@ class Reading(Struct, frozen=True, tag="reading", forbid_unknown_fields=True):
 
 
 class Neighbors(Struct, frozen=True, tag="neighbors", forbid_unknown_fields=True):
-    """At least so many neighbours, `within` so many metres; without it, all that are in reach.
+    """At least so many neighbours, `within` so many metres; without `within`, all in reach.
 
-    With `slope` it holds in a second with probability 1 / (1 + exp(slope (count - n))) for n
-    neighbours: the neighbour count of AutoMoDe, with a negative slope the inverted one.
+    With `slope` the condition holds in a second with probability 1 / (1 + exp(slope (count - n)))
+    for n neighbours: the neighbour count of AutoMoDe, with a negative slope the inverted count.
     """
 
     count: Annotated[float, Meta(ge=0.0, le=1000.0)] = field(name="neighbors")
@@ -195,12 +195,12 @@ def parse_conditions(texts: object) -> Condition:
     if any(not isinstance(text, str) or len(text) > MAX_CONDITION_LENGTH for text in texts):
         wanted = f"expected text of up to {MAX_CONDITION_LENGTH} characters"
         raise ConfigError(f"until holds a malformed condition; {wanted}")
-    found = tuple(parse_condition(text) for text in texts)
-    return found[0] if len(found) == 1 else AnyOf(found)
+    conditions = tuple(parse_condition(text) for text in texts)
+    return conditions[0] if len(conditions) == 1 else AnyOf(conditions)
 
 
 def simple_conditions(condition: Condition) -> Iterator[Condition]:
-    """The conditions without any, all and not that a condition is made of."""
+    """The leaf conditions of a condition: those below any, all and not."""
     if isinstance(condition, AnyOf | AllOf):
         for inner in condition.conditions:
             yield from simple_conditions(inner)
@@ -211,23 +211,24 @@ def simple_conditions(condition: Condition) -> Iterator[Condition]:
 
 
 def needs_of(condition: Condition) -> frozenset[str]:
-    """What a robot must sense to evaluate the condition."""
-    found = set()
-    for one in simple_conditions(condition):
-        if isinstance(one, Nearer):
-            found.add("scan")
-        elif isinstance(one, Reading):
-            found.add(f"reading:{one.name}")
-        elif isinstance(one, Neighbors):
-            found.add("neighbors" if one.within is None else "neighbors.distance")
-    return frozenset(found)
+    """The inputs that a robot must sense to evaluate the condition."""
+    needs = set()
+    for simple in simple_conditions(condition):
+        if isinstance(simple, Nearer):
+            needs.add("scan")
+        elif isinstance(simple, Reading):
+            needs.add(f"reading:{simple.name}")
+        elif isinstance(simple, Neighbors):
+            needs.add("neighbors" if simple.within is None else "neighbors.distance")
+    return frozenset(needs)
 
 
 def is_drawn(condition: Condition) -> bool:
     """Whether a random draw decides on the condition, or on a part of it."""
     return any(
-        isinstance(one, Probability) or (isinstance(one, Neighbors) and one.slope is not None)
-        for one in simple_conditions(condition)
+        isinstance(simple, Probability)
+        or (isinstance(simple, Neighbors) and simple.slope is not None)
+        for simple in simple_conditions(condition)
     )
 
 

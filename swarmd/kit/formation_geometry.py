@@ -1,8 +1,8 @@
-"""Places in a formation from what one robot senses of the others, without leader or positions.
+"""Places in a formation from what one robot senses of its neighbours, without leader or positions.
 
 Points are x, y in m in the base frame of the robot, which is at the origin. The robot fits the
-formation to all robots in sight and itself, and takes its own place in it. So robots that see the
-same agree, and a complete formation stays as it is.
+formation to all robots in sight and itself, and takes its own place. So robots that see the same
+agree, and a complete formation stays as it is.
 
 Line: the closest point of the line that fits best by least squares (Yun, Alptekin and Albayrak,
 "Line and circle formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997;
@@ -40,18 +40,18 @@ _TRACK_TIMEOUT = 2.0
 def place_on_line(others: Array, spacing: float) -> Array:
     """The place (2,) of a robot at the origin in a line with `others` (k, 2).
 
-    The line minimises the squared distances from it (total least squares); along it the robots keep
-    their order, `spacing` m apart.
+    The line minimises the squared distances of the robots from the line (total least squares). The
+    robots keep their order along the line, `spacing` m apart.
     """
     points = _with_itself(others)
     middle = _middle(points)
     away = [point - middle for point in points]
     xy = xx_yy = 0.0
-    for one in away:
-        xy += one.real * one.imag
-        xx_yy += one.real * one.real - one.imag * one.imag
+    for offset in away:
+        xy += offset.real * offset.imag
+        xx_yy += offset.real * offset.real - offset.imag * offset.imag
     ahead = cmath.rect(1.0, 0.5 * math.atan2(2.0 * xy, xx_yy))
-    rank = _rank([one.real * ahead.real + one.imag * ahead.imag for one in away])
+    rank = _rank([offset.real * ahead.real + offset.imag * ahead.imag for offset in away])
     place = middle + (rank - 0.5 * (len(points) - 1)) * spacing * ahead
     return np.array((place.real, place.imag))
 
@@ -59,7 +59,7 @@ def place_on_line(others: Array, spacing: float) -> Array:
 def place_on_circle(others: Array, radius: float) -> Array:
     """The place (2,) of a robot at the origin on a circle of `radius` m with `others` (k, 2).
 
-    The center is the mean of all positions; around it the robots keep their order at equal angles.
+    The center is the mean of all positions. The robots keep their order at equal angles.
     """
     points = _with_itself(others)
     middle, turn = _middle(points), 2.0 * math.pi / len(points)
@@ -81,15 +81,16 @@ def radius_of(spacing: float, count: int) -> float:
 def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
     """The centers (k, 2) of objects up to `reach` m away and at most `width` m wide.
 
-    `offset` is the lidar's from the axle. An object is assumed to be as deep as it is wide. An
-    object hidden on one side by a nearer one is assumed to be as wide as the others, measured from
-    its visible side. An object hidden on both sides may be a wall behind two robots: it is ignored.
+    `offset` is the lidar's from the axle. An object is assumed to be as deep as wide. An object
+    hidden on one side by a nearer object is assumed to have the width of the free objects, measured
+    from its visible side. An object hidden on both sides is ignored: a wall behind two robots may
+    look like that.
     """
     seen = clusters(scan, within=reach)
     lists = (seen.ranges, seen.bearings, seen.widths, seen.counts, seen.is_free)
     most = _MAX_RANGE_SHARE * reach
-    found = _kernel.robot_centers(*(one.tolist() for one in lists), most, width, offset)
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+    centers = _kernel.robot_centers(*(column.tolist() for column in lists), most, width, offset)
+    return np.array(centers, dtype=np.float64).reshape(-1, 2)
 
 
 def to_base_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]:
@@ -128,7 +129,7 @@ class NeighborTracker:
 
     def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float, now: float) -> Array:
         """The positions (k, 2) of the neighbours within `reach` m, in the base frame at `pose`."""
-        known, found = self._known, []
+        known, positions = self._known, []
         self._known = {}
         here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
         for neighbor in neighbors:
@@ -144,8 +145,8 @@ class NeighborTracker:
             elif track is None or now - track.at > _TRACK_TIMEOUT:
                 continue
             self._known[neighbor.id] = track
-            found.append((track.place - here) * heading.conjugate())
-        return np.array(found, dtype=np.complex128).view(np.float64).reshape(-1, 2)
+            positions.append((track.place - here) * heading.conjugate())
+        return np.array(positions, dtype=np.complex128).view(np.float64).reshape(-1, 2)
 
 
 def _again(old: _Track | None, sensed: tuple[float, float], place: complex, now: float) -> _Track:

@@ -1,8 +1,8 @@
 """The base of patterns that form a shape: sensing and driving; a pattern only gives the place.
 
-With range-and-bearing hardware a robot measures each neighbour; without, it assumes that narrow
-objects in its scan are robots. It keeps its place in the odometry frame, drives there (slower the
-nearer it is) and rests until the place is farther away than `tolerance`.
+With range-and-bearing hardware a robot measures each neighbour. Without, narrow objects in the scan
+count as robots. The robot keeps its place in the odometry frame, drives there (slower the nearer)
+and rests until the place is farther away than `tolerance`.
 """
 
 from __future__ import annotations
@@ -156,7 +156,9 @@ class FormationPattern(MovementPattern[F]):
             raise ConfigError(
                 f"parameter sensing is neighbors, which needs {lacking}; {name} lacks that"
             )
-        self._by_lidar, self._seq, self._goal = by_lidar, None, None
+        self._by_lidar = by_lidar
+        self._seq = None
+        self._goal = None
         super().update(params)
 
     def report(self) -> Mapping[str, Scalar]:

@@ -210,8 +210,8 @@ def _needs(part: Part) -> tuple[str, ...]:
 def _values(part: Part, inputs: Inputs, platform: Platform) -> list[float]:
     if isinstance(part, ScanPart):
         near = sectors(inputs.scan, part.sectors)
-        found: list[float] = (1.0 - 2.0 * np.minimum(near, part.range) / part.range).tolist()
-        return found
+        nearness: list[float] = (1.0 - 2.0 * np.minimum(near, part.range) / part.range).tolist()
+        return nearness
     if isinstance(part, RobotsPart):
         return _by_sector(robots_near(inputs.scan, platform, within=part.range), part)
     if isinstance(part, NeighborsPart):
@@ -238,9 +238,11 @@ def _by_sector(rays: list[Ray], part: RobotsPart) -> list[float]:
 
 def _neighbors(part: NeighborsPart, inputs: Inputs) -> list[float]:
     sensed = sorted(
-        (one.distance, one.bearing)
-        for one in inputs.neighbors
-        if one.distance is not None and one.bearing is not None and one.distance <= part.range
+        (neighbor.distance, neighbor.bearing)
+        for neighbor in inputs.neighbors
+        if neighbor.distance is not None
+        and neighbor.bearing is not None
+        and neighbor.distance <= part.range
     )
     values = [2.0 * min(len(sensed), part.count) / part.count - 1.0]
     for distance, bearing in sensed[: part.count]:

@@ -44,7 +44,7 @@ class PolicyNetwork:
             raise ConfigError(f"policy: activation is {self.activation!r}; expected tanh or relu")
         check_spec(self.spec)
         arrays = (*self.weights, *self.biases)
-        if not all(isinstance(one, np.ndarray) and one.dtype.kind in "fiu" for one in arrays):
+        if not all(isinstance(array, np.ndarray) and array.dtype.kind in "fiu" for array in arrays):
             raise ConfigError("policy: weights and biases must be arrays of real numbers")
         if any(w.ndim != 2 for w in self.weights) or any(b.ndim != 1 for b in self.biases):
             raise ConfigError("policy: weights must be matrices and biases vectors")
@@ -57,7 +57,7 @@ class PolicyNetwork:
                 f" {self.spec.actions} outputs, and each layer to fit the one before"
             )
         with np.errstate(over="ignore"):  # a file holds float32
-            is_finite = all(np.isfinite(one.astype(np.float32)).all() for one in arrays)
+            is_finite = all(np.isfinite(array.astype(np.float32)).all() for array in arrays)
         if not is_finite:
             raise ConfigError("policy: a weight is not finite; train it again")
 
@@ -105,7 +105,8 @@ def network_of(
     if len(parameters) != parameter_count(spec, hidden):
         wanted = parameter_count(spec, hidden)
         raise ConfigError(f"policy: {len(parameters)} parameters; expected {wanted}")
-    weights, biases, start = [], [], 0
+    weights, biases = [], []
+    start = 0
     for outputs, inputs in _layers(spec, hidden):
         end = start + outputs * inputs
         weights.append(np.array(parameters[start:end], dtype=np.float64).reshape(outputs, inputs))
@@ -123,7 +124,7 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
         raise ConfigError(f"policy: {len(data)} bytes; expected {MAX_BYTES} or less")
     try:
         with ZipFile(io.BytesIO(data)) as archive:
-            unpacked = sum(one.file_size for one in archive.infolist())
+            unpacked = sum(entry.file_size for entry in archive.infolist())
         if unpacked > _MAX_UNPACKED:
             raise ConfigError(
                 f"policy: {unpacked} bytes unpacked; expected {_MAX_UNPACKED} or less"

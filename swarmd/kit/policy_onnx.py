@@ -38,26 +38,26 @@ def network_from_onnx(data: bytes) -> PolicyNetwork:
         model = onnx.load_model_from_string(data)
         weights = model.graph.initializer
         # onnx would read any file of the working folder, and the policy is then sent to robots.
-        is_whole = all(one.data_location != onnx.TensorProto.EXTERNAL for one in weights)
-        values = {one.name: _floats(numpy_helper.to_array(one)) for one in weights if is_whole}
+        is_whole = all(w.data_location != onnx.TensorProto.EXTERNAL for w in weights)
+        values = {w.name: _floats(numpy_helper.to_array(w)) for w in weights if is_whole}
     except Exception as error:  # protobuf and onnx have errors of their own for damaged files
         raise ConfigError("policy: not an ONNX file, or damaged") from error
     if not is_whole:
         raise ConfigError("policy: weights are in another file; export the model as one file")
-    told = {one.key: one.value for one in model.metadata_props}
-    if SPEC_PROPERTY not in told:
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    if SPEC_PROPERTY not in properties:
         raise ConfigError(
             f"policy: the model has no property {SPEC_PROPERTY!r}; set it to encode_spec(spec)"
         )
-    spec = decode_spec(told[SPEC_PROPERTY].encode())
-    inputs = [one.name for one in model.graph.input if one.name not in values]
-    outputs = [one.name for one in model.graph.output]
+    spec = decode_spec(properties[SPEC_PROPERTY].encode())
+    inputs = [value.name for value in model.graph.input if value.name not in values]
+    outputs = [value.name for value in model.graph.output]
     if len(inputs) != 1 or len(outputs) != 1:
         raise ConfigError(f"policy: inputs {inputs}, outputs {outputs}; expected one of each")
     matrices, biases, functions, end = _layers_of(model.graph.node, values, inputs[0])
     if end != outputs[0] or not functions or functions[-1] != "Tanh":
         raise ConfigError("policy: the graph does not end in Tanh, which bounds the actions")
-    inner = {one.lower() for one in functions[:-1]} or {"tanh"}
+    inner = {function.lower() for function in functions[:-1]} or {"tanh"}
     if len(inner) > 1 or len(functions) != len(matrices):
         raise ConfigError(f"policy: layers end in {functions}; expected one of Tanh or Relu each")
     activation: Activation = "relu" if inner == {"relu"} else "tanh"
@@ -72,13 +72,13 @@ def _layers_of(
     biases: list[Array] = []
     functions: list[str] = []
     for node in nodes:
-        given = {one.name: one for one in node.attribute}
-        constants = [values[one] for one in node.input if one in values]
+        attributes = {attribute.name: attribute for attribute in node.attribute}
+        constants = [values[source] for source in node.input if source in values]
         if name not in node.input or len(node.output) != 1:
             raise ConfigError(f"policy: node {node.op_type} {node.name!r} leaves the chain")
-        match node.op_type, [one.ndim for one in constants]:
-            case "Gemm", [2, 1] if node.input[0] == name and _is_plain(given):
-                is_transposed = "transB" in given and given["transB"].i == 1
+        match node.op_type, [constant.ndim for constant in constants]:
+            case "Gemm", [2, 1] if node.input[0] == name and _is_plain(attributes):
+                is_transposed = "transB" in attributes and attributes["transB"].i == 1
                 weights.append(constants[0] if is_transposed else constants[0].T)
                 biases.append(constants[1])
             case "MatMul", [2] if node.input[0] == name:
@@ -99,10 +99,11 @@ def _layers_of(
     return weights, biases, functions, name
 
 
-def _is_plain(given: dict[str, Any]) -> bool:
+def _is_plain(attributes: dict[str, Any]) -> bool:
     """True for a Gemm without factors whose first input is not transposed."""
-    factors = [given[one].f for one in ("alpha", "beta") if one in given]
-    return all(one == 1.0 for one in factors) and not ("transA" in given and given["transA"].i)
+    factors = [attributes[name].f for name in ("alpha", "beta") if name in attributes]
+    is_transposed = "transA" in attributes and attributes["transA"].i
+    return all(factor == 1.0 for factor in factors) and not is_transposed
 
 
 def _floats(values: Any) -> Array:

@@ -21,15 +21,15 @@ def robots_near(
 ) -> list[Ray]:
     """The objects up to `within` m that may be robots, nearest first; see `Ray`.
 
-    An object may be a robot if it is at most twice as wide as the diagonal of the platform's
-    footprint, and nothing nearer hides a side of it. So a pillar counts as a robot, and a robot
-    that stands at a wall does not. `bearing` and `half_width` in rad: only the objects whose middle
-    is in this sector.
+    An object may be a robot if its width is at most twice the diagonal of the platform's footprint,
+    and no nearer object hides a side. So a pillar counts as a robot, and a robot that stands at a
+    wall does not. `bearing` and `half_width` in rad: only the objects whose middle is in this
+    sector.
     """
     width = object_width(platform)
     # Of a wall, less than that would seem narrow if the scan were cut off at `within`.
-    found = clusters(scan, within=within + width)
-    objects = (found.ranges, found.bearings, found.widths, found.is_free)
+    seen = clusters(scan, within=within + width)
+    objects = (seen.ranges, seen.bearings, seen.widths, seen.is_free)
     rays = [
         Ray(distance, direction)
         for distance, direction, across, is_free in zip(*(o.tolist() for o in objects), strict=True)

@@ -12,9 +12,10 @@ from swarmd.kit.params import P
 
 
 class TimedPattern(MovementPattern[P]):
-    """A movement pattern with a state. `drive` reads it with `state` and changes it with `begin`.
+    """A movement pattern with a state, which `drive` reads by `state` and changes by `begin`.
 
-    The pattern is in `default_state` unless `begin` has started timed ones. It reports its state.
+    The pattern is in `default_state` unless `begin` has started timed states. The pattern reports
+    its state.
     """
 
     default_state: ClassVar[str] = "drive"

@@ -62,7 +62,7 @@ def intersection(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
 def effective_zone(
     pattern: str, asked: TouchZone | None, granted: TouchZone | None
 ) -> tuple[TouchZone | None, str]:
-    """The zone in which a pattern may touch, and a line about it; empty if it declares none."""
+    """The zone in which a pattern may touch, and a line about the zone; "" without a request."""
     if asked is None:
         return None, ""
     if granted is None:

@@ -99,11 +99,11 @@ V = TypeVar("V", bound=VotingParams)
 
 
 class VotingPattern(Pattern[V]):
-    """Holds an opinion, sends it to the neighbours and updates it when a window ends.
+    """Holds an opinion, which is sent to the neighbours and updated when a window ends.
 
     The robot stands. Source: Kaiser et al., ICRA 2022: each robot sends its opinion after every
-    update. Ours: it also repeats it; votes that are not repeated expire, and so do those of a robot
-    that is no longer a neighbour.
+    update. Ours: the robot also repeats its opinion. Votes that are not repeated expire, and so do
+    those of a robot that is no longer a neighbour.
     """
 
     params_type: ClassVar[type[Params]] = VotingParams
@@ -165,7 +165,8 @@ class VotingPattern(Pattern[V]):
 
     def _open(self, now: float) -> VoteWindow | Rounds:
         params = self.params
-        length, period, expiry = params.window, params.period, params.expiry
+        length, period = params.window, params.period
+        expiry = params.expiry
         if params.windows == "rounds":
             return Rounds(length, period, now=now, expiry=expiry)
         first = 1.0 - float(self.context.rng.random()) if params.staggered else 1.0

@@ -44,14 +44,14 @@ class Mission(CombinedPattern[Params]):
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
         """The mission's own parameters, as its file or the platform sets those of its parts."""
-        found: dict[str, Value] = {}
+        values_by_name: dict[str, Value] = {}
         for own, (name, param) in cls.document.parameters.items():
             part, kind = cls.document.parts[name], cls.classes[name]
             configured = platform.patterns.get(part.pattern, {})
             values = {**kind.defaults(platform), **configured, **part.params}
             if param in values:
-                found[own] = values[param]
-        return found
+                values_by_name[own] = values[param]
+        return values_by_name
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """All parts, with every value of every map tried; ConfigError for the first fault."""
@@ -63,7 +63,7 @@ class Mission(CombinedPattern[Params]):
         return parts
 
     def update(self, params: Params) -> None:
-        """Hand changed parameters to their parts; ConfigError if one is refused."""
+        """Hand changed parameters to their parts; ConfigError if a value is refused."""
         builder = self._builder(params)
         changes = {
             name: {k: v for k, v in values.items() if v != getattr(self.parts[name].params, k)}
@@ -120,7 +120,7 @@ class Mission(CombinedPattern[Params]):
         return outputs
 
     def forget(self, parts: Collection[str]) -> None:
-        """Forget what parts have reported: no condition holds by it until they are stepped."""
+        """Drop the reports of parts, so that no condition holds by them until the next step."""
         for key in [key for key in self._reports if schema.split(key)[0] in parts]:
             del self._reports[key]
         self._done.difference_update(parts)
@@ -141,15 +141,15 @@ class Mission(CombinedPattern[Params]):
             part.update(msgspec.structs.replace(part.params, **{param: value}))
 
     def _report(self) -> Mapping[str, Scalar]:
-        found: dict[str, Scalar] = {"phase": self._root.phase}
+        report: dict[str, Scalar] = {"phase": self._root.phase}
         for own, (name, key) in self.document.report.items():
             value = self._reports.get(f"{name}.{key}", getattr(self.parts[name].params, key, None))
             if value is not None:
-                found[own] = value
+                report[own] = value
         if not self.document.report:
             for name, outputs in self._stepped.items():
-                found.update({f"{name}.{key}": value for key, value in outputs.report.items()})
-        return found
+                report.update({f"{name}.{key}": value for key, value in outputs.report.items()})
+        return report
 
 
 def mission_class(path: Path, find: Find) -> type[Mission]:
@@ -194,7 +194,7 @@ def pattern_classes(document: schema.Document, find: Find) -> PatternClasses:
 
 
 def _params_type(document: schema.Document, classes: PatternClasses) -> type[Params]:
-    """The mission's own parameters, each with the type, bounds and meaning of its part's."""
+    """The mission's own parameters, each with type, bounds and meaning of the part's parameter."""
     fields: list[Any] = []
     for own, (name, param) in document.parameters.items():
         if name not in classes:
@@ -222,15 +222,15 @@ def _params_type(document: schema.Document, classes: PatternClasses) -> type[Par
 
 
 def _recovery(document: schema.Document, classes: PatternClasses) -> bool:
-    """The file's `recovery`; else true if all parts that drive have it on."""
+    """The file's `recovery`; without the key, true if all parts that drive have recovery on."""
     if document.recovery is not None or document.root is None:
         return bool(document.recovery)
-    found = [
+    values = [
         document.parts[name].params.get("recovery", _default(classes[name], "recovery"))
         for name in set(schema.driving_parts(document.root)) & set(classes)
         if not issubclass(classes[name], VotingPattern)
     ]
-    return bool(found) and all(value is True for value in found)
+    return bool(values) and all(value is True for value in values)
 
 
 def _default(kind: type[Pattern[Any]], name: str) -> Any:
@@ -239,35 +239,34 @@ def _default(kind: type[Pattern[Any]], name: str) -> Any:
 
 def _channels(document: schema.Document, classes: PatternClasses) -> dict[str, type]:
     """The channels as the classes declare them; those of a Mission object are exact."""
-    found: dict[str, type] = {}
+    channels: dict[str, type] = {}
     for name, part in document.parts.items():
         prefix = f"{name}-" if part.private else f"{part.pattern}/"
         for channel, kind in dict(classes[name].channels).items():
-            found[channel if "/" in channel else prefix + channel] = kind
-    return found
+            channels[channel if "/" in channel else prefix + channel] = kind
+    return channels
 
 
 _FAILED = "failed: "
 
 
 class _Node(ABC):
-    """Carries out one element.
-
-    `ended` is the reason why it has ended, empty before; `has_failed`: whether it ended by failing.
-    `target`: the step that follows it by a transition, None while none holds.
-    """
+    """Carries out one element."""
 
     def __init__(self, element: schema.Element) -> None:
         self.name = element.label
-        self.ended, self.has_failed = "", False
-        self._is_new = True
+        self.ended = ""  # the reason why the element has ended, empty before
+        self.has_failed = False  # the element has ended by failing
+        self._is_new = True  # the element has not been checked since its begin
         self._until = None if element.until is None else ConditionState(element.until)
         self._fails = None if element.fails is None else ConditionState(element.fails)
         self._transitions = [
-            (name, ConditionState(one)) for name, one in (element.transitions or {}).items()
+            (name, ConditionState(condition))
+            for name, condition in (element.transitions or {}).items()
         ]
-        self.target: str | None = None
-        self._retry, self._retries = element.retry or 0, 0
+        self.target: str | None = None  # the next step by a transition whose condition holds
+        self._retry = element.retry or 0
+        self._retries = 0
         self._parts = frozenset(schema.parts_in(element))
 
     def start(self, now: float) -> None:
@@ -279,20 +278,22 @@ class _Node(ABC):
         self.ended, self.has_failed = "", False
         self._is_new = True
         self.target = None
-        for condition in (self._until, self._fails, *(one for _, one in self._transitions)):
+        for condition in (self._until, self._fails, *(state for _, state in self._transitions)):
             if condition is not None:
                 condition.start(now)
 
     def check(self, mission: Mission, seen: Observation) -> str:
-        """The reason why it has ended, evaluated once before each step.
+        """The reason why the element has ended, or "", evaluated once before each step.
 
-        It never ends before its first step: until then its parts' reports are from an earlier time.
+        1. Before its first step an element never ends: the reports of its parts are older.
+        2. `until` comes before `fails`, and `fails` before the transitions.
+        3. The first transition whose condition holds sets `target`; the element goes on.
         """
         is_new, self._is_new = self._is_new, False
         if not self.ended:
             until, fails = self._until, self._fails
-            # All are evaluated at every step for their memory.
-            targets = [name for name, one in self._transitions if one.is_met(seen)]
+            # Every condition has a memory and must be evaluated at every step.
+            targets = [name for name, state in self._transitions if state.is_met(seen)]
             is_over = until is not None and until.is_met(seen) and not is_new
             is_lost = fails is not None and fails.is_met(seen) and not is_new
             if until is not None and is_over:
@@ -305,7 +306,7 @@ class _Node(ABC):
         return self.ended
 
     def _fail(self, reason: str, mission: Mission, now: float) -> None:
-        """Fail for a reason, or begin again without what its parts have reported."""
+        """Fail for a reason, or begin again without the reports of the element's parts."""
         if self._retries < self._retry:
             self._retries += 1
             mission.forget(self._parts)
@@ -315,7 +316,7 @@ class _Node(ABC):
             self.ended, self.has_failed = prefix + reason, True
 
     def _end_like(self, child: _Node, mission: Mission, now: float) -> None:
-        """End, or fail, as an element in it has."""
+        """End, or fail, as the child has."""
         if child.has_failed:
             self._fail(child.ended, mission, now)
         else:
@@ -388,7 +389,7 @@ class _SequenceNode(_Node):
         return current
 
     def _is_last(self, current: _Node) -> bool:
-        """Whether nothing follows a step that has ended."""
+        """Whether no step follows the current step, which has ended."""
         is_final = self._index == len(self._steps) - 1 and not self._repeats
         return is_final or current.has_failed != self._is_fallback
 
@@ -445,7 +446,7 @@ class _SwitchNode(_Node):
                 when.start(now)
 
     def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
-        # A list, not a generator: each must be evaluated at every step for its memory.
+        # A list, not a generator: every condition must be evaluated at every step for its memory.
         met = [node for when, node in self._branches if when is None or when.is_met(seen)]
         chosen = met[0] if met else None
         if chosen is not self._chosen:

@@ -47,23 +47,20 @@ Reference: TypeAlias = tuple[str, str]
 
 
 class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of every element; `when` only in a branch of a switch.
-
-    `until` ends it, and `fails` makes it fail, which `retry` times begins it again instead.
-    `transitions`, only in a step of a sequence: the step that follows, by its name, once the
-    condition holds; the first in the order of the file.
-    """
+    """The keys of every element."""
 
     name: str = ""
-    until: Condition | None = None
-    fails: Condition | None = None
-    retry: Annotated[int, Meta(ge=1, le=1000)] | None = None
-    when: Condition | None = None
+    until: Condition | None = None  # ends the element
+    fails: Condition | None = None  # makes the element fail
+    retry: Annotated[int, Meta(ge=1, le=1000)] | None = None  # failures that begin it again instead
+    when: Condition | None = None  # only in a branch of a switch
+    # Only in a step of a sequence: the name of the next step by the condition that leads there. The
+    # first condition that holds counts, in the order of the file.
     transitions: Annotated[dict[str, Condition], Meta(min_length=1)] | None = None
 
     @property
     def label(self) -> str:
-        """What `drives` and `phase` call it."""
+        """The name of the element in `drives` and `phase`."""
         return self.name
 
 
@@ -91,7 +88,7 @@ class Sequence(ElementBase, frozen=True, tag="sequence"):
 
 
 class Parallel(ElementBase, frozen=True, tag="parallel"):
-    """Runs its items at once; the one of label `drives` drives, or none."""
+    """Runs its items at once; the item with label `drives` drives, or no item."""
 
     children: Elements = msgspec.field(name="parallel")
     drives: Annotated[str, Meta(description=f"the name of an item, or {NO_DRIVER}")]
@@ -154,21 +151,17 @@ class MissionFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 @dataclass(slots=True)
 class Document:
-    """A mission as its file has it, without what is faulty; `faults` lists that.
-
-    `root` is None if any element is faulty. `maps` holds the place of each map. `names` has all
-    parts, also faulty ones.
-    """
+    """The contents of a mission's file, without the faulty parts, which `faults` lists."""
 
     path: Path
     description: str
     parts: dict[str, Part]
-    names: Collection[str]
-    maps: list[tuple[Keys, Map]]
+    names: Collection[str]  # of all parts, the faulty ones included
+    maps: list[tuple[Keys, Map]]  # each with its place in the file
     report: Mapping[str, Reference]
     parameters: Mapping[str, Reference]
     recovery: bool | None
-    root: Element | None
+    root: Element | None  # None if any element is faulty
     faults: list[Fault] = field(default_factory=list)
 
 
@@ -199,10 +192,10 @@ def read_document(path: Path) -> Document:
     maps: list[tuple[Keys, Map]] = []
 
     def check(value: Any, keys: Keys) -> Iterator[Fault]:
-        found = list(_check(value, keys, names))
-        if isinstance(value, Map) and not found:
+        value_faults = list(_check(value, keys, names))
+        if isinstance(value, Map) and not value_faults:
             maps.append((keys, value))
-        yield from found
+        yield from value_faults
 
     file, faults = read(own, MissionFile, check)
     expanded = _expanded(rest)
@@ -251,8 +244,8 @@ def conditions(root: Element | None) -> Iterator[tuple[Keys, Condition]]:
 
 
 def parts_in(element: Element) -> set[str]:
-    """The parts that it steps."""
-    return {one.part for _, one in elements(element) if isinstance(one, RunPart)}
+    """The parts that an element steps."""
+    return {leaf.part for _, leaf in elements(element) if isinstance(leaf, RunPart)}
 
 
 def driving_parts(element: Element) -> Iterator[str]:
@@ -265,7 +258,7 @@ def driving_parts(element: Element) -> Iterator[str]:
 
 
 def report_of(condition: Condition) -> str | None:
-    """The report that a simple condition is about, as PART.KEY; None if it is about none."""
+    """The report that a simple condition reads, as PART.KEY; None if it reads no report."""
     match condition:
         case Settled(report=name) | Reported(name=name):
             return name
@@ -280,7 +273,7 @@ def _expanded(element: Any) -> Any:
     if not isinstance(element, dict):
         return element
     return {
-        key: [_expanded(one) for one in value]
+        key: [_expanded(child) for child in value]
         if key in _KINDS and isinstance(value, list)
         else value
         for key, value in element.items()
@@ -296,7 +289,7 @@ def _is_part_name(name: str) -> bool:
 
 
 def _can_end(element: Element) -> bool:
-    """Whether it can end: by its condition, or because all that runs last in it can."""
+    """Whether an element can end: by its condition, or because its last items can end."""
     if element.until is not None:
         return True
     if isinstance(element, Sequence):
@@ -307,7 +300,7 @@ def _can_end(element: Element) -> bool:
 
 
 def _can_fail(element: Element) -> bool:
-    """Whether it can fail: by its condition, or because what runs in it can."""
+    """Whether an element can fail: by its condition, or because its items can fail."""
     if element.fails is not None:
         return True
     if isinstance(element, Fallback):
@@ -316,7 +309,7 @@ def _can_fail(element: Element) -> bool:
 
 
 def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    """What the types of a struct cannot express."""
+    """Faults that the types of a struct cannot express."""
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -376,10 +369,10 @@ def _check_names(element: Any, keys: Keys, names: Collection[str]) -> Iterator[F
 
 
 def _check_transitions(steps: list[Any], keys: Keys) -> Iterator[Fault]:
-    found = [one if isinstance(one, dict) else {} for one in steps]
-    labels = [one.get("name") or one.get("part") or "" for one in found]
+    sections = [step if isinstance(step, dict) else {} for step in steps]
+    labels = [section.get("name") or section.get("part") or "" for section in sections]
     named = Counter(map(str, labels))
-    for index, step in enumerate(found):
+    for index, step in enumerate(sections):
         transitions = step.get("transitions")
         for name in transitions if isinstance(transitions, dict) else ():
             where = (*keys, index, "transitions", name)
@@ -410,24 +403,25 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
 
 
 def _reached(sequence: Sequence) -> set[int]:
-    """The steps that can be the present one, if each transition can hold.
+    """The indices of the steps that the sequence can reach, if each transition can hold.
 
-    The step after one without an end and without transitions counts: it has a fault of its own.
+    A step without an end and without transitions has a fault of its own: the step after it counts
+    as reached.
     """
     steps = sequence.children
     indices = {step.label: index for index, step in enumerate(steps)}
-    found: set[int] = set()
+    reached: set[int] = set()
     todo = [0]
     while todo:
         index = todo.pop()
-        if index in found or index == len(steps):
+        if index in reached or index == len(steps):
             continue
-        found.add(index)
+        reached.add(index)
         targets = steps[index].transitions
         if _can_end(steps[index]) or targets is None:
             todo.append(index + 1)
         todo += [indices[name] for name in targets or () if name in indices]
-    return found
+    return reached
 
 
 def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
@@ -444,19 +438,19 @@ def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
         yield fault_at((*keys, "drives"), text)
 
 
-def _check_map(one: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    yield from _check_reference(one.source, (*keys, "from"), names)
-    yield from _check_reference(one.target, (*keys, "to"), names)
-    (source, _), (target, param) = split(one.source), split(one.target)
+def _check_map(mapping: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    yield from _check_reference(mapping.source, (*keys, "from"), names)
+    yield from _check_reference(mapping.target, (*keys, "to"), names)
+    (source, _), (target, param) = split(mapping.source), split(mapping.target)
     if param in _SHARED:
         yield fault_at((*keys, "to"), _SHARED[param])
     if source == target:
         yield fault_at((*keys, "to"), f"is a parameter of {source} itself; expected another part's")
-    if (one.values is None) == (one.base is None):
+    if (mapping.values is None) == (mapping.base is None):
         yield fault_at(keys, "needs either values, or base and step")
-    elif one.base is not None and one.step is None:
+    elif mapping.base is not None and mapping.step is None:
         yield fault_at((*keys, "step"), "is missing; expected a number, as base is there")
-    elif one.base is None and (one.step, one.count) != (None, None):
+    elif mapping.base is None and (mapping.step, mapping.count) != (None, None):
         yield fault_at(keys, "has step or count, which go with base, beside values")
 
 
@@ -474,10 +468,10 @@ def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iter
 
 
 def _named(
-    key: str, found: Mapping[str, str], names: Collection[str], faults: list[Fault]
+    key: str, references: Mapping[str, str], names: Collection[str], faults: list[Fault]
 ) -> Iterator[tuple[str, Reference]]:
     """The valid entries of `report` or `parameters`; the faults of the others are appended."""
-    for own, reference in found.items():
+    for own, reference in references.items():
         wrong = list(_check_reference(reference, (key, own), names))
         if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
             text = (
@@ -510,10 +504,10 @@ def _check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]
         elif "avoidance" in (document.parts[name].params if name in document.parts else ()):
             yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
     setters: dict[Reference, str] = {}
-    for keys, one in document.maps:
-        if split(one.target) in setters:
-            yield fault_at((*keys, "to"), f"is {one.target}, which another map sets; keep one")
-        setters[split(one.target)] = "a map"
+    for keys, entry in document.maps:
+        if split(entry.target) in setters:
+            yield fault_at((*keys, "to"), f"is {entry.target}, which another map sets; keep one")
+        setters[split(entry.target)] = "a map"
     for own, reference in document.parameters.items():
         if reference[1] in _SHARED:
             yield fault_at(("parameters", own), _SHARED[reference[1]])

@@ -121,8 +121,9 @@ def asker_access(roster: Roster, name: str) -> Access:
 def router_access(roster: Roster, router: str) -> Access:
     """`access_control` of a Zenoh router of profile routed, for links of names of the roster.
 
-    It decides what a name may send and subscribe to; what it sends to a link was subscribed to
-    or asked there. `router` is the name in the certificates of all routers of the swarm.
+    The rules decide what a name may send and subscribe to. A router sends to a link only what the
+    other end subscribed to or asked for. `router` is the name in the certificates of all routers of
+    the swarm.
     """
     swarm, everyone = roster.swarm, [f"{ROOT}/{roster.swarm}/**"]
     heard = build(swarm, ANY, "multicast", "all")

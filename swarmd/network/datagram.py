@@ -1,16 +1,16 @@
 """The datagrams that every robot of a swarm sends and hears. Pure: bytes in, structs out.
 
-A datagram is readable by every version of swarmd. Its head has a fixed layout; its body is a
-MessagePack array to whose end later versions append fields, and of which older versions ignore
-what they do not know::
+A datagram is readable by every version of swarmd. Its head has a fixed layout. Its body is a
+MessagePack array: later versions append fields at the end, and older versions ignore unknown
+fields::
 
     offset  bytes
     0       4      magic b"SWMD"
     4       1      kind
-    5       8      tag of profile, swarm and authority; zeros: any swarm
+    5       8      tag of profile, swarm and authority, zeros for any swarm
     13      2      length of the body, big endian
     15      n      body
-    15 + n  0..    the signature of a secured swarm (`signature.py`); ignored here
+    15 + n  0..    the signature of a secured swarm (`signature.py`), ignored here
 
 Reading raises nothing but `CodecError`. The bounds of the fields also refuse NaN and infinity.
 """
@@ -142,31 +142,22 @@ class BodyReport(_Datagram, frozen=True, kw_only=True):
 
 
 class Beacon(_Datagram, frozen=True, kw_only=True):
-    """Shows that a robot is there: sent once a second, at each change, and when solicited.
-
-    `sequence` rises with each beacon of an instance. `state` is an index in STATES; a later
-    version may send an unknown one. `revision` counts the changes of the robot. `digests`: by
-    `RecordKind`. `echo`: the number of the `Solicit` that it answers. `wire` is the version of the
-    requests that the daemon reads, `version` that of its package, which only answers have. `body`:
-    None from an older version. `number` counts the beacons to all, so that losses show; 0: this one
-    was sent to one receiver. `said`: how many messages of patterns it has sent, and `clock`: ms on
-    its clock, that of `Place`; only answers have them.
-    """
+    """Shows that a robot is there: sent once a second, at each change, and when solicited."""
 
     robot: RobotId
     instance: Bytes6
-    sequence: Number
-    wire: Annotated[int, Meta(ge=0, le=255)]
-    state: Annotated[int, Meta(ge=0, le=255)]
-    revision: Number
+    sequence: Number  # rises with each beacon of an instance
+    wire: Annotated[int, Meta(ge=0, le=255)]  # the version of the requests that the daemon reads
+    state: Annotated[int, Meta(ge=0, le=255)]  # an index in STATES, unknown from a later version
+    revision: Number  # counts the changes of the robot
     flags: Annotated[int, Meta(ge=0, le=255)] = 0
-    digests: Annotated[tuple[Digest, ...], Meta(max_length=MAX_KINDS)] = ()
-    echo: Number = 0
-    version: Annotated[str, Meta(max_length=32)] = ""
-    body: BodyReport | None = None
-    number: Number = 0
-    said: Number = 0
-    clock: Milliseconds = 0
+    digests: Annotated[tuple[Digest, ...], Meta(max_length=MAX_KINDS)] = ()  # by `RecordKind`
+    echo: Number = 0  # the number of the `Solicit` that the beacon answers
+    version: Annotated[str, Meta(max_length=32)] = ""  # of the package; only answers have it
+    body: BodyReport | None = None  # None from an older version
+    number: Number = 0  # counts the beacons to all, so that losses show; 0: sent to one receiver
+    said: Number = 0  # messages of patterns that the instance has sent; only answers have it
+    clock: Milliseconds = 0  # of the instance, as in `Place`; only answers have it
 
     def digest(self, kind: RecordKind) -> bytes:
         """The digest of the records of a kind; empty without one."""
@@ -177,29 +168,26 @@ class Solicit(_Datagram, frozen=True, kw_only=True):
     """Asks robots to answer at once: a beacon, and member lists, latches and the goal as wanted.
 
     `echo` is repeated in the answer, so that the asker knows the round trip, and in a secured swarm
-    that the robot lives now. `robot`: only this one is asked, which answers also while it claims
-    its id.
+    that the robot lives now.
     """
 
     echo: Number
     wants_members: bool = False
     wants_latches: bool = False
     wants_goal: bool = False
-    robot: RobotId | None = None
+    robot: RobotId | None = (
+        None  # only this robot is asked, and answers also while it claims its id
+    )
 
 
 class MemberReport(_Datagram, frozen=True, kw_only=True):
-    """What a robot reports of another member.
-
-    `presence` is an index in PRESENCES, `age` the time in ms since it was heard (alive) or since
-    it left or failed. `hops` 0: heard directly, from `host` and `port`.
-    """
+    """The report of a robot on another member."""
 
     robot: RobotId
     instance: Bytes6
-    presence: Annotated[int, Meta(ge=0, le=255)]
-    age: Milliseconds
-    hops: Hops = 0
+    presence: Annotated[int, Meta(ge=0, le=255)]  # an index in PRESENCES
+    age: Milliseconds  # since the member was heard (alive), or since it left or failed
+    hops: Hops = 0  # 0: heard directly, from `host` and `port`
     host: Host = ""
     port: Annotated[int, Meta(ge=0, le=65535)] = 0
 
@@ -220,33 +208,32 @@ class MemberList(_Datagram, frozen=True, kw_only=True):
 
 
 class Stop(_Datagram, frozen=True, kw_only=True):
-    """A stop or an emergency stop, as its operator or a relaying robot sends it.
-
-    `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: ms
-    since the operator issued it, summed hop by hop without clocks and without the time on the way.
-    `hops`: how often it was relayed. `origin`: the operator's installation; `counter`: rises with
-    each of its stops (`stop_freshness.py`); both only in a secured swarm. `repeated`: ms; the
-    stop's age when the operator itself sent the copy that was relayed.
-    """
+    """A stop or an emergency stop, as its operator or a relaying robot sends it."""
 
     id: Name
     verb: Literal["stop", "estop"]
     operator: Short
-    targets: Annotated[tuple[RobotId, ...], Meta(max_length=1024)] | None = None
-    scope: Literal["swarm", "robots"] = "swarm"
+    targets: Annotated[tuple[RobotId, ...], Meta(max_length=1024)] | None = (
+        None  # None: every robot
+    )
+    scope: Literal["swarm", "robots"] = "swarm"  # swarm: the latch spreads to robots that join
     reason: Reason = ""
+    # Since the operator issued the stop, summed hop by hop without clocks and without the time on
+    # the way.
     age: Milliseconds = 0
-    hops: Hops = 0
+    hops: Hops = 0  # the number of relays
+    # The operator's installation, and a number that rises with each of its stops: only in a secured
+    # swarm (`stop_freshness.py`).
     origin: Annotated[bytes, Meta(max_length=4)] = b""
     counter: Number = 0
-    repeated: Milliseconds = 0
+    repeated: Milliseconds = 0  # the age when the operator itself sent the copy that was relayed
 
 
 class Ack(_Datagram, frozen=True, kw_only=True):
     """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`).
 
-    `code` and `refusal` are values of `Code` and `Refusal`; a later version may send others.
-    `is_moving` as of `Reply`. `proof`: by which the operator knows that this robot made it
+    `code` and `refusal` are values of `Code` and `Refusal`; a later version may send new values.
+    `is_moving` as of `Reply`. `proof` shows the operator that `robot` made the ack
     (`signature.py`).
     """
 
@@ -263,7 +250,7 @@ class Ack(_Datagram, frozen=True, kw_only=True):
 
 
 class Latches(_Datagram, frozen=True, kw_only=True):
-    """A part of the latches that others take over from a robot with this `digest` in its beacon."""
+    """A part of the latches that robots take over from a robot with this `digest` in its beacon."""
 
     robot: RobotId
     instance: Bytes6
@@ -274,8 +261,8 @@ class Latches(_Datagram, frozen=True, kw_only=True):
 class GoalReport(_Datagram, frozen=True, kw_only=True):
     """The answer to a `Solicit` with `wants_goal` and this `echo`: the goal that a robot holds.
 
-    `goal`: its bytes, see core/goal.py. `age`: ms since it was set, summed hop by hop without
-    clocks; None if the robot does not know it.
+    `goal`: the bytes of the goal, see core/goal.py. `age`: ms since the goal was set, summed hop by
+    hop without clocks; None if the robot does not know the age.
     """
 
     robot: RobotId
@@ -430,7 +417,7 @@ def is_for_any_swarm(payload: bytes) -> bool:
 
 def only_names(word: MemberList, names: Collection[str]) -> MemberList:
     """A member list without robots that are not among `names`."""
-    members = tuple(one for one in word.members if one.robot in names)
+    members = tuple(member for member in word.members if member.robot in names)
     roster = tuple(name for name in word.roster if name in names)
     return msgspec.structs.replace(word, members=members, roster=roster)
 

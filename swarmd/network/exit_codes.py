@@ -1,4 +1,4 @@
-"""The exit codes of swarmctl, and the text that explains the codes in `swarmctl --help`.
+"""The exit codes of swarmctl; `swarmctl --help` explains them.
 
 `Outcome.exit_code` derives the code of a request from the replies.
 """
@@ -10,17 +10,6 @@ from collections.abc import Collection
 from swarmd.core.messages import Refusal
 
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
-EXIT_CODES_HELP = """\b
-Exit codes:
-  0  all targeted robots applied it
-  1  none applied it, and at least one failed
-  2  usage, or all that answered know no such pattern or parameter: none moved
-  3  partial: some robots applied it, some did not; of a look: some did not answer
-  4  no robot was targeted
-  5  none applied it or failed, and at least one did not answer in time
-  6  no daemon could be reached
-  7  all robots refused
-  130  interrupted"""
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:

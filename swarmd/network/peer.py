@@ -221,7 +221,7 @@ class Peer:
     @property
     def rivals(self) -> tuple[str, ...]:
         """The instances that were heard to own or claim the id, while the own claim is open."""
-        return () if self._claim is None else tuple(one.hex() for one in self._claim.rivals)
+        return () if self._claim is None else tuple(rival.hex() for rival in self._claim.rivals)
 
     @property
     def duplicates(self) -> tuple[str, ...]:
@@ -256,12 +256,12 @@ class Peer:
         if isinstance(body, Stop) and waited > 0.0:
             body = replace(body, age=body.age + round(1000.0 * waited))
         if self._admission is not None and not is_any:
-            found = self._admit(body, author, now)
-            if isinstance(found, Flaw):
-                effects.flaw = found
-                self._question(body, found, source, now, effects)
+            admitted = self._admit(body, author, now)
+            if isinstance(admitted, Flaw):
+                effects.flaw = admitted
+                self._question(body, admitted, source, now, effects)
                 return effects
-            body = found
+            body = admitted
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)
@@ -429,12 +429,12 @@ class Peer:
                 effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
 
     def _on_goal(self, report: GoalReport, now: float, effects: PeerActions) -> None:
-        found = self._goal_sync.on_report(report, now)
-        if found is None:
+        reported = self._goal_sync.on_report(report, now)
+        if reported is None:
             return
-        counts = self._check_goal(found.goal, now)
+        counts = self._check_goal(reported.goal, now)
         if counts:
-            effects.goals.append(found)
+            effects.goals.append(reported)
             self._is_join_due = True
         elif counts is None:
             self._goal_sync.retry(report.instance)

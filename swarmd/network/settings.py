@@ -61,30 +61,28 @@ def parse_endpoint(
 
 
 class NetworkSettings(Struct, frozen=True, kw_only=True):
-    """How to meet the swarm.
-
-    `profile`: dev: robots on this machine; field: robots on one interface, without anything else;
-    routed: all by Zenoh routers at the endpoints `routers`.
-    `interface`: required in profile field, which binds nothing else; dev uses `lo`.
-    `listen`: endpoints such as `tcp/10.0.0.5:7440`; empty means an ephemeral port on loopback
-    (dev) or port 7440 on the interface (field).
-    `seeds`: endpoints of robots to which datagrams also go one by one: the way through networks
-    that drop multicast and broadcast, and the only one with `multicast` off.
-    `discoverable`: answer the scouts by which Zenoh programs find robots. None: yes in dev, and in
-    field unless the swarm is secured or `multicast` is off. A scout of 3 bytes draws an answer of
-    40 bytes or more from each robot. Robots never scout themselves.
-    `lease`: seconds without a sign of life after which a peer counts as gone. A shorter one
-    notices sooner and tolerates less loss. None: 2 s in dev, 3 s in field.
-    """
+    """How to meet the swarm."""
 
     swarm: str = DEFAULT_SWARM
+    # dev: robots on this machine. field: robots on one interface, without anything else. routed:
+    # all by Zenoh routers at the endpoints `routers`.
     profile: Profile = "dev"
+    # Required in profile field, which binds nothing else; dev uses `lo`.
     interface: str | None = None
+    # Endpoints such as `tcp/10.0.0.5:7440`. Empty means an ephemeral port on loopback (dev) or port
+    # 7440 on the interface (field).
     listen: tuple[str, ...] = ()
+    # Endpoints of robots to which datagrams also go one by one: the way through networks that drop
+    # multicast and broadcast, and the only way with `multicast` off.
     seeds: tuple[str, ...] = ()
     routers: tuple[str, ...] = ()
     multicast: bool = True
+    # Answer the scouts by which Zenoh programs find robots. None: yes in dev, and in field unless
+    # the swarm is secured or `multicast` is off. A scout of 3 bytes draws an answer of 40 bytes or
+    # more from each robot. Robots never scout themselves.
     discoverable: bool | None = None
+    # Seconds without a sign of life after which a peer counts as gone. A shorter lease notices
+    # sooner and tolerates less loss. None: 2 s in dev, 3 s in field.
     lease: Annotated[float, Meta(ge=MIN_LEASE, le=MAX_LEASE)] | None = None
 
     @property

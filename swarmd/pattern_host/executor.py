@@ -71,7 +71,9 @@ class PatternExecutor:
             is_unread = until.refusal is Refusal.PATTERN_FAILED
             refusal = Refusal.INVALID_CONDITION if is_unread else until.refusal
             return host_messages.LoadRefused(load.generation, until.text, refusal)
-        self._load, self._assembled, self._until = load, assembled, until
+        self._load = load
+        self._assembled = assembled
+        self._until = until
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
         rate = float(pattern.rate)
@@ -165,12 +167,13 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
 
 
 def _in_one_line(error: BaseException) -> str:
-    """What was raised, and where: `ZeroDivisionError: division by zero (shy.py:12)`."""
+    """The exception with its place: `ZeroDivisionError: division by zero (shy.py:12)`."""
     text = str(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
     file, line = frame.filename, frame.lineno
     if isinstance(error, SyntaxError) and error.filename:  # raised before there was a frame
-        text, file, line = error.msg, error.filename, error.lineno
+        text = error.msg
+        file, line = error.filename, error.lineno
     text = " ".join(text.split())
     return f"{type(error).__name__}: {text[:200]} ({file.rsplit('/', 1)[-1]}:{line})"
 

@@ -1,7 +1,7 @@
 """A pattern host forked ahead of its daemon, from a process that shares its imports.
 
-It is forked before the daemon reads settings and keys, opens a session or starts a thread, and
-keeps no descriptor of it. It waits for the daemon to use it as its first host.
+The fork happens before the daemon reads settings and keys, opens a session or starts a thread. The
+host keeps no descriptor of the daemon, and waits until the daemon uses it as first host.
 """
 
 from __future__ import annotations

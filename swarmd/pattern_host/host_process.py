@@ -86,7 +86,8 @@ class HostSettings:
 class HostProcess:
     """One child process and the daemon's end of its socket.
 
-    `sandbox`: what the kernel denies it; None until it has told, before it runs plugin code.
+    `sandbox`: what the kernel denies the process; None until the process reports this, before any
+    plugin code runs.
     """
 
     def __init__(

@@ -152,7 +152,7 @@ def _import_first_from(wheel: str) -> None:
         file = getattr(sys.modules[module], "__file__", None) or ""
         if module.partition(".")[0] in tops and not file.startswith(f"{wheel}/"):
             del sys.modules[module]
-    sys.path[:] = [wheel, *(one for one in sys.path if one != wheel)]
+    sys.path[:] = [wheel, *(entry for entry in sys.path if entry != wheel)]
     importlib.invalidate_caches()
 
 
@@ -167,8 +167,8 @@ def _from_file(path: Path, digest: bytes = b"") -> type[Pattern[Any]]:
         and not inspect.isabstract(value)
     ]
     if len(kinds) != 1:
-        found = ", ".join(kind.__name__ for kind in kinds) or "none"
-        raise PluginError(f"{path} must hold exactly one Pattern; it holds {found}")
+        names = ", ".join(kind.__name__ for kind in kinds) or "none"
+        raise PluginError(f"{path} must hold exactly one Pattern; it holds {names}")
     _check_declarations(kinds[0])
     return kinds[0]
 
@@ -187,7 +187,7 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
     if isinstance(channels, Mapping):  # a combined pattern's is a property
         for channel, wanted in channels.items():
             if wanted not in _CHANNEL_TYPES:
-                known = ", ".join(one.__name__ for one in _CHANNEL_TYPES)
+                known = ", ".join(kind.__name__ for kind in _CHANNEL_TYPES)
                 raise PluginError(
                     f"{kind.__name__}: channel {channel!r} is declared as {wanted!r}; "
                     f"expected one of {known}"

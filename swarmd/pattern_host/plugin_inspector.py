@@ -1,10 +1,11 @@
 """Inspects plugin code for tools: `describe`, `check` and `mission`, in a process that may be lost.
 
 Tools never import plugin code: `swarmd.cli.plugin_check` starts this program and reads JSON lines.
-It confines itself (`swarmd.pattern_host.sandbox`), and reads the folder of what it inspects.
-`{"begin": item}` comes before each item and `{"result": item, ...}` after it, at last
-`{"end": true}`; `{"error": text}` if nothing can be inspected. So the tool knows which item ended
-this process, or keeps it. On SIGUSR1 and on a crash the lines of Python's stack follow.
+The program confines itself (`swarmd.pattern_host.sandbox`), and can read only the folder of the
+inspected file. It writes `{"begin": item}` before each item, `{"result": item, ...}` after the
+item, and at last `{"end": true}`, or `{"error": text}` if nothing can be inspected. So the tool
+knows which item ended or hangs this process. On SIGUSR1 and on a crash the lines of Python's stack
+follow.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd import api
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import is_id
 from swarmd.core.processes import die_with_parent, limit_growth
-from swarmd.core.values import Platform, Value
+from swarmd.core.values import Outputs, Platform, Twist, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.conditions import needs_of
@@ -66,6 +68,7 @@ if TYPE_CHECKING:
 
 LOADING = "the file holds one pattern"
 IMPORTS = "it imports arithmetic alone"
+DROPPED = "no command is made and dropped"
 MIRRORED = "mirrored scans give mirrored commands"
 NOT_CLAIMED = "is_symmetric is not claimed"
 MAX_GROWTH = 1024 * 1024 * 1024
@@ -126,7 +129,7 @@ def main() -> None:
 
 
 def readable_beside(file: Path) -> Path:
-    """What the code of a file may read: its folder, or the file alone if that holds the home."""
+    """The folder of a file, which its code may read; the file alone if the home is inside."""
     home = Path.home().resolve()
     return file if home.is_relative_to(file.parent) else file.parent
 
@@ -137,10 +140,10 @@ def readable_beside(file: Path) -> Path:
 def _describe_patterns(
     names: Sequence[str], plugin_dir: Path | None, platform: Platform, answer: InspectionOutput
 ) -> None:
-    found = pattern_names(plugin_dir)
-    loader = PatternLoader(places_of(found))
-    for name in names or found:
-        source = found[name].source if name in found else ""
+    origins = pattern_names(plugin_dir)
+    loader = PatternLoader(places_of(origins))
+    for name in names or origins:
+        source = origins[name].source if name in origins else ""
         answer.send(begin=name, source=source)
         answer.send(result=name, **_describe(name, source, loader, platform))
 
@@ -162,6 +165,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "summary": (kind.__doc__ or "").strip().split("\n")[0],
         "text": (kind.__doc__ or "").strip(),
         "kind": _kind(kind),
+        "group": kind.group or ("missions" if issubclass(kind, Mission) else "yours"),
         "source": source,
         "needs": sorted(kind.needs),
         "missing": sorted(kind.needs - platform.provides),
@@ -184,7 +188,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
 
 
 def _refusal(name: str, loader: PatternLoader, platform: Platform) -> str:
-    """Why a robot of that platform would refuse a mission; empty if it would not."""
+    """Why a robot of that platform would refuse a mission; empty if the robot would take it."""
     try:
         _made(name, (), loader, platform)
     except SwarmError as error:
@@ -195,7 +199,7 @@ def _refusal(name: str, loader: PatternLoader, platform: Platform) -> str:
 def _made(
     name: str, layers: Layers, find: Find, platform: Platform, channel_prefix: str = ""
 ) -> Pattern[Any]:
-    """A pattern as a robot of that platform would make it; SwarmError if it would not."""
+    """A pattern as a robot of that platform makes it; SwarmError if the robot refuses."""
     rng = np.random.default_rng(0)
     return assemble(
         name,
@@ -238,12 +242,14 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
         return
     from swarmd.testing.no_side_effects import forbidden_imports
 
-    found = [
-        f"imports {name} ({path.name}:{line})"
-        for line, name in forbidden_imports(path.read_bytes())
-    ]
-    answer.send(begin=IMPORTS)
-    answer.send(result=IMPORTS, **({"fault": "; ".join(found)} if found else {}))
+    source = path.read_bytes()
+    for point, faults in (
+        (IMPORTS, [(line, f"imports {name}") for line, name in forbidden_imports(source)]),
+        (DROPPED, [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]),
+    ):
+        texts = [f"{text} ({path.name}:{line})" for line, text in faults]
+        answer.send(begin=point)
+        answer.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
     for point, check in _contract_tests(loaded[0], path.parent):
         if point in done:
             continue
@@ -255,10 +261,33 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
             return
 
 
+_UNUSED = "and does not use the value; is a return missing?"
+
+
+def dropped(source: bytes) -> Iterator[tuple[int, str]]:
+    """The line and the call of each expression statement that makes a Twist or Outputs.
+
+    By the name alone: the class, or a function of `swarmd.api` that returns one.
+    """
+    makers = {Twist.__name__, Outputs.__name__}
+    for name, value in vars(api).items():
+        returned = getattr(value, "__annotations__", {}).get("return")
+        makers |= {name} if returned in (Twist, Twist.__name__) else set()
+    for statement in ast.walk(ast.parse(source)):
+        if not isinstance(statement, ast.Expr):
+            continue
+        value = statement.value
+        for branch in (value.body, value.orelse) if isinstance(value, ast.IfExp) else (value,):
+            called = branch.func if isinstance(branch, ast.Call) else None
+            name = getattr(called, "id", "") or getattr(called, "attr", "")
+            if name in makers:
+                yield statement.lineno, name
+
+
 def _contract_tests(
     kind: type[Pattern[Any]], folder: Path
 ) -> Iterator[tuple[str, Callable[[], None]]]:
-    """Each test of the contract by its name in words; it runs on all platforms."""
+    """Each test of the contract with its name in words; the test runs on all platforms."""
     from swarmd.testing.pattern_contract import PatternContract
 
     known = {"pattern": kind, "plugin_dir": folder, "seconds": TEST_TIMEOUT}
@@ -287,7 +316,7 @@ def _on_all_platforms(contract: type[PatternContract], name: str) -> Callable[[]
 def _fault_of(
     call: Callable[[], None], path: Path, kind: type[Pattern[Any]] | None = None
 ) -> dict[str, Any]:
-    """What the call raises as a `fault` in one line, and `on`: under which circumstances."""
+    """The exception of the call as a `fault` in one line, and `on`: its notes; {} without."""
     try:
         call()
     except (Exception, SystemExit) as error:  # plugin code may raise anything
@@ -298,7 +327,7 @@ def _fault_of(
 
 
 def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | None) -> str:
-    """What was raised, and the last line of the file on the way there."""
+    """The exception, and the last line of the file in its traceback."""
     text = " ".join(str(error).split())
     frames = traceback.extract_tb(error.__traceback__)
     lines = [frame.lineno for frame in frames if frame.filename == str(path)]
@@ -331,7 +360,7 @@ def _lines_of_default(kind: type[Pattern[Any]], text: str, path: Path) -> list[i
 
 
 def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
-    """Where the file defines what gave a wrong value: `drive`, else `step`."""
+    """The line of the file that defines `drive`, else `step`, whose value was wrong."""
     for name in ("drive", "step"):
         code = getattr(getattr(kind, name, None), "__code__", None)
         if code is not None and code.co_filename == str(path):
@@ -393,11 +422,11 @@ def _inspect_mission(
 def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> list[str]:
     """A line for each fault of the file, for robots of that platform; nothing is run.
 
-    ConfigError if it is not YAML at all.
+    ConfigError if the file is not YAML.
     """
     document = read_document(path)
     origins = pattern_names(plugin_dir)
-    found = origins.get(path.stem)
+    namesake = origins.get(path.stem)
     if not is_id(path.stem) or path.suffix != MISSION:
         text = (
             "is in a file of a name that no pattern can have; expected a value such as patrol.yaml"
@@ -406,11 +435,10 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     elif document.description and not is_mission(path):
         text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
         document.faults.append(fault_at(("mission",), text))
-    elif found is not None and (found.rival or not is_same_file(str(path), found.value)):
-        other = (
-            found.source if is_same_file(str(path), found.rival) else found.rival or found.source
-        )
-        text = f"has the name of another pattern ({other}); rename one"
+    elif namesake is not None and (namesake.rival or not is_same_file(str(path), namesake.value)):
+        is_rival = is_same_file(str(path), namesake.rival)
+        owner = namesake.source if is_rival else namesake.rival or namesake.source
+        text = f"has the name of another pattern ({owner}); rename one"
         document.faults.append(fault_at(("mission",), text))
     find = PatternLoader({**places_of(origins), path.stem: (str(path.resolve()), True)})
     _check_parts(document, platform, find)
@@ -441,7 +469,7 @@ def _check_parts(document: Document, platform: Platform, find: Find) -> None:
 
 
 def _check_whole(document: Document, platform: Platform, find: Find) -> None:
-    """Make the mission as a robot does; a fault found only here is one of the whole file."""
+    """Make the mission as a robot does; a fault that only this shows is of the whole file."""
     try:
         mission_class(document.path, find)
         _made(document.path.stem, (), find, platform)

@@ -56,7 +56,7 @@ class InlineRunner:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What the pattern needs, with its parts; empty without a pattern."""
+        """The needs of the pattern and of its parts; empty without a pattern."""
         return self._executor.needs
 
     def send(self, command: host_messages.HostCommand) -> host_messages.HostEvent | None:
@@ -79,10 +79,12 @@ class InlineRunner:
 class ProcessRunner:
     """Keeps one warm pattern host; made on the loop's thread, before Zenoh is opened.
 
-    It calls `wake` when there are events. A host that ends by itself is replaced after a delay,
-    which doubles while hosts end before they have sent an event. What patterns print is logged.
-    `overlay` adds patterns to those of packages and of the folder; their code lies in `code`.
-    Plugin code can read `plugin_dir` and `code`, and nothing in `secret`.
+    - `wake` is called when there are events.
+    - A host that ends by itself is replaced after a delay, which doubles while hosts end before
+      they have sent an event.
+    - The prints of patterns are logged.
+    - `overlay` adds patterns to those of packages and of the folder; their code lies in `code`.
+    - Plugin code can read `plugin_dir` and `code`, and nothing in `secret`.
     """
 
     def __init__(
@@ -90,7 +92,7 @@ class ProcessRunner:
         loop: asyncio.AbstractEventLoop,
         plugin_dir: Path | None,
         wake: Callable[[], None],
-        overlay: Overlay = lambda found, load, is_trial: found,
+        overlay: Overlay = lambda own, load, is_trial: own,
         *,
         code: Sequence[Path] = (),
         secret: Sequence[Path] = (),
@@ -121,7 +123,7 @@ class ProcessRunner:
 
     @property
     def sandbox(self) -> Sandbox | None:
-        """What the kernel denies the host in use, or the one before while that has not told."""
+        """The sandbox of the host in use; until the host reports it, that of the host before."""
         if self._host is not None and self._host.sandbox is not None:
             self._sandbox = self._host.sandbox
         return self._sandbox
@@ -217,21 +219,21 @@ class ProcessRunner:
         """The patterns of packages and of the folder, without those of the overlay."""
         return pattern_names(self._plugin_dir, self._installed)
 
-    def _found(self, load: host_messages.Load, *, is_trial: bool) -> Mapping[str, Origin]:
+    def _all_patterns(self, load: host_messages.Load, *, is_trial: bool) -> Mapping[str, Origin]:
         return self._overlay(self.own_patterns(), load, is_trial)
 
     def _with_origins(self, load: host_messages.Load, *, is_trial: bool) -> host_messages.Load:
-        found = self._found(load, is_trial=is_trial)
-        if load.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
+        patterns = self._all_patterns(load, is_trial=is_trial)
+        if load.pattern not in patterns:  # perhaps installed meanwhile; to look takes 2 ms
             self._installed = installed_patterns()
-            found = self._found(load, is_trial=is_trial)
-        if load.pattern not in found:
-            raise UnknownPatternError(unknown("pattern", load.pattern, found))
-        check_single(load.pattern, found[load.pattern])
-        origins = places_of(found)
+            patterns = self._all_patterns(load, is_trial=is_trial)
+        if load.pattern not in patterns:
+            raise UnknownPatternError(unknown("pattern", load.pattern, patterns))
+        check_single(load.pattern, patterns[load.pattern])
+        origins = places_of(patterns)
         # Options of drivers may hold what plugin code has no business with.
         platform = dataclasses.replace(load.platform, drivers={})
-        digests = {name: one.digest for name, one in found.items() if one.digest}
+        digests = {name: origin.digest for name, origin in patterns.items() if origin.digest}
         return replace(load, origins=origins, platform=platform, digests=digests)
 
     def _start_trial(self, load: host_messages.Load) -> None:
@@ -294,20 +296,20 @@ class PrintedLines:
         self._left_out = 0
 
     def take(self, data: bytes, now: float) -> list[str]:
-        """The lines that end in `data` and may be logged now; those left out are told before."""
+        """The lines that end in `data` and may be logged now, after a line about those left out."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         self._rest = self._rest[:MAX_LINE]
-        found: list[str] = []
+        to_log: list[str] = []
         for number, line in enumerate(lines):
             if not self._budget.take(1.0, now):
                 self._left_out += len(lines) - number
                 break
             if self._left_out:
-                found.append(self._told())
-            found.append(line[:MAX_LINE].decode(errors="replace").rstrip())
-        return [one for one in found if one]
+                to_log.append(self._left_out_line())
+            to_log.append(line[:MAX_LINE].decode(errors="replace").rstrip())
+        return [text for text in to_log if text]
 
-    def _told(self) -> str:
+    def _left_out_line(self) -> str:
         count, self._left_out = self._left_out, 0
         return f"[{count} lines left out]"
 

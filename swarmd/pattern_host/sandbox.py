@@ -23,7 +23,9 @@ import swarmd
 from swarmd.core.messages import Sandbox
 from swarmd.core.processes import keep_limits
 
-FILES, NETWORK, PROCESSES = "files", "network", "processes"
+FILES = "files"
+NETWORK = "network"
+PROCESSES = "processes"
 
 _SYSTEM = (
     *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store"),
@@ -33,9 +35,14 @@ _SYSTEM = (
 )
 
 # Landlock. Its system calls have the same number on each architecture.
-_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_CREATE_RULESET = 444
+_ADD_RULE = 445
+_RESTRICT_SELF = 446
 _GET_VERSION, _BENEATH = 1, 1
-_EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+_EXECUTE = 1 << 0
+_WRITE_FILE = 1 << 1
+_READ_FILE = 1 << 2
+_READ_DIR = 1 << 3
 _RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15}
 """How many rights on files a version of Landlock knows; later ones 16."""
 
@@ -128,8 +135,12 @@ _DENIED = {
 _ABSENT = {"clone3": (435, 435), "openat2": (437, 437)}
 _NEWEST = 469
 """Number of the newest system call that the tables consider; x32 has greater ones, too."""
-_KILL, _TGKILL, _PRLIMIT = (62, 129), (234, 131), (302, 261)
-_CLONE, _OPEN, _OPENAT = (56, 220), (2, None), (257, 56)
+_KILL = (62, 129)
+_TGKILL = (234, 131)
+_PRLIMIT = (302, 261)
+_CLONE = (56, 220)
+_OPEN = (2, None)
+_OPENAT = (257, 56)
 # CLONE_NEWNS and the like; CLONE_PARENT, which makes a child of the daemon that nothing reaps
 _NAMESPACES, _OF_PARENT = 0x7E020000, 0x8000
 _TRUNCATE, _NEITHER = os.O_TRUNC, os.O_ACCMODE  # of open: bits, and an access mode of 3
@@ -145,12 +156,26 @@ _REFUSED_COMMANDS: tuple[tuple[tuple[int, int], int, tuple[int, ...]], ...] = (
 )
 """Calls, the place of the command among their arguments, and the commands that are refused."""
 _SOCKETPAIR = (53, 199)
-_AF_UNIX, _SOCK_STREAM, _SOCK_SEQPACKET, _SOCK_TYPE_MASK = 1, 1, 5, 0xF
+_AF_UNIX = 1
+_SOCK_STREAM = 1
+_SOCK_SEQPACKET = 5
+_SOCK_TYPE_MASK = 0xF
 _PR_SET_NO_NEW_PRIVS = 38
-_LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _AND, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x54, 0x06
-_NUMBER, _ARCHITECTURE, _ARGUMENTS = 0, 4, 16  # of struct seccomp_data
-_ALLOW, _REFUSE, _UNKNOWN = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
-_SET_MODE_FILTER, _ALL_THREADS, _SPEC_ALLOW = 1, 1, 4
+_LOAD = 0x20  # codes of instructions
+_EQUAL = 0x15
+_AT_LEAST = 0x35
+_ANY_BIT = 0x45
+_AND = 0x54
+_RETURN = 0x06
+_NUMBER = 0  # places in struct seccomp_data
+_ARCHITECTURE = 4
+_ARGUMENTS = 16
+_ALLOW = 0x7FFF0000  # verdicts
+_REFUSE = 0x00050000 | errno.EPERM
+_UNKNOWN = 0x00050000 | errno.ENOSYS
+_SET_MODE_FILTER = 1
+_ALL_THREADS = 1
+_SPEC_ALLOW = 4
 _CAPABILITY_VERSION = 0x20080522
 
 _Instruction = tuple[int, int, int, int]
@@ -169,7 +194,7 @@ def confine(readable: Iterable[Path] = (), secret: Iterable[Path] = ()) -> Sandb
     _drop_capabilities(libc)
     if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return Sandbox(missing=f"no_new_privs: {_error()}")
-    plugins = (path for one in readable for path in _with_links(one))
+    plugins = (path for granted in readable for path in _with_links(granted))
     if fault := _restrict_files(libc, {*_python_folders(), *plugins}, frozenset(secret)):
         missing.append(f"{FILES}: {fault}")
     else:
@@ -207,7 +232,7 @@ def _python_folders() -> Iterator[Path]:
 
 
 def _with_links(path: Path) -> Iterator[Path]:
-    """A path, and if it is a folder the links in it: a rule holds for the place that they name."""
+    """A path, and of a folder the links inside: a rule holds for the place that a link names."""
     yield path
     with suppress(OSError):
         yield from (Path(entry) for entry in os.scandir(path) if entry.is_symlink())
@@ -219,10 +244,10 @@ def _real(path: Path) -> Path:
 
 
 def _without(path: Path, secret: frozenset[Path]) -> Iterator[tuple[Path, int]]:
-    """`path` with its rights, or the parts of it that are not in `secret`."""
+    """`path` with its rights, or the parts of `path` that are not in `secret`."""
     if path in secret:
         return
-    if not any(one.is_relative_to(path) for one in secret):
+    if not any(hidden.is_relative_to(path) for hidden in secret):
         yield path, _EXECUTE | _READ_FILE | _READ_DIR
         return
     yield path, _READ_DIR  # the import system lists it
@@ -279,7 +304,9 @@ def _restrict_system_calls(libc: ctypes.CDLL) -> str:
     if machine not in _MACHINES or sys.byteorder != "little" or sys.maxsize < 1 << 32:
         return f"no filter for processors of type {machine}"
     column, architecture, seccomp = _MACHINES[machine]
-    program = b"".join(struct.pack("=HBBI", *one) for one in _program(column, architecture))
+    program = b"".join(
+        struct.pack("=HBBI", *instruction) for instruction in _program(column, architecture)
+    )
     code = ctypes.create_string_buffer(program, len(program))
     filter_ = struct.pack("@HP", len(program) // 8, ctypes.addressof(code))
     # Without SPEC_ALLOW kernels before 5.16 slow the whole process against Spectre.

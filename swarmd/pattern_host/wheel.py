@@ -52,9 +52,9 @@ def inspect_wheel(content: bytes, label: str) -> WheelPattern:
         version = _headers(archive, about / "METADATA", label).get("Version", "")
         points = _entry_points(archive, about / "entry_points.txt", label)
     if len(points) != 1:
-        found = ", ".join(sorted(points.names)) or "none"
+        names = ", ".join(sorted(points.names)) or "none"
         raise PluginError(
-            f"{label} must declare exactly one entry point of {PATTERNS}; it declares {found}"
+            f"{label} must declare exactly one entry point of {PATTERNS}; it declares {names}"
         )
     point = next(iter(points))
     is_class = point.pattern.fullmatch(point.value) and point.module and point.attr
@@ -108,10 +108,10 @@ def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
 
 def _about(archive: zipfile.ZipFile, label: str) -> PurePosixPath:
     tops = {PurePosixPath(name).parts[0] for name in archive.namelist() if "/" in name}
-    found = [name for name in tops if name.endswith(".dist-info")]
-    if len(found) != 1:
+    infos = [name for name in tops if name.endswith(".dist-info")]
+    if len(infos) != 1:
         raise PluginError(f"{label} is no wheel: it needs one folder .dist-info")
-    return PurePosixPath(found[0])
+    return PurePosixPath(infos[0])
 
 
 def _text(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> str:
@@ -151,5 +151,5 @@ def _entry_points(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> 
         parser.read_string(_text(archive, path, label))
     except ParserError as error:
         raise PluginError(f"{label}: {path} cannot be read: {error}") from error
-    found = parser.items(PATTERNS) if parser.has_section(PATTERNS) else ()
-    return EntryPoints(EntryPoint(name, value, PATTERNS) for name, value in found)
+    points = parser.items(PATTERNS) if parser.has_section(PATTERNS) else ()
+    return EntryPoints(EntryPoint(name, value, PATTERNS) for name, value in points)

@@ -1,9 +1,10 @@
 """The pattern host: the child process that loads plugin code and steps it.
 
-The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the daemon and yields to it
-(nice 10, first for the out-of-memory killer). Before it loads plugin code it confines itself
-(`swarmd.pattern_host.sandbox`) and reports what the kernel denies. From then on only the daemon can
-change its limit of memory (`host_process`). It imports neither Zenoh nor asyncio.
+The daemon starts the host with one end of a SOCK_SEQPACKET pair. The host ends with the daemon and
+yields to the daemon (nice 10, first for the out-of-memory killer). Before the host loads plugin
+code it confines itself (`swarmd.pattern_host.sandbox`) and reports what the kernel denies. From
+then on only the daemon can change the host's limit of memory (`host_process`). The host imports
+neither Zenoh nor asyncio.
 """
 
 from __future__ import annotations

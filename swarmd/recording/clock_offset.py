@@ -50,42 +50,38 @@ class Exchange(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockLine:
-    """The time on one clock by that on another: t + offset + drift * (t - at), in s.
-
-    `times`: of the kept exchanges; `bounds`: how far the line is off there at most. `excess`: by
-    how much it contradicts an exchange, 0 if it does not.
-    """
+    """The time in s on a second clock at time t of a first: t + offset + drift * (t - at)."""
 
     at: float
     offset: float
     drift: float
-    times: Array
-    bounds: Array
-    excess: float
+    times: Array  # of the kept exchanges, on the first clock
+    bounds: Array  # the largest error of the line at each of `times`, in s
+    excess: float  # the largest contradiction between the line and an exchange, in s; 0 if none
 
     def forward(self, time: float) -> float:
-        """The time on the other clock."""
+        """The time on the second clock when the first clock shows `time`."""
         return time + self.offset + self.drift * (time - self.at)
 
     def backward(self, time: float) -> float:
-        """The time on this clock when the other shows `time`."""
+        """The time on the first clock when the second clock shows `time`."""
         return self.at + (time - self.at - self.offset) / (1.0 + self.drift)
 
     def error(self, time: float) -> float:
         """The bound of the error of `forward` at `time`, in s.
 
-        The error is a line, too, and bounded at each exchange: between two of them it is at most
-        what lies between their bounds; far from all it grows by MAX_DRIFT.
+        The error is a line, too, with a bound at each exchange. Between two exchanges the bound is
+        interpolated. Beyond all exchanges the bound grows with MAX_DRIFT.
         """
         away = np.abs(time - self.times)
-        alone = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
+        by_one_exchange = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
         apart = self.times[None, :] - self.times[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.abs(time - self.times[:, None]) / np.abs(apart)
             rest = np.abs(self.times[None, :] - time) / np.abs(apart)
-            both = rest * self.bounds[:, None] + share * self.bounds[None, :]
-        both[~np.isfinite(both)] = np.inf
-        return float(min(alone.min(), both.min())) + self.excess
+            by_two_exchanges = rest * self.bounds[:, None] + share * self.bounds[None, :]
+        by_two_exchanges[~np.isfinite(by_two_exchanges)] = np.inf
+        return float(min(by_one_exchange.min(), by_two_exchanges.min())) + self.excess
 
 
 def fit_line(times: Array, offsets: Array, round_trips: Array) -> ClockLine:
@@ -113,23 +109,19 @@ def _shortest(times: Array, round_trips: Array) -> NDArray[np.intp]:
     """
     order = np.argsort(times, kind="stable")
     count = min(-(-len(order) // A_WINDOW), MAX_WINDOWS)
-    best = [one[np.argmin(round_trips[one])] for one in np.array_split(order, count)]
+    best = [window[np.argmin(round_trips[window])] for window in np.array_split(order, count)]
     return np.unique([order[0], *best, order[-1]])
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """The time on the reference clock: `begins` + `rate` * (t - `begin`), off by at most `error`.
+    """The time on the reference clock at time t of this clock: begins + rate * (t - begin)."""
 
-    In s, for the times of a recording on the clock. `via`: the clocks in between, from the
-    reference on.
-    """
-
-    begin: float
-    begins: float
+    begin: float  # the first time of the recordings, in s on this clock
+    begins: float  # `begin` in s on the reference clock
     rate: float
-    error: float
-    via: tuple[str, ...]
+    error: float  # the largest error within the recordings, in s
+    via: tuple[str, ...]  # the clocks in between, from the reference on
 
     def to_reference(self, time: float) -> float:
         """The time on the reference clock."""
@@ -137,7 +129,7 @@ class Alignment:
 
     @property
     def offset(self) -> float:
-        """What this clock is ahead of the reference at the beginning of its recording, in s."""
+        """By how much this clock is ahead of the reference clock at `begin`, in s."""
         return self.begin - self.begins
 
     @property
@@ -156,9 +148,9 @@ def align(
     """
     lines = _lines(exchanges)
     near: dict[str, list[str]] = defaultdict(list)
-    for one, other in lines:
-        near[one].append(other)
-        near[other].append(one)
+    for lower, higher in lines:
+        near[lower].append(higher)
+        near[higher].append(lower)
     paths: dict[str, tuple[str, ...]] = {}
     heap: list[tuple[float, tuple[str, ...]]] = [(0.0, (reference,))]
     done: set[str] = set()
@@ -180,16 +172,18 @@ def align(
 
 def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
     """The line from the lower to the higher clock of each pair, by both directions of queries."""
-    found: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
-    for one in exchanges:
-        if one.own == one.peer or one.returned < one.sent:
+    measured: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
+    for exchange in exchanges:
+        if exchange.own == exchange.peer or exchange.returned < exchange.sent:
             continue
-        middle, trip = (one.sent + one.returned) / 2.0, one.returned - one.sent
-        if one.own < one.peer:
-            found[one.own, one.peer].append((middle, one.answered - middle, trip))
+        middle, trip = (exchange.sent + exchange.returned) / 2.0, exchange.returned - exchange.sent
+        if exchange.own < exchange.peer:
+            measured[exchange.own, exchange.peer].append((middle, exchange.answered - middle, trip))
         else:
-            found[one.peer, one.own].append((one.answered, middle - one.answered, trip))
-    return {pair: fit_line(*np.array(rows).T) for pair, rows in found.items()}
+            measured[exchange.peer, exchange.own].append(
+                (exchange.answered, middle - exchange.answered, trip)
+            )
+    return {pair: fit_line(*np.array(rows).T) for pair, rows in measured.items()}
 
 
 def _along(

@@ -71,12 +71,12 @@ def note_clock(ask: Ask, robot: str, folder: Path) -> None:
 
 def read_exchanges(path: Path) -> list[Exchange]:
     """The exchanges in a file of `note_clock`; damaged lines are left out."""
-    found = []
+    exchanges = []
     with suppress(OSError):
         for line in path.read_bytes().splitlines():
             with suppress(msgspec.MsgspecError):
-                found.append(msgspec.json.decode(line, type=Exchange))
-    return found
+                exchanges.append(msgspec.json.decode(line, type=Exchange))
+    return exchanges
 
 
 def fetch(
@@ -98,9 +98,9 @@ def fetch(
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".mcap.partial")
-    for found in (path, partial):
-        if found.exists() and not _is_part_of(found, ask, robot, file):
-            found.rename(_unused(found))
+    for earlier in (path, partial):
+        if earlier.exists() and not _is_part_of(earlier, ask, robot, file):
+            earlier.rename(_unused(earlier))
     if path.exists():
         if file.crc is not None or path.stat().st_size >= file.size:
             return Copy(path, 0, path.stat().st_size, True)
@@ -147,7 +147,7 @@ def _is_part_of(here: Path, ask: Ask, robot: str, file: verbs.RecordingFile) -> 
 def _unused(path: Path) -> Path:
     name, ending = path.name.split(".", 1)
     numbers = (path.with_name(f"{name}-other{n}.{ending}") for n in count(1))
-    return next(one for one in numbers if not one.exists())
+    return next(candidate for candidate in numbers if not candidate.exists())
 
 
 def _piece(ask: Ask, robot: str, name: str, offset: int, length: int) -> verbs.FetchReply:

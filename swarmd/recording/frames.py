@@ -164,11 +164,11 @@ def decode_report(frame: bytes) -> RecorderReport:
     return decode(_reports, frame, "a report of the recorder")
 
 
-def has_geometry_of(scan: Scan, other: Scan) -> bool:
+def has_geometry_of(scan: Scan, reference: Scan) -> bool:
     """True if both have the same directions, ages and limits of their rays."""
-    if (scan.range_min, scan.range_max) != (other.range_min, other.range_max):
+    if (scan.range_min, scan.range_max) != (reference.range_min, reference.range_max):
         return False
-    return _equal(scan.bearings, other.bearings) and _equal(scan.ages, other.ages)
+    return _equal(scan.bearings, reference.bearings) and _equal(scan.ages, reference.ages)
 
 
 def without_geometry(scan: Scan) -> Scan:
@@ -183,10 +183,10 @@ def with_geometry(scan: Scan, last: Scan | None) -> Scan | None:
     return None if last is None else replace(scan, bearings=last.bearings, ages=last.ages)
 
 
-def _equal(one: Array | None, other: Array | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return one is other or np.array_equal(one, other)
+def _equal(left: Array | None, right: Array | None) -> bool:
+    if left is None or right is None:
+        return left is right
+    return left is right or np.array_equal(left, right)
 
 
 def as_json(value: Any) -> bytes:

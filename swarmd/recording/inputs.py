@@ -26,14 +26,16 @@ class InputReader:
         """True if the directions of the rays of scans on `topic` are known."""
         return topic in self._scans
 
-    def read(self, one: RecordedMessage) -> Input | None:
+    def read(self, message: RecordedMessage) -> Input | None:
         """The input of a message; None for another message. CodecError if it is malformed."""
-        if one.topic.endswith(GEOMETRY):
-            geometry = messages.message_on(one.topic, one.kind, one.payload)
-            self._scans[one.topic.removesuffix(GEOMETRY)] = messages.geometry_of(geometry)
-        if one.topic != INPUT:
+        if message.topic.endswith(GEOMETRY):
+            geometry = messages.message_on(message.topic, message.kind, message.payload)
+            self._scans[message.topic.removesuffix(GEOMETRY)] = messages.geometry_of(geometry)
+        if message.topic != INPUT:
             return None
-        input = decode_input(bytes(messages.message_on(one.topic, one.kind, one.payload).data))
+        input = decode_input(
+            bytes(messages.message_on(message.topic, message.kind, message.payload).data)
+        )
         if not isinstance(input, ScanInput | RangesInput):
             return input
         scan = frames.with_geometry(input.scan, self._scans.get(f"/{tag_of(input)}"))

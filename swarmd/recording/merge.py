@@ -28,19 +28,19 @@ MAX_TIME = 2**64 - 1  # ns in a file
 
 @dataclass(slots=True)
 class Source:
-    """The files of one robot on one clock, in their order, and the times on it in s."""
+    """The files that one robot recorded on one clock; all times are in s on this clock."""
 
     robot: str
     clock: str
-    about: Mapping[str, str]
-    files: list[tuple[float, Path]] = field(default_factory=list)
-    begin: float = float("inf")
-    end: float = float("-inf")
+    about: Mapping[str, str]  # texts on the robot, from the first file
+    files: list[tuple[float, Path]] = field(default_factory=list)  # by their earliest time
+    begin: float = float("inf")  # the earliest time of all files
+    end: float = float("-inf")  # the latest time of all files
 
 
 @dataclass(slots=True)
 class Recordings:
-    """What `survey` found: sources, exchanges of all clocks, and faults of files."""
+    """The result of `survey`: sources, exchanges of all clocks, and faults of files."""
 
     sources: list[Source]
     exchanges: list[Exchange]
@@ -56,31 +56,37 @@ class Placed:
 
     def row(self, names: Mapping[str, str]) -> dict[str, Any]:
         """The estimate as JSON, in s and ppm; `names` of robots by clock."""
-        one = self.alignment
+        alignment = self.alignment
         return {
             "robot": self.source.robot,
             "clock": self.source.clock,
-            "is_aligned": one is not None,
-            "offset": None if one is None else one.offset,
-            "drift_ppm": None if one is None else 1e6 * one.drift,
-            "error": None if one is None else one.error,
-            "via": [] if one is None else [names.get(clock, clock) for clock in one.via],
+            "is_aligned": alignment is not None,
+            "offset": None if alignment is None else alignment.offset,
+            "drift_ppm": None if alignment is None else 1e6 * alignment.drift,
+            "error": None if alignment is None else alignment.error,
+            "via": []
+            if alignment is None
+            else [names.get(clock, clock) for clock in alignment.via],
             "begin": self.source.begin,
             "end": self.source.end,
         }
 
 
 def survey(paths: Sequence[Path]) -> Recordings:
-    """Read all files once; ConfigError if one is no recording of a robot."""
+    """Read all files once; ConfigError if a file is no recording of a robot."""
     sources: dict[tuple[str, str], Source] = {}
     exchanges: list[Exchange] = []
     faults = []
     for path in paths:
-        found = read_file(path)
-        if found.fault:
-            faults.append(f"{path}: {found.fault}; what is whole is merged")
-        known = [one for one in found.messages if is_known(one.kind)]
-        foreign = {one.topic: one.kind for one in found.messages if not is_known(one.kind)}
+        recording = read_file(path)
+        if recording.fault:
+            faults.append(f"{path}: {recording.fault}; what is whole is merged")
+        known = [message for message in recording.messages if is_known(message.kind)]
+        foreign = {
+            message.topic: message.kind
+            for message in recording.messages
+            if not is_known(message.kind)
+        }
         if foreign:
             topic, kind = next(iter(foreign.items()))
             faults.append(
@@ -89,14 +95,14 @@ def survey(paths: Sequence[Path]) -> Recordings:
             )
         if not known:
             continue
-        source = _source(found, sources)
+        source = _source(recording, sources)
         try:
-            times = [clock_of(found.about, one.at) for one in known]
+            times = [clock_of(recording.about, message.at) for message in known]
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         source.files.append((min(times), path))
         source.begin, source.end = min(source.begin, *times), max(source.end, *times)
-        exchanges += _exchanges(found, source.clock)
+        exchanges += _exchanges(recording, source.clock)
     folders = {folder for path in paths for folder in (path.parent, path.parent.parent)}
     for folder in sorted(folders):
         exchanges += read_exchanges(folder / CLOCKS_FILE)
@@ -105,12 +111,12 @@ def survey(paths: Sequence[Path]) -> Recordings:
     return Recordings(list(sources.values()), exchanges, faults)
 
 
-def place(found: Recordings, reference: str | None = None) -> list[Placed]:
-    """Each source on the clock of robot `reference`, or of the first one; the reference is first.
+def place(recordings: Recordings, reference: str | None = None) -> list[Placed]:
+    """Each source on the clock of robot `reference`, by default that of the first source.
 
-    ConfigError if there is no such robot.
+    The source of the reference comes first. ConfigError if there is no such robot.
     """
-    sources = found.sources
+    sources = recordings.sources
     names = [source.robot for source in sources]
     if reference is not None and reference not in names:
         raise ConfigError(
@@ -121,9 +127,9 @@ def place(found: Recordings, reference: str | None = None) -> list[Placed]:
     for source in sources:
         begin, end = spans.get(source.clock, (source.begin, source.end))
         spans[source.clock] = min(begin, source.begin), max(end, source.end)
-    found_lines = align(found.exchanges, spans, first.clock)
+    alignments = align(recordings.exchanges, spans, first.clock)
     ordered = [first, *(source for source in sources if source is not first)]
-    return [Placed(source, found_lines.get(source.clock)) for source in ordered]
+    return [Placed(source, alignments.get(source.clock)) for source in ordered]
 
 
 def write_merged(placed: Sequence[Placed], path: Path) -> int:
@@ -133,14 +139,14 @@ def write_merged(placed: Sequence[Placed], path: Path) -> int:
     `/tb3-01/scan`. OSError if the disk fails; a file that is not whole is removed.
     """
     reference = placed[0].source.about
-    streams = [messages_of(one, reference) for one in placed]
+    streams = [messages_of(source, reference) for source in placed]
     with whole_file(path) as partial, partial.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(PROFILE, "swarmd")
         writer.add_metadata(METADATA, _about(placed))
-        for one in placed:
-            writer.add_metadata(f"{METADATA}/{one.source.robot}", dict(one.source.about))
-        count = _write(writer, heapq.merge(*streams, key=lambda one: one[0]))
+        for source in (placed_source.source for placed_source in placed):
+            writer.add_metadata(f"{METADATA}/{source.robot}", dict(source.about))
+        count = _write(writer, heapq.merge(*streams, key=lambda timed: timed[0]))
         writer.finish()  # type: ignore[no-untyped-call]
     return count
 
@@ -166,22 +172,22 @@ def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]
     wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])
     alignment, robot = placed.alignment, placed.source.robot
     for _, path in placed.source.files:
-        found = read_file(path)
-        known = (one for one in found.messages if is_known(one.kind))
-        shown = (one for one in known if one.topic not in (INPUT, MEMORY))
-        for one in sorted(shown, key=lambda one: one.at):
-            at = one.at
+        recording = read_file(path)
+        known = (message for message in recording.messages if is_known(message.kind))
+        kept = (message for message in known if message.topic not in (INPUT, MEMORY))
+        for message in sorted(kept, key=lambda message: message.at):
+            at = message.at
             if alignment is not None:
-                time = alignment.to_reference(clock_of(found.about, at))
+                time = alignment.to_reference(clock_of(recording.about, at))
                 at = wall + round((time - 1e-9 * boot) * 1e9)
             at = min(max(at, 0), MAX_TIME)
-            yield at, f"/{robot}{one.topic}", one.kind, one.sequence, one.payload
+            yield at, f"/{robot}{message.topic}", message.kind, message.sequence, message.payload
 
 
 def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:
     """The table of estimates, for people, programs and the file."""
-    names = {one.source.clock: one.source.robot for one in placed}
-    return [one.row(names) for one in placed]
+    names = {source.source.clock: source.source.robot for source in placed}
+    return [source.row(names) for source in placed]
 
 
 def clock_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
@@ -200,28 +206,28 @@ def _about(placed: Sequence[Placed]) -> dict[str, str]:
     return {
         "kind": "merged",
         "reference": placed[0].source.robot,
-        "robots": ",".join(dict.fromkeys(one.source.robot for one in placed)),
+        "robots": ",".join(dict.fromkeys(source.source.robot for source in placed)),
         "clocks": json.dumps(rows(placed)),
     }
 
 
-def _source(found: RecordedFile, sources: dict[tuple[str, str], Source]) -> Source:
-    about = found.about
+def _source(recording: RecordedFile, sources: dict[tuple[str, str], Source]) -> Source:
+    about = recording.about
     if about.get("kind") == "merged":
-        raise ConfigError(f"{found.path}: merged already; give the robots' own recordings")
+        raise ConfigError(f"{recording.path}: merged already; give the robots' own recordings")
     missing = {"robot", "clock", "wall_ns", "boot_ns"} - about.keys()
     if missing:
         raise ConfigError(
-            f"{found.path}: it does not tell {', '.join(sorted(missing))} of its robot; expected a"
-            " recording by swarmd"
+            f"{recording.path}: it does not tell {', '.join(sorted(missing))} of its robot;"
+            " expected a recording by swarmd"
         )
     key = about["robot"], about["clock"]
     return sources.setdefault(key, Source(*key, about))
 
 
-def _exchanges(found: RecordedFile, clock: str) -> Iterator[Exchange]:
-    for one in found.messages:
-        if one.topic == CLOCK_TOPIC:
+def _exchanges(recording: RecordedFile, clock: str) -> Iterator[Exchange]:
+    for message in recording.messages:
+        if message.topic == CLOCK_TOPIC:
             with suppress(CodecError):
-                pair = message_on(one.topic, one.kind, one.payload)
+                pair = message_on(message.topic, message.kind, message.payload)
                 yield Exchange(clock, pair.peer_clock, pair.sent, pair.answered, pair.returned)

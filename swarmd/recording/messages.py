@@ -179,11 +179,11 @@ def odometry_of(message: Any) -> Odometry:
 
 def neighbors_message(neighbors: tuple[Neighbor, ...], stamp: float) -> Message:
     """The robots that are sensed or heard."""
-    cdr = CdrWriter().header(stamp, "").texts([one.id for one in neighbors])
-    cdr.array(_optional(one.distance for one in neighbors))
-    cdr.array(_optional(one.bearing for one in neighbors))
-    cdr.array(_optional(one.heading for one in neighbors))
-    return cdr.array(bytes(one.in_reach for one in neighbors)).as_message("Neighbors")
+    cdr = CdrWriter().header(stamp, "").texts([neighbor.id for neighbor in neighbors])
+    cdr.array(_optional(neighbor.distance for neighbor in neighbors))
+    cdr.array(_optional(neighbor.bearing for neighbor in neighbors))
+    cdr.array(_optional(neighbor.heading for neighbor in neighbors))
+    return cdr.array(bytes(neighbor.in_reach for neighbor in neighbors)).as_message("Neighbors")
 
 
 def neighbors_of(message: Any) -> tuple[Neighbor, ...]:
@@ -249,15 +249,19 @@ def clock_message(entry: ClockEntry, stamp: float) -> Message:
 
 def decision_message(entry: DecisionEntry, stamp: float) -> Message:
     """A decision of protection with the obstacles that limit it."""
-    one = entry.decision
+    decision = entry.decision
     cdr = CdrWriter().header(stamp, "base_link").text(entry.cause).text(entry.state)
-    cdr.text(entry.reason).text(one.mode).doubles(*_twist(one.requested), *_twist(one.safe))
-    cdr.int64(one.scan_seq).uint8(one.is_active, one.is_recovering)
-    cdr.text("" if one.avoided is None else one.avoided.text)
-    gap = math.nan if one.min_gap is None else one.min_gap
-    cdr.doubles(one.speed_share, gap, math.nan if one.scan_age is None else one.scan_age)
-    columns = zip(*((row.bearing, row.gap, row.cap) for row in one.rows), strict=True)
-    for column in columns if one.rows else ((), (), ()):
+    cdr.text(entry.reason).text(decision.mode).doubles(
+        *_twist(decision.requested), *_twist(decision.safe)
+    )
+    cdr.int64(decision.scan_seq).uint8(decision.is_active, decision.is_recovering)
+    cdr.text("" if decision.avoided is None else decision.avoided.text)
+    gap = math.nan if decision.min_gap is None else decision.min_gap
+    cdr.doubles(
+        decision.speed_share, gap, math.nan if decision.scan_age is None else decision.scan_age
+    )
+    columns = zip(*((row.bearing, row.gap, row.cap) for row in decision.rows), strict=True)
+    for column in columns if decision.rows else ((), (), ()):
         cdr.array(np.array(column, np.float64))
     return cdr.as_message("Decision")
 

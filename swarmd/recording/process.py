@@ -60,10 +60,12 @@ class Converter:
             case frames.InputEntry():
                 self._input(entry, stamp)
             case frames.MemoryEntry():
-                own = (one for one in self._memory if one.at == entry.at and one.part < entry.part)
-                self._memory = [*own, entry]
+                earlier = (
+                    part for part in self._memory if part.at == entry.at and part.part < entry.part
+                )
+                self._memory = [*earlier, entry]
                 if len(self._memory) == entry.parts:
-                    data = b"".join(one.data for one in self._memory)
+                    data = b"".join(part.data for part in self._memory)
                     self._write(entry, MEMORY, messages.bytes_message(data, stamp))
             case frames.DecisionEntry():
                 self._write(entry, "/decision", messages.decision_message(entry, stamp))
@@ -102,8 +104,8 @@ class Converter:
             case events.OdometryInput():
                 self._write(entry, "/odometry", messages.odometry_message(input.odometry))
             case events.NeighborsInput():
-                found = messages.neighbors_message(input.neighbors, stamp)
-                self._write(entry, "/neighbors", found)
+                message = messages.neighbors_message(input.neighbors, stamp)
+                self._write(entry, "/neighbors", message)
             case events.PoseInput():
                 self._write(entry, "/pose", messages.pose_message(input.pose))
             case events.ReadingsInput():

@@ -104,8 +104,10 @@ class _Reader:
         self.fault = ""
 
     def read(self) -> None:
-        """Take each record; after a damaged one go on with the next chunk that is whole."""
-        data, at, is_over = self._data, len(MAGIC), False
+        """Take each record; after a damaged record go on with the next whole chunk."""
+        data = self._data
+        at = len(MAGIC)
+        is_over = False
         while at + 9 <= len(data):
             code, end = self._record_at(at)
             if not code or not self._take(code, data[at + 9 : end]):
@@ -122,7 +124,7 @@ class _Reader:
 
     def messages(self) -> list[RecordedMessage]:
         """The messages whose topic is known."""
-        found = []
+        messages = []
         for channel, sequence, at, payload in self._found:
             topic, schema, encoding = self._channels.get(channel, ("", -1, ""))
             kind = self._schemas.get(schema)
@@ -130,8 +132,8 @@ class _Reader:
                 self._note(f"messages of channel {channel} without its description")
             else:
                 kind += "" if encoding in ("cdr", "") else f" in {encoding}"
-                found.append(RecordedMessage(topic, kind, at, sequence, payload))
-        return found
+                messages.append(RecordedMessage(topic, kind, at, sequence, payload))
+        return messages
 
     def _record_at(self, at: int) -> tuple[int, int]:
         """The code of the record at a byte, and where it ends; the code is 0 if none is there."""
@@ -288,11 +290,13 @@ def _string(body: memoryview, place: int) -> tuple[str, int]:
 
 def _map(body: memoryview, place: int) -> Mapping[str, str]:
     (size,) = struct.unpack_from("<I", body, place)
-    place, end, found = place + 4, place + 4 + size, {}
+    place += 4
+    end = place + size
+    texts = {}
     while place < end:
         key, place = _string(body, place)
-        found[key], place = _string(body, place)
-    return found
+        texts[key], place = _string(body, place)
+    return texts
 
 
 def clock_of(about: Mapping[str, str], at: int) -> float:

@@ -54,8 +54,8 @@ class RecordingWriter:
 
     `about` holds texts on the robot, which each file repeats. `latched` topics have their last
     message repeated at the start of each file. `limits` hold for the files of this name in the
-    folder; the oldest are removed when a new one begins. OSError if the disk fails; call `abandon`
-    then.
+    folder: the oldest files are removed when a new file begins. OSError if the disk fails; call
+    `abandon` then.
     """
 
     def __init__(
@@ -67,7 +67,9 @@ class RecordingWriter:
         limits: FileLimits = FileLimits(),  # noqa: B008
         latched: frozenset[str] = frozenset(),
     ) -> None:
-        self._folder, self._name, self._about = folder, name, dict(about)
+        self._folder = folder
+        self._name = name
+        self._about = dict(about)
         self._limits, self._max_age = limits, round(limits.file_seconds * 1e9)
         self._latched_topics = latched
         self._latched: dict[str, Message] = {}

@@ -40,23 +40,19 @@ from swarmd.robot.settings import RobotSettings
 
 @dataclass(slots=True)
 class Compared:
-    """Commands of the replay beside recorded ones.
-
-    `equal`: to the bit. `largest`: the largest difference in m/s or rad/s, and `first`: the time of
-    the first difference, in s after the first message.
-    """
+    """Commands of the replay compared with the recorded commands."""
 
     count: int = 0
-    equal: int = 0
-    largest: float = 0.0
-    first: float | None = None
+    equal: int = 0  # commands that are equal to the bit
+    largest: float = 0.0  # the largest difference, in m/s or rad/s
+    first: float | None = None  # the time of the first difference, in s after the first message
 
-    def add(self, one: Twist, other: Twist, at: float) -> None:
+    def add(self, replayed: Twist, recorded: Twist, at: float) -> None:
         """Compare two commands at `at` s."""
         differences = (
-            one.linear - other.linear,
-            one.angular - other.angular,
-            one.lateral - other.lateral,
+            replayed.linear - recorded.linear,
+            replayed.angular - recorded.angular,
+            replayed.lateral - recorded.lateral,
         )
         largest = max(map(abs, differences))
         self.count += 1
@@ -66,12 +62,12 @@ class Compared:
         elif self.first is None:
             self.first = at
 
-    def include(self, other: Compared) -> None:
-        """Add what another recording gave."""
-        self.count += other.count
-        self.equal += other.equal
-        self.largest = max(self.largest, other.largest)
-        self.first = other.first if self.first is None else self.first
+    def include(self, more: Compared) -> None:
+        """Add the comparison of another recording."""
+        self.count += more.count
+        self.equal += more.equal
+        self.largest = max(self.largest, more.largest)
+        self.first = more.first if self.first is None else self.first
 
     @property
     def share(self) -> float:
@@ -86,22 +82,19 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """How a replay compares with its recording: `safe` commands, and those that were `requested`.
+    """How the commands of a replay compare with those of its recording."""
 
-    `seconds` of the recording, `notes` on what was left out.
-    """
-
-    safe: Compared
-    requested: Compared
-    seconds: float
-    notes: tuple[str, ...]
+    safe: Compared  # commands of protection
+    requested: Compared  # commands of the pattern
+    seconds: float  # of the recording
+    notes: tuple[str, ...]  # lines on what the comparison leaves out
 
 
 class Replay:
-    """One robot: its recorded memory, or a new one from the head of its recording.
+    """One robot that repeats a recording, from its recorded memory or from the recording's head.
 
-    `platform` in place of the recorded one. `origins`: where each pattern is found, as in `Load`.
-    `recalls`: the recorded memory can be read.
+    `platform`: in place of the recorded platform. `origins`: where each pattern is found, as in
+    `Load`. `recalls`: the recorded memory can be read.
     """
 
     def __init__(
@@ -147,17 +140,17 @@ class Replay:
     def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
         """Repeat all messages, in the order in which they were recorded."""
         last = 0.0
-        for one in recorded:
-            now = clock_of(self._about, one.at)
+        for message in recorded:
+            now = clock_of(self._about, message.at)
             if self._begin is None:
                 self._begin = now
                 if not self._recalls:
                     self._robot = self._make_robot(now)
             last = max(last, now - self._begin)
             try:
-                self._take(one, now)
+                self._take(message, now)
             except (CodecError, msgspec.MsgspecError) as error:
-                self._note(f"{one.topic} could not be read: {error}")
+                self._note(f"{message.topic} could not be read: {error}")
             except Exception as error:  # fields of a memory may hold any values
                 if not self._recalls or isinstance(error, SwarmError):
                     raise
@@ -167,20 +160,22 @@ class Replay:
                 ) from error
         return Parity(self.safe, self.requested, last, tuple(self._notes))
 
-    def _take(self, one: RecordedMessage, now: float) -> None:
-        input = self._inputs.read(one)  # the directions of rays hold on
-        if one.topic == "/dropped":
+    def _take(self, message: RecordedMessage, now: float) -> None:
+        input = self._inputs.read(message)  # the directions of rays hold on
+        if message.topic == "/dropped":
             at = now - (self._begin or now)
             self._waits = self._recalls
             after = "are compared from the next memory on" if self._waits else "may differ"
             self._note(f"at {at:.3f} s entries were dropped; commands after it {after}")
-        elif one.topic == MEMORY and self._waits:
-            self._robot = recall(memory_in(one), settings_of(self._head))
-            self._actions, self._waits, self._has_pattern = None, False, False
+        elif message.topic == MEMORY and self._waits:
+            self._robot = recall(memory_in(message), settings_of(self._head))
+            self._actions = None
+            self._waits = False
+            self._has_pattern = False
         elif self._waits:
             pass
-        elif one.topic == "/decision":
-            self._compare(messages.message_on(one.topic, one.kind, one.payload), now)
+        elif message.topic == "/decision":
+            self._compare(messages.message_on(message.topic, message.kind, message.payload), now)
         elif input is not None:
             self._step(input, now)
 
@@ -206,8 +201,8 @@ class Replay:
             return
         own = self._steps.popleft() if self._steps else None
         if isinstance(own, Stepped):
-            one, other = own.outputs.twist or ZERO, event.outputs.twist or ZERO
-            self.requested.add(one, other, now - (self._begin or now))
+            replayed, recorded = own.outputs.twist or ZERO, event.outputs.twist or ZERO
+            self.requested.add(replayed, recorded, now - (self._begin or now))
         else:
             self._note("the pattern of the replay did not step where the recorded one did")
 
@@ -249,11 +244,11 @@ class Replay:
 
 def recordings_of(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
     """The files by recording: each begins anew with another life of the daemon, or after a stop."""
-    found: dict[tuple[str | None, ...], list[RecordedFile]] = {}
-    for one in files:
-        key = tuple(one.about.get(name) for name in ("head", "wall_ns", "boot_ns"))
-        found.setdefault(key, []).append(one)
-    return list(found.values())
+    recordings: dict[tuple[str | None, ...], list[RecordedFile]] = {}
+    for file in files:
+        key = tuple(file.about.get(name) for name in ("head", "wall_ns", "boot_ns"))
+        recordings.setdefault(key, []).append(file)
+    return list(recordings.values())
 
 
 def repeat(
@@ -266,19 +261,19 @@ def repeat(
     if about.get("kind") == "merged":
         raise ConfigError(f"{where}: merged; expected the robot's own recording")
     head = head_of(about, where)
-    recorded = [message for one in files for message in one.messages]
+    recorded = [message for file in files for message in file.messages]
     notes = [_other_program(head)]
     fault = "another platform has no memory" if platform else _fault_of_memory(recorded, head)
     check_beginning(recorded, where, fault)
     if fault and not platform:
         notes.append(f"{fault}; what the robot learned before is not repeated")
     try:
-        found = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
+        parity = Replay(head, about, origins, platform, recalls=not fault).run(recorded)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from error
-    if not found.safe.count:
+    if not parity.safe.count:
         raise ConfigError(f"{where}: no decision follows a memory; nothing can be compared")
-    return head, replace(found, notes=(*filter(None, notes), *found.notes))
+    return head, replace(parity, notes=(*filter(None, notes), *parity.notes))
 
 
 def settings_of(head: RecordingHead) -> RobotSettings:
@@ -294,14 +289,14 @@ def settings_of(head: RecordingHead) -> RobotSettings:
     )
 
 
-def memory_in(one: RecordedMessage) -> bytes:
+def memory_in(message: RecordedMessage) -> bytes:
     """The bytes of a message on the topic MEMORY; CodecError if it is malformed."""
-    return bytes(messages.message_on(one.topic, one.kind, one.payload).data)
+    return bytes(messages.message_on(message.topic, message.kind, message.payload).data)
 
 
 def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -> str:
     """Why the first memory of a recording cannot be read; empty if it can."""
-    first = next((one for one in recorded if one.topic == MEMORY), None)
+    first = next((message for message in recorded if message.topic == MEMORY), None)
     if first is None:
         return "it has no memory of the robot"
     try:
@@ -312,7 +307,7 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
 
 
 def _other_program(head: RecordingHead) -> str:
-    """What the recording program had that this one has not and that moves last bits; or empty."""
+    """The differences between the recording program and this one that may move last bits, or ""."""
     there = {"version": head.version, "kernels": head.kernels, "processor": head.machine}
     here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
     texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]
@@ -321,13 +316,14 @@ def _other_program(head: RecordingHead) -> str:
 
 def total(parities: Iterable[Parity]) -> Parity:
     """The parity of several recordings together; `first` is that of the first that differs."""
-    safe, requested, seconds = Compared(), Compared(), 0.0
+    safe, requested = Compared(), Compared()
+    seconds = 0.0
     notes: dict[str, None] = {}
-    for one in parities:
-        safe.include(one.safe)
-        requested.include(one.requested)
-        seconds += one.seconds
-        notes |= dict.fromkeys(one.notes)
+    for parity in parities:
+        safe.include(parity.safe)
+        requested.include(parity.requested)
+        seconds += parity.seconds
+        notes |= dict.fromkeys(parity.notes)
     return Parity(safe, requested, seconds, tuple(notes))
 
 
@@ -340,7 +336,7 @@ def _state_in(decision: RecordedMessage, where: str) -> str:
 
 def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> None:
     """ConfigError without a decision, or with a `fault` if the first one is of a running robot."""
-    first = next((one for one in recorded if one.topic == "/decision"), None)
+    first = next((message for message in recorded if message.topic == "/decision"), None)
     if first is None:
         raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
     if fault and _state_in(first, where) == State.RUNNING:

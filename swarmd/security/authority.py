@@ -30,7 +30,10 @@ from swarmd.security.identity import IdentityInfo, Issued, RosterFile, write_pri
 from swarmd.security.private_keys import load_key, pem_of, public_bytes
 from swarmd.security.roster import Role, Roster, digest_of, encode_roster, pack_roster, read_roster
 
-KEY, CERTIFICATE, STATE, NAMES = "authority.key", "authority.pem", "state", "names"
+KEY = "authority.key"
+CERTIFICATE = "authority.pem"
+STATE = "state"
+NAMES = "names"
 LOCK = "lock"
 DAYS = 90
 """How long certificates of names are valid, unless stated otherwise."""
@@ -251,16 +254,17 @@ class Authority:
             state, _ = self._read_state()
             known = ((name, state.issued[name]) for name in names if name in state.issued)
             records = {
-                name: IssueRecord(one.expires, max(one.generation, own)) for name, one in known
+                name: IssueRecord(record.expires, max(record.generation, own))
+                for name, record in known
             }
             self._note(state, records)
 
     def roster_of(self, name: str, generation: int) -> RosterFile | None:
         """What a name held at an earlier generation; None if it is not kept any more."""
-        for one in (self._state.now, *reversed(self._state.past)):
-            roster = read_roster(one.roster, self.public_key)
+        for state in (self._state.now, *reversed(self._state.past)):
+            roster = read_roster(state.roster, self.public_key)
             if roster.generation == generation:
-                return RosterFile(one.roster, self._keys(name, roster, one.secret))
+                return RosterFile(state.roster, self._keys(name, roster, state.secret))
         return None
 
     def keys_of(self, name: str) -> datagram_keys.DatagramKeys:

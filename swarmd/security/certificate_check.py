@@ -26,10 +26,10 @@ class CertificateFacts:
 
 
 def check_certificate(certificate: Path, key: Path, authority: Path) -> CertificateFacts:
-    """Verify that a certificate fits its key and that the authority signed it, and read it.
+    """Read a certificate, and verify its key and the signature of the authority.
 
-    By a handshake in memory, as of a link. ConfigError in one line if a part does not fit. It needs
-    a clock that is right to the life of the authority: not before 1970, not after its end.
+    The check is a handshake in memory, as of a link. ConfigError in one line if a part does not
+    fit. The clock must be within the life of the authority: not before 1970, not after its end.
     """
     import ssl
 
@@ -39,7 +39,7 @@ def check_certificate(certificate: Path, key: Path, authority: Path) -> Certific
         client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         client.check_hostname = False
         client.load_verify_locations(authority)
-        found = _peer_of(client, server)
+        peer = _peer_of(client, server)
     except (ssl.SSLError, ValueError) as error:
         reason = getattr(error, "verify_message", "") or getattr(error, "reason", "") or error
         raise ConfigError(f"{certificate.name} does not fit its key or authority: {reason}") from (
@@ -47,9 +47,9 @@ def check_certificate(certificate: Path, key: Path, authority: Path) -> Certific
         )
     except OSError as error:
         raise ConfigError(f"{certificate}: {error.strerror}") from error
-    subject = dict(pair for group in found["subject"] for pair in group)
+    subject = dict(pair for group in peer["subject"] for pair in group)
     return CertificateFacts(
-        str(subject.get("commonName", "")), int(ssl.cert_time_to_seconds(str(found["notAfter"])))
+        str(subject.get("commonName", "")), int(ssl.cert_time_to_seconds(str(peer["notAfter"])))
     )
 
 

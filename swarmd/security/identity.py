@@ -22,7 +22,9 @@ from swarmd.core.files import write_whole
 from swarmd.security.datagram_keys import DatagramKeys
 from swarmd.security.roster import Id, PublicKey, Role, Roster, read_roster, stored_roster
 
-INFO, CERTIFICATE, KEY = "identity.json", "certificate.pem", "key.pem"
+INFO = "identity.json"
+CERTIFICATE = "certificate.pem"
+KEY = "key.pem"
 AUTHORITY, ROSTER = "authority.pem", "roster"
 SYSTEM_FOLDER = Path("/etc/swarmd/identities")
 Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
@@ -66,16 +68,13 @@ class Issued(Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """A name of a swarm with all that it needs to prove it.
-
-    `signed_roster`: as it is handed to others.
-    """
+    """A name of a swarm with the keys and certificates that prove the name."""
 
     folder: Path
     info: IdentityInfo
     roster: Roster
     datagram_keys: DatagramKeys
-    signed_roster: bytes = b""
+    signed_roster: bytes = b""  # the roster as it is handed to others
 
     @property
     def name(self) -> str:

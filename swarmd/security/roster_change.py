@@ -46,15 +46,12 @@ class SharedRoster(Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True)
 class TakenRoster:
-    """An identity after it took a roster; `text`: in words. `is_changed` False: it had it.
-
-    `fault`: why it is not on the disk; a roster is then kept in memory, and a restart forgets it.
-    """
+    """An identity after it took a roster."""
 
     identity: Identity
-    is_changed: bool
-    text: str
-    fault: str = ""
+    is_changed: bool  # False if the identity had this roster
+    text: str  # the change in words
+    fault: str = ""  # why the roster is not on the disk: a restart then forgets it
 
     @property
     def is_revoked(self) -> bool:
@@ -92,7 +89,9 @@ def take_roster(
         raise CodecError(f"another roster of generation {own}: its authority was an older copy")
     is_newer = roster.generation > own
     keys = _keys_of(identity, roster, shared, giver) if is_newer else identity.datagram_keys
-    words, fault, is_renewed = [f"generation {roster.generation} of the roster"], "", False
+    words = [f"generation {roster.generation} of the roster"]
+    fault = ""
+    is_renewed = False
     taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=signed)
     if certificate and certificate != identity.certificate.read_bytes():
         try:
@@ -171,7 +170,7 @@ def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, byte
 
 
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
-    """The keys of the identity at the generation of `roster`; empty ones if it is not on it."""
+    """The keys of the identity at the generation of `roster`; none for a name not on `roster`."""
     role, old = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:
         return DatagramKeys(generation=roster.generation)
@@ -195,8 +194,8 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
 def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:
     """Replace the certificate of an identity, once it is checked against key and authority.
 
-    None if it ends before the present one, which is kept: an old one, sent again, would end the
-    links of a robot early. ConfigError if it does not fit.
+    None if the certificate ends before the present certificate, which is kept: an old certificate,
+    sent again, would end the links of a robot early. ConfigError if the certificate does not fit.
     """
     draft = identity.folder / f".{CERTIFICATE}.new"
     try:

@@ -9,8 +9,9 @@ from swarmd.core.numbers import exact_number
 
 Value = bool | int | float | str | None
 
-# The bounds of a request: characters of a parameter's name and value, bytes of all together.
-_MAX_KEY, _MAX_TEXT, _MAX_BYTES = 64, 256, 32 * 1024
+_MAX_KEY = 64  # characters of a parameter's name
+_MAX_TEXT = 256  # characters of a parameter's value
+_MAX_BYTES = 32 * 1024  # of all words of a request together
 
 
 def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Value]:

@@ -14,8 +14,8 @@ from swarmd.texts.why import absence
 
 KINDS = ("state", "pattern", "presence", "goal", "count")
 _VALUES = {
-    "state": tuple(one.value for one in State),
-    "presence": tuple(one.value for one in Presence),
+    "state": tuple(state.value for state in State),
+    "presence": tuple(presence.value for presence in Presence),
 }
 
 
@@ -32,12 +32,12 @@ class Awaited:
 
 def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
     """Conditions in words such as `state=running`. ConfigError for a wrong one, with `option`."""
-    found: dict[str, str] = {}
+    values: dict[str, str] = {}
     for word in words:
         kind, sign, value = word.partition("=")
         if kind not in KINDS:
             raise ConfigError(f"{option} {word}: {unknown('condition', kind, KINDS)}")
-        if kind in found:
+        if kind in values:
             raise ConfigError(f"{option} {word}: {kind} is there already; keep one")
         if bool(sign) == (kind == "goal"):
             wanted = "goal, without a value" if kind == "goal" else f"{kind}=VALUE"
@@ -48,13 +48,13 @@ def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
             raise ConfigError(f"{option} {word}: {value!r} is no pattern name")
         if kind == "count" and not (value.isdecimal() and int(value) > 0):
             raise ConfigError(f"{option} {word}: expected a number of robots, such as count=5")
-        found[kind] = value
+        values[kind] = value
     return Awaited(
-        state=found.get("state"),
-        pattern=found.get("pattern"),
-        presence=found.get("presence"),
-        goal="goal" in found,
-        count=int(found["count"]) if "count" in found else None,
+        state=values.get("state"),
+        pattern=values.get("pattern"),
+        presence=values.get("presence"),
+        goal="goal" in values,
+        count=int(values["count"]) if "count" in values else None,
     )
 
 
@@ -70,8 +70,8 @@ def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str
     With `count` empty once so many meet them; else the key is empty, with their number.
     """
     names = tuple(names)
-    found = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}
-    lacking = {name: text for name, text in found.items() if text}
+    texts = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}
+    lacking = {name: text for name, text in texts.items() if text}
     if awaited.count is None:
         return lacking if names else {"": "there is no robot"}
     count = len(names) - len(lacking)

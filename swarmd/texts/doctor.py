@@ -73,7 +73,7 @@ def of_network(facts: NetworkFacts, *, is_robot: bool) -> Iterator[Finding]:
     if facts.mtu is not None:
         is_small = facts.mtu < GOOD_MTU
         remedy = f"ip link set {name} mtu 1500, if the network allows it"
-        text = f"{facts.mtu}" + ("; large datagrams travel in fragments" if is_small else "")
+        text = f"{facts.mtu}; large datagrams travel in fragments" if is_small else f"{facts.mtu}"
         yield warning("mtu", text, remedy, is_due=is_small)
     if facts.has_multicast is False and name != "lo":
         remedy = f"ip link set {name} multicast on; without it seeds are needed"
@@ -84,11 +84,11 @@ def of_network(facts: NetworkFacts, *, is_robot: bool) -> Iterator[Finding]:
 
 def _ports(facts: NetworkFacts, *, is_robot: bool) -> Finding:
     parts = [
-        f"{one.protocol} {one.port} {'by ' + ', '.join(one.users) if one.users else 'free'}"
-        for one in facts.ports
+        f"{port.protocol} {port.port} {'by ' + ', '.join(port.users) if port.users else 'free'}"
+        for port in facts.ports
     ]
     foreign = [
-        one for one in facts.ports if one.port == _PORT and one.users and THIS not in one.users
+        port for port in facts.ports if port.port == _PORT and port.users and THIS not in port.users
     ]
     if is_robot and foreign and facts.interface != "lo":  # there daemons take any free port
         remedy = f"end what uses {_PORT}, or name the robot's real port in seeds"
@@ -209,7 +209,7 @@ def _hears(reply: DoctorReply, others: int) -> Finding:
 def worst(findings: Iterable[Finding]) -> Level:
     """The worst level; `unknown` counts as ok."""
     levels = {finding.level for finding in findings}
-    return next((one for one in (Level.FAULT, Level.WARNING) if one in levels), Level.OK)
+    return next((level for level in (Level.FAULT, Level.WARNING) if level in levels), Level.OK)
 
 
 def _size(value: int) -> str:

@@ -1,4 +1,4 @@
-"""What robots are to do beside what they do, and the reason of each difference. Pure."""
+"""Goals of robots beside what the robots do, and the reason of each difference. Pure."""
 
 from __future__ import annotations
 
@@ -18,18 +18,13 @@ from swarmd.texts.why import absence
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A robot's goal beside what it does.
-
-    `goal`: the greatest goal known that is for this robot; None without a goal. `actual`: its
-    state and pattern. `reason`: why it does not do what the goal wants, empty if it does. `note`:
-    what else is to be known of a robot that is as desired.
-    """
+    """A robot's goal beside its state."""
 
     robot: str
-    goal: Goal | None
-    actual: str
-    reason: str = ""
-    note: str = ""
+    goal: Goal | None  # the greatest known goal that is for this robot
+    actual: str  # the robot's state and pattern
+    reason: str = ""  # why the robot does not do what the goal wants; empty if it does
+    note: str = ""  # a remark on a robot that is as desired
 
     @property
     def is_as_desired(self) -> bool:
@@ -45,61 +40,69 @@ class Difference:
 def differences(view: MembersView, names: Iterable[str]) -> list[Difference]:
     """The line of each robot in `names`."""
     known = goals_of(view)
-    undone = {one.goal.undoes for one in known.values()}
-    wanted = {digest: one for digest, one in known.items() if one.goal.id not in undone}
+    undone = {known_goal.goal.undoes for known_goal in known.values()}
+    wanted = {
+        digest: known_goal
+        for digest, known_goal in known.items()
+        if known_goal.goal.id not in undone
+    }
     return [_difference(name, view.members.get(name), wanted, undone) for name in names]
 
 
 def goals_of(view: MembersView) -> dict[str, KnownGoal]:
     """All goals that robots know, by digest, the greatest last."""
-    found: dict[str, KnownGoal] = {}
+    by_digest: dict[str, KnownGoal] = {}
     for member in view.members.values():
         goals = None if member.status is None else member.status.goal
-        for one in () if goals is None else (goals.own, goals.held):
-            if one is not None:
-                found[one.digest] = _with_age(found.get(one.digest), one)
-    return dict(sorted(found.items(), key=lambda item: (item[1].goal.order, item[0])))
+        for known in () if goals is None else (goals.own, goals.held):
+            if known is not None:
+                by_digest[known.digest] = _with_age(by_digest.get(known.digest), known)
+    return dict(sorted(by_digest.items(), key=lambda item: (item[1].goal.order, item[0])))
 
 
 def present_goals(view: MembersView) -> tuple[Goal | None, Goal | None]:
     """The greatest goal that a robot holds, and the goal that it replaced."""
-    goals = [one.status.goal for one in view.members.values() if one.status is not None]
-    held = [one for one in goals if one is not None and one.held is not None]
+    statuses = [member.status for member in view.members.values() if member.status is not None]
+    held = [  # each with the goal that it replaced on that robot
+        (status.goal.held, status.goal.before)
+        for status in statuses
+        if status.goal is not None and status.goal.held is not None
+    ]
     if not held:
         return None, None
-    latest = max(held, key=lambda one: (one.held.goal.order, one.held.digest) if one.held else ())
-    assert latest.held is not None
-    same = [one for one in held if one.held is not None and one.held.digest == latest.held.digest]
-    before = [one.before for one in same if one.before is not None]
-    return latest.held.goal, max(before, key=lambda one: one.order, default=None)
+    latest, _ = max(held, key=lambda pair: (pair[0].goal.order, pair[0].digest))
+    replaced = [before for known, before in held if known.digest == latest.digest and before]
+    return latest.goal, max(replaced, key=lambda goal: goal.order, default=None)
 
 
 def content_of(goal: Goal) -> dict[str, Any]:
-    """The fields of a goal that another one takes over."""
+    """The fields of a goal that a new goal takes over."""
     own = ("generation", "issuer", "id", "undoes", "signature")
     return {name: value for name, value in asdict(goal).items() if name not in own}
 
 
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
-    """The expected robots that an earlier goal is for, and those that only the present one runs on.
+    """The expected robots of goal `before`, and those that only goal `present` runs on.
 
-    By name alone where labels are not known.
+    A robot whose labels are not known is matched by its name alone.
     """
     labels = {
-        name: one.status.labels for name, one in view.members.items() if one.status is not None
+        name: member.status.labels
+        for name, member in view.members.items()
+        if member.status is not None
     }
     names = sorted(view.expected)
-    first = [name for name in names if before.is_for(name, labels.get(name, ()))]
+    of_before = [name for name in names if before.is_for(name, labels.get(name, ()))]
     if present.pattern is None:
-        return first, []
-    rest = [name for name in names if present.is_for(name, labels.get(name, ()))]
-    return first, [name for name in rest if name not in first]
+        return of_before, []
+    of_present = [name for name in names if present.is_for(name, labels.get(name, ()))]
+    return of_before, [name for name in of_present if name not in of_before]
 
 
 def goal_for(robot: str, labels: Iterable[str], known: Iterable[KnownGoal]) -> KnownGoal | None:
     """The last of `known` that targets a robot with these labels."""
-    found = [one for one in known if one.goal.is_for(robot, tuple(labels))]
-    return found[-1] if found else None
+    targeting = [known_goal for known_goal in known if known_goal.goal.is_for(robot, tuple(labels))]
+    return targeting[-1] if targeting else None
 
 
 def describe_goal(goal: Goal) -> str:
@@ -121,7 +124,8 @@ def describe_goal(goal: Goal) -> str:
 def targets_text(goal: Goal) -> str:
     """Such as `tb3-*, label red`."""
     words = (
-        f"label {one.removeprefix(LABEL)}" if one.startswith(LABEL) else one for one in goal.targets
+        f"label {target.removeprefix(LABEL)}" if target.startswith(LABEL) else target
+        for target in goal.targets
     )
     return ", ".join(words) or "all robots"
 
@@ -131,7 +135,7 @@ def _difference(
 ) -> Difference:
     status = None if member is None else member.status
     if member is None or status is None or member.contact is not Contact.ANSWERED:
-        # Labels are not known: the goal of a robot that is gone may be one by name alone.
+        # The labels of a robot that is gone are not known: only goals that name the robot count.
         wanted = goal_for(name, (), known.values())
         there = "absent" if member is None else _place(member)
         return Difference(name, None if wanted is None else wanted.goal, there, absence(member))
@@ -156,7 +160,7 @@ def _reason(status: Status, wanted: KnownGoal) -> str:
     """Why a robot does not do what the goal wants; empty if it does."""
     goals, goal = status.goal, wanted.goal
     if status.state is State.ESTOPPED:
-        issuers = ", ".join(sorted({one.issuer for one in status.latches.values()}))
+        issuers = ", ".join(sorted({latch.issuer for latch in status.latches.values()}))
         return f"estopped by {issuers or 'an operator'}"
     if status.state is State.FAULTED:
         return f"faulted: {status.reason} {status.detail}".rstrip()
@@ -180,8 +184,8 @@ def _place(member: SeenMember) -> str:
     return member.state or member.contact.value
 
 
-def _with_age(one: KnownGoal | None, other: KnownGoal) -> KnownGoal:
-    """The one with the greater age: what robots hand on lacks the time on the way."""
-    if one is None or one.age is None:
-        return other
-    return one if other.age is None or one.age >= other.age else other
+def _with_age(first: KnownGoal | None, second: KnownGoal) -> KnownGoal:
+    """The copy of a goal with the greater age: a copy handed on lacks the time on the way."""
+    if first is None or first.age is None:
+        return second
+    return first if second.age is None or first.age >= second.age else second

@@ -27,4 +27,4 @@ def read_changes(words: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]
 def changed(labels: Iterable[str], added: Iterable[str], removed: Iterable[str]) -> tuple[str, ...]:
     """The labels with changes, in their order."""
     gone = set(removed)
-    return tuple(dict.fromkeys([*(one for one in labels if one not in gone), *added]))
+    return tuple(dict.fromkeys([*(label for label in labels if label not in gone), *added]))

@@ -52,7 +52,7 @@ def row(member: SeenMember) -> tuple[str, ...]:
 
 
 def wide_cells(member: SeenMember) -> tuple[str, ...]:
-    """The cells of a member below WIDE; the goal with what it does about it."""
+    """The cells of a member below WIDE; the goal with the state of its run."""
     status = member.status
     if status is None or member.contact is not Contact.ANSWERED:
         return *(NOTHING,) * 3, member.version or NOTHING, NOTHING, NOTHING
@@ -110,11 +110,11 @@ def health(view: MembersView) -> Iterator[str]:
 
 def _by_text(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     """The robots of each text; those without a text are left out."""
-    found: dict[str, list[str]] = {}
+    robots: dict[str, list[str]] = {}
     for robot, text in pairs:
         if text:
-            found.setdefault(text, []).append(robot)
-    return found
+            robots.setdefault(text, []).append(robot)
+    return robots
 
 
 def offered(statuses: Iterable[Status]) -> Iterator[str]:
@@ -139,10 +139,12 @@ def incompatible(statuses: Iterable[Status]) -> Iterator[str]:
     """A line for each kind of peer that robots may not see, or that is faster than they assume."""
     pairs: dict[tuple[bool, str], tuple[list[str], list[str]]] = {}
     for status in statuses:
-        for found in status.peers:
-            own, peers = pairs.setdefault((found.holds, found.text), ([], []))
-            own.extend([status.robot] * (status.robot not in own))
-            peers.extend([found.robot] * (found.robot not in peers))
+        for peer in status.peers:
+            own, peers = pairs.setdefault((peer.holds, peer.text), ([], []))
+            if status.robot not in own:
+                own.append(status.robot)
+            if peer.robot not in peers:
+                peers.append(peer.robot)
     for (holds, text), (own, peers) in pairs.items():
         yield f"{', '.join(own)} {'held by' if holds else 'beside'} {', '.join(peers)}: {text}"
 

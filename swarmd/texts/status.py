@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from swarmd.core.messages import (
     Body,
@@ -26,9 +27,12 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("State", _state(status)),
         ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
         ("Protection", _protection(status)),
-        ("Peers", [(f.robot, f"{'holds it: ' * f.holds}{f.text}") for f in status.peers]),
+        ("Peers", [(f.robot, f"holds it: {f.text}" if f.holds else f.text) for f in status.peers]),
         ("Parameters", _parameters(status)),
-        (_report_title(status), [(name, short_number(one)) for name, one in status.report.items()]),
+        (
+            _report_title(status),
+            [(name, short_number(value)) for name, value in status.report.items()],
+        ),
         ("Readings", _readings(status)),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
@@ -38,8 +42,8 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
 
 def _readings(status: Status) -> list[tuple[str, str]]:
     stale = "stale: no fresh value; patterns get none"
-    found = {name: short_number(value) for name, value in status.readings.items()}
-    return sorted({**found, **dict.fromkeys(status.stale_readings, stale)}.items())
+    texts = {name: short_number(value) for name, value in status.readings.items()}
+    return sorted({**texts, **dict.fromkeys(status.stale_readings, stale)}.items())
 
 
 def _report_title(status: Status) -> str:
@@ -108,10 +112,14 @@ def _latch(status: Status, latch_id: str) -> str:
     return f"by {latch.issuer}, for {latch.scope}{reason}"
 
 
+def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:
+    """Rows of texts, of which the first alone has the title."""
+    return [("" if number else title, text) for number, text in enumerate(texts)]
+
+
 def _protection(status: Status) -> list[tuple[str, str]]:
     decision = status.decision
     gap, age = decision.min_gap, decision.scan_age
-    titles = ("limited by", *[""] * len(decision.rows))
     limits = [f"{text}, at most {row.cap:z.2f} m/s" for text, row in obstacles(decision.rows)]
     return [
         ("mode", f"{decision.mode}, {activity(decision)}"),
@@ -122,12 +130,12 @@ def _protection(status: Status) -> list[tuple[str, str]]:
             ),
         ),
         ("safe", _twist_text(decision.safe_linear, decision.safe_angular, decision.safe_lateral)),
-        *zip(titles, limits, strict=False),
+        *_titled("limited by", limits),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
         ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
         *_scan_delay(status.scan_delay),
-        *zip(("slowed by", *[""] * len(status.findings)), status.findings, strict=False),
+        *_titled("slowed by", status.findings),
         *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from swarmd.core.messages import Sandbox
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # `swarmctl --help` needs no message
+    from swarmd.core.messages import Sandbox
 
 NOTHING = "-"
 

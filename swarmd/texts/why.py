@@ -141,7 +141,9 @@ def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingO
     """
     seen: list[LimitingObstacle] = []
     for row in rows:
-        if all(math.cos(row.bearing - one.bearing) <= math.cos(_SAME_OBSTACLE) for one in seen):
+        if all(
+            math.cos(row.bearing - earlier.bearing) <= math.cos(_SAME_OBSTACLE) for earlier in seen
+        ):
             seen.append(row)
             degrees = round(math.degrees(row.bearing))  # an int: no -0
             yield f"an obstacle at {degrees} deg, {max(row.gap, 0.0):.2f} m", row
@@ -184,7 +186,7 @@ def _lost(status: Status) -> str:
 
 def _peer(status: Status) -> str:
     """The first peer that holds the robot, and why."""
-    held = (f"peer {found.robot}: {found.text}" for found in status.peers if found.holds)
+    held = (f"peer {peer.robot}: {peer.text}" for peer in status.peers if peer.holds)
     return next(held, "a peer is not seen, or is faster than assumed")
 
 

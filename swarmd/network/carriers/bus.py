@@ -162,7 +162,7 @@ class ZenohBus:
         )
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
-        """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
+        """Publish `state/<name>` to its subscribers; without a subscriber `payload` is not called.
 
         `name`: of the table `PUBLISHED`. A `payload` of None: there is nothing to publish.
         """

@@ -38,17 +38,12 @@ MAX_WEIGHT = 64.0
 
 
 class FloodRules(Struct, frozen=True):
-    """What the kernel's filter is to drop.
+    """The datagrams that the kernel's filter drops."""
 
-    `blocked`: sources whose datagrams are dropped unless urgent. `thinned`: sources, and the share
-    of their urgent datagrams that passes. `share`: that of sources that are not in `known`.
-    `only_known`: other sources' datagrams are dropped unless urgent.
-    """
-
-    blocked: tuple[Address, ...] = ()
-    thinned: tuple[tuple[Address, float], ...] = ()
-    share: float = 1.0
-    only_known: bool = False
+    blocked: tuple[Address, ...] = ()  # sources whose datagrams are dropped unless urgent
+    thinned: tuple[tuple[Address, float], ...] = ()  # sources, and the share of urgent that passes
+    share: float = 1.0  # the share of urgent datagrams that passes, of sources not in `known`
+    only_known: bool = False  # datagrams of sources not in `known` are dropped unless urgent
     known: tuple[Address, ...] = ()
 
     def shortened(self) -> FloodRules:
@@ -62,7 +57,9 @@ class _Budget:
     def __init__(self, rate: float, burst: float) -> None:
         self._rate = rate
         self._bucket = TokenBucket(rate, burst)
-        self._window, self._count, self._excess = -1e9, 0.0, 0.0
+        self._window = -1e9  # the begin of the present second
+        self._count = 0.0  # datagrams within this second
+        self._excess = 0.0  # datagrams beyond the budget within this second
         self._block_time = BLOCK_TIME
         self.blocked_until = -1e9
         self.share = 1.0
@@ -70,7 +67,9 @@ class _Budget:
     def take(self, weight: float, now: float) -> bool:
         """True if one more datagram of this weight fits."""
         if now - self._window > 1.0:
-            self._window, self._count, self._excess = now, 0.0, 0.0
+            self._window = now
+            self._count = 0.0
+            self._excess = 0.0
         self._count += weight
         if self._bucket.take(weight, now):
             return True
@@ -81,7 +80,7 @@ class _Budget:
         """True at the moment at which a flood is noticed."""
         if self._excess < EXCESS:
             return False
-        if now < self.blocked_until:  # more comes than there seemed to, since the queue was full
+        if now < self.blocked_until:  # the full queue hid a part of the flood
             self._excess = 0.0
             self.share = max(self.share / 4, MIN_SHARE)
             return self._window > self.blocked_until - self._block_time
@@ -122,10 +121,11 @@ class FloodLimits:
 
         `weight`, at most MAX_WEIGHT: the ratio of arrived to read datagrams.
         """
-        one = self._place(source, now)
-        if one is not self._strangers:
-            self._get_to_know(one, now)
-        owners = (one,) if one.is_known or one is self._strangers else (one, self._strangers)
+        sender = self._place(source, now)
+        if sender is not self._strangers:
+            self._get_to_know(sender, now)
+        is_new = sender is not self._strangers and not sender.is_known
+        owners = (sender, self._strangers) if is_new else (sender,)
         for owner in owners:
             budget = owner.urgent if kind in URGENT else owner.usual
             if not budget.take(weight, now):
@@ -134,15 +134,15 @@ class FloodLimits:
                 return False
         return True
 
-    def _get_to_know(self, one: _Source, now: float) -> None:
+    def _get_to_know(self, sender: _Source, now: float) -> None:
         """Sources that are heard for KNOWN_TIME are known, but for the time of a flood."""
-        if now - one.last > IDLE_TIME:
-            one.first, one.is_known = now, False
+        if now - sender.last > IDLE_TIME:
+            sender.first, sender.is_known = now, False
         strangers = self._strangers
         if now < max(strangers.usual.blocked_until, strangers.urgent.blocked_until):
-            one.first = now
-        one.last = now
-        one.is_known |= now - one.first >= KNOWN_TIME
+            sender.first = now
+        sender.last = now
+        sender.is_known |= now - sender.first >= KNOWN_TIME
 
     def rules(self, now: float) -> FloodRules:
         """The rules for the kernel, which stay the same object until they change."""
@@ -151,8 +151,8 @@ class FloodLimits:
             self._rules = self._make_rules(now)
             ends = [
                 budget.blocked_until
-                for one in (*self._sources.values(), self._strangers)
-                for budget in (one.usual, one.urgent)
+                for sender in (*self._sources.values(), self._strangers)
+                for budget in (sender.usual, sender.urgent)
                 if budget.blocked_until > now
             ]
             self._rules_end = min(ends, default=0.0)
@@ -160,17 +160,17 @@ class FloodLimits:
 
     def _make_rules(self, now: float) -> FloodRules:
         blocked, thinned = [], []
-        for address, one in self._sources.items():
-            if now < one.usual.blocked_until:
+        for address, sender in self._sources.items():
+            if now < sender.usual.blocked_until:
                 blocked.append(address)
-            if now < one.urgent.blocked_until:
-                thinned.append((address, one.urgent.share))
+            if now < sender.urgent.blocked_until:
+                thinned.append((address, sender.urgent.share))
         strangers = self._strangers
         is_thinned = now < strangers.urgent.blocked_until
         is_closed = now < strangers.usual.blocked_until
         known: list[Address] = []
         if is_thinned or is_closed:
-            old = [address for address, one in self._sources.items() if one.is_known]
+            old = [address for address, sender in self._sources.items() if sender.is_known]
             known = [address for address in old if address not in blocked]
         return FloodRules(
             blocked=tuple(blocked[:MAX_BLOCKED]),
@@ -187,10 +187,10 @@ class FloodLimits:
         if len(self._sources) >= MAX_SOURCES and now - self._swept >= 1.0:
             self._swept = now
             self._sources = {
-                address: one
-                for address, one in self._sources.items()
-                if now - one.last <= IDLE_TIME
-                or now < max(one.usual.blocked_until, one.urgent.blocked_until)
+                address: sender
+                for address, sender in self._sources.items()
+                if now - sender.last <= IDLE_TIME
+                or now < max(sender.usual.blocked_until, sender.urgent.blocked_until)
             }
         if len(self._sources) >= MAX_SOURCES:
             return self._strangers

@@ -25,8 +25,8 @@ from swarmd.core.errors import NetworkError
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop, TimerHandle
 
-QUIET_TIME = 0.2  # s without news after which a burst of them is over
-MAX_BURST = 1.0  # s after which it counts as over anyway
+QUIET_TIME = 0.2  # s without a change after which a burst of changes is over
+MAX_BURST = 1.0  # s after which a burst is over in any case
 
 _SIOCGIFCONF, _SIOCGIFFLAGS = 0x8912, 0x8913  # linux/sockios.h
 _IFREQ = struct.calcsize("16sLLHBBB0L")  # of linux/if.h: a name, and the longest of its values
@@ -39,29 +39,26 @@ _READS = 64  # messages of the kernel in a turn of the loop
 
 
 class InterfaceState(Struct, frozen=True):
-    """An interface; `is_up`: it is on and has a carrier; `addresses`: the usable ones, IPv4 first.
-
-    `index`: its number, which changes if it goes and comes back; 0 if it is absent.
-    """
+    """The state of a network interface."""
 
     exists: bool = False
-    is_up: bool = False
-    addresses: tuple[str, ...] = ()
-    index: int = 0
+    is_up: bool = False  # switched on, and with a carrier
+    addresses: tuple[str, ...] = ()  # the usable addresses, IPv4 first
+    index: int = 0  # a new number whenever the interface comes back; 0 while absent
 
     @property
     def ipv4(self) -> tuple[str, ...]:
         """The IPv4 addresses."""
-        return tuple(one for one in self.addresses if ":" not in one)
+        return tuple(address for address in self.addresses if ":" not in address)
 
     @property
     def link_local(self) -> tuple[str, ...]:
         """The link-local IPv6 addresses."""
-        return tuple(one for one in self.addresses if one.startswith("fe80:"))
+        return tuple(address for address in self.addresses if address.startswith("fe80:"))
 
     @property
     def is_usable(self) -> bool:
-        """True if it is up and has an address."""
+        """True if the interface is up and has an address."""
         return self.is_up and bool(self.addresses)
 
     @property
@@ -104,7 +101,7 @@ class InterfaceChange(Struct, frozen=True):
 
 
 class InterfaceHistory:
-    """Tells what a new state changes. Global IPv6 addresses come and go without a word. Pure."""
+    """Compares each new state with the last; global IPv6 addresses do not count. Pure."""
 
     def __init__(self, interface: str, state: InterfaceState) -> None:
         self._interface = interface
@@ -112,7 +109,7 @@ class InterfaceHistory:
         self._last = state  # the addresses and index by which peers may know the robot
 
     def on_state(self, state: InterfaceState) -> InterfaceChange | None:
-        """The change to this state; None if nothing that matters has changed."""
+        """The change to this state; None if neither event, index nor addresses changed."""
         before, self.state = self.state, state
         if _essence(before) == _essence(state):
             return None
@@ -123,7 +120,7 @@ class InterfaceHistory:
         last = self._last
         lost = _lost(last, state)
         is_new = bool(last.index) and last.index != state.index
-        # An IPv4 address that is away, as while DHCP asks, stays in mind beside the IPv6 ones.
+        # Peers may know an IPv4 address that is away, as while DHCP asks: it stays in `_last`.
         kept = () if state.ipv4 else last.ipv4
         self._last = replace(state, addresses=kept + state.addresses)
         if lost:
@@ -146,7 +143,9 @@ class InterfaceWatch:
         interface: str,
         on_change: Callable[[InterfaceChange], object],
     ) -> None:
-        self._loop, self._interface, self._on_change = loop, interface, on_change
+        self._loop = loop
+        self._interface = interface
+        self._on_change = on_change
         self._timer: TimerHandle | None = None
         self._burst_at: float | None = None
         try:
@@ -213,19 +212,19 @@ def _essence(state: InterfaceState) -> tuple[object, ...]:
 
 
 def _lost(last: InterfaceState, state: InterfaceState) -> tuple[str, ...]:
-    """The addresses in `last` of the family in use that are gone: none while that is away."""
+    """The lost addresses of the family in use; none while the whole family is away."""
     if last.ipv4:
         kept = state.ipv4
-        return tuple(one for one in last.ipv4 if one not in kept) if kept else ()
+        return tuple(address for address in last.ipv4 if address not in kept) if kept else ()
     kept = state.link_local
-    return tuple(one for one in last.link_local if one not in kept) if kept else ()
+    return tuple(address for address in last.link_local if address not in kept) if kept else ()
 
 
 # Questions to the kernel
 
 
 def index_of(interface: str) -> int:
-    """The number of an interface. Raises NetworkError in one line if it is not there."""
+    """The number of an interface. Raises NetworkError in one line if the interface is absent."""
     try:
         return socket.if_nametoindex(interface)
     except OSError:
@@ -236,9 +235,9 @@ def index_of(interface: str) -> int:
 
 
 def flags_of(interface: str) -> int:
-    """The flags of an interface (linux/if.h); 0 if it is not there.
+    """The flags of an interface (linux/if.h); 0 if the interface is absent.
 
-    Asked of the kernel: /sys shows the interfaces of another network namespace.
+    The kernel is asked, since /sys shows the interfaces of another network namespace.
     """
     wanted = struct.pack("16sh14x", interface.encode()[:15], 0)
     try:
@@ -269,7 +268,7 @@ def addresses_of(index: int) -> tuple[str, ...]:
 
 
 def _ipv4_of(name: str) -> Iterator[str]:
-    """The addresses by SIOCGIFCONF; one with a label of its own has the name `eth0:label`."""
+    """The addresses by SIOCGIFCONF; a labelled address has the name `eth0:label`."""
     room = array("B", bytes(_MAX_ADDRESSES * _IFREQ))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         question = struct.pack("iP", len(room), room.buffer_info()[0])
@@ -286,6 +285,6 @@ def _ipv6_of(index: int) -> Iterator[str]:
         lines = Path("/proc/thread-self/net/if_inet6").read_text().splitlines()
     except OSError:  # a kernel without IPv6
         return
-    for address, found, _, _, flags, _ in map(str.split, lines):
-        if int(found, 16) == index and not int(flags, 16) & _UNUSABLE:
+    for address, number, _, _, flags, _ in map(str.split, lines):
+        if int(number, 16) == index and not int(flags, 16) & _UNUSABLE:
             yield str(ipaddress.ip_address(bytes.fromhex(address)))

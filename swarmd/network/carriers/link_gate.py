@@ -99,27 +99,27 @@ class LinkGate:
 
     def __init__(self, ports: Collection[int]) -> None:
         self._sockets = [
-            socket.socket(fileno=one.detach())  # `dup` would let Zenoh's socket block
-            for one in own_sockets()
-            if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
-            and one.getsockname()[1] in ports
+            socket.socket(fileno=listener.detach())  # `dup` would let Zenoh's socket block
+            for listener in own_sockets()
+            if listener.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+            and listener.getsockname()[1] in ports
         ]
         self.is_closed = False
 
     def admit(self, hosts: Collection[str] | None) -> None:
         """Take connections from these hosts only; None: from all. Links that exist go on."""
         self.is_closed = hosts is not None
-        for one in self._sockets:
+        for listener in self._sockets:
             with contextlib.suppress(OSError):  # no filter is attached, or none can be
                 if hosts is None:
-                    one.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
+                    listener.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
                     continue
-                attach_filter(one, host_filter(map(ipaddress.ip_address, hosts)))
+                attach_filter(listener, host_filter(map(ipaddress.ip_address, hosts)))
 
     def close(self) -> None:
         """Let go of the sockets."""
-        for one in self._sockets:
-            one.close()
+        for listener in self._sockets:
+            listener.close()
         self._sockets = []
 
 

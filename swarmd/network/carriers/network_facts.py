@@ -109,10 +109,10 @@ def _open_files(folder: Path) -> Iterator[str]:
 
 
 def _firewall() -> tuple[str, str]:
-    """none, open, drops or unknown; and the rules that drop, or why it is not known."""
+    """`open`, `drops` or `unknown`, with the rules that drop, or why the rules are not known."""
     if os.geteuid() != 0:
         return "unknown", "only root may read the rules of nft and iptables"
-    found: list[str] = []
+    rules: list[str] = []
     asked = False
     for command in (("nft", "list", "ruleset"), ("iptables-save",)):
         if shutil.which(command[0]) is None:
@@ -126,10 +126,10 @@ def _firewall() -> tuple[str, str]:
             return "unknown", f"{command[0]} gave no answer"
         if done.returncode:
             return "unknown", f"{command[0]}: {done.stderr.strip()[:200]}"
-        found += dropping_rules(done.stdout)
+        rules += dropping_rules(done.stdout)
     if not asked:
         return "unknown", "neither nft nor iptables is installed"
-    return ("drops", "; ".join(found)) if found else ("open", "")
+    return ("drops", "; ".join(rules)) if rules else ("open", "")
 
 
 def dropping_rules(text: str) -> list[str]:

@@ -17,18 +17,32 @@ from collections.abc import Iterable, Sequence
 from swarmd.network.carriers.flood_limits import FloodRules
 from swarmd.network.datagram import ANY_SWARM, MAGIC, MAX_DATAGRAM, URGENT, Address, Kind
 
-_LOAD, _LOAD_HALF, _LOAD_BYTE, _LOAD_LENGTH, _LOAD_MEMORY = 0x20, 0x28, 0x30, 0x80, 0x60
-_STORE, _TO_X, _XOR_X, _SHIFT_LEFT = 0x02, 0x07, 0xAC, 0x64
-_EQUALS, _EXCEEDS, _JUMP, _RETURN = 0x15, 0x25, 0x05, 0x06
+_LOAD = 0x20
+_LOAD_HALF = 0x28
+_LOAD_BYTE = 0x30
+_LOAD_LENGTH = 0x80
+_LOAD_MEMORY = 0x60
+_STORE = 0x02
+_TO_X = 0x07
+_XOR_X = 0xAC
+_SHIFT_LEFT = 0x64
+_EQUALS = 0x15
+_EXCEEDS = 0x25
+_JUMP = 0x05
+_RETURN = 0x06
 # Offsets that the kernel reads as: the IP head, and a random number.
 _IP_HEAD, _RANDOM = 2**32 - 0x100000, 2**32 - 0x1000 + 56
-_SOURCE4, _SOURCE6, _SOURCE_PORT = _IP_HEAD + 12, _IP_HEAD + 8, 0
+_SOURCE4 = _IP_HEAD + 12
+_SOURCE6 = _IP_HEAD + 8
+_SOURCE_PORT = 0
 _UDP_HEAD = 8
 _SO_ATTACH_FILTER = 26  # asm-generic/socket.h
 _KIND_AT, _TAG_AT = _UDP_HEAD + len(MAGIC), _UDP_HEAD + len(MAGIC) + 1
 _KEY_CELL, _KIND_CELL = 0, 1  # of the program's memory
 
-_ACCEPT, _DROP, _NEXT_STAGE = 0xFFFFFFFF, 0, -1
+_ACCEPT = 0xFFFFFFFF  # verdicts of a block
+_DROP = 0
+_NEXT_STAGE = -1
 
 Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, operand
 Test = tuple[int, int, int, int]  # code of the load, its offset, code of the test, its operand
@@ -38,7 +52,8 @@ Block = tuple[int, Sequence[Test]]  # verdict, tests
 def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     """Accepts the datagrams of a swarm, and `Solicit` and `Swarm` of any swarm, within the rules.
 
-    For a socket of one family; sources of the other are left out. As struct sock_filter.
+    For a socket of one family: rules on sources of the other family are left out. The bytes are
+    an array of struct sock_filter.
     """
     heads = [
         (_DROP, [(_LOAD_LENGTH, 0, _EXCEEDS, _UDP_HEAD + MAX_DATAGRAM)]),
@@ -60,7 +75,7 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     limits += [(_DROP, [_is_from(key)]) for key, _ in _keys(blocked, is_ipv6)]
     limits.append((_DROP if rules.only_known else _ACCEPT, []))
     program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
-    return b"".join(struct.pack("=HBBI", *one) for one in program)
+    return b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
 
 
 def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
@@ -71,7 +86,7 @@ def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) 
         first = _SOURCE4 if host.version == 4 else _SOURCE6
         tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
         blocks.append((_ACCEPT, tests))
-    return b"".join(struct.pack("=HBBI", *one) for one in _stage(blocks))
+    return b"".join(struct.pack("=HBBI", *instruction) for instruction in _stage(blocks))
 
 
 def attach_filter(sock: socket.socket, program: bytes) -> None:
@@ -94,7 +109,8 @@ def _head(tag: bytes) -> list[Test]:
 def _keys(sources: dict[Address, float], is_ipv6: bool) -> Iterable[tuple[int, float]]:
     """The key of each source of a family: all words of its address and its port in 32 bits.
 
-    Two sources may have the same key; who would seek that can forge addresses at once.
+    Two sources may have the same key. An attacker who seeks such a pair can forge addresses at
+    less cost.
     """
     for (text, port), value in sources.items():
         host = ipaddress.ip_address(text.partition("%")[0])

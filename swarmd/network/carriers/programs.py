@@ -57,7 +57,9 @@ class Programs:
         *,
         takes_messages: bool,
     ) -> None:
-        self._session, self._swarm, self._robot = session, swarm, robot
+        self._session = session
+        self._swarm = swarm
+        self._robot = robot
         self._is_robot, self._drops = is_robot, drops
         self._limits: dict[str, SenderLimits] = {}
         self._lock = threading.Lock()

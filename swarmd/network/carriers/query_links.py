@@ -24,14 +24,16 @@ class QueryLinks:
         if not robots:
             return set()
         known = [session for session, _ in self._queriers]
-        self._queriers += [(one, {}) for one in sessions if not any(one is old for old in known)]
+        for session in sessions:
+            if not any(session is old for old in known):
+                self._queriers.append((session, {}))
         return {robot for robot in robots if self._is_linked(robot)}
 
     def close(self) -> None:
         """Undeclare the queriers."""
         from swarmd.network.carriers.session import undeclare
 
-        undeclare(*(one for _, queriers in self._queriers for one in queriers.values()))
+        undeclare(*(querier for _, queriers in self._queriers for querier in queriers.values()))
 
     def _is_linked(self, robot: str) -> bool:
         import zenoh

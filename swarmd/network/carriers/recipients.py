@@ -72,7 +72,9 @@ class Recipients:
         if known is None:
             if len(self._known) >= MAX_ADDRESSES:
                 self._known = {
-                    one: old for one, old in self._known.items() if self._is_current(one, old, now)
+                    known_address: use
+                    for known_address, use in self._known.items()
+                    if self._is_current(known_address, use, now)
                 }
             if len(self._known) < MAX_ADDRESSES:
                 known = self._known[address] = _AddressUse()

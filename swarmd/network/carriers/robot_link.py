@@ -78,16 +78,12 @@ class Received(NamedTuple):
 
 
 class Connection:
-    """Frames on a connected TCP socket; no method waits or raises.
-
-    `is_open` is false from the end of the connection on; `close` it then. `age`: s for which the
-    newest frame had waited when it was received, if `is_timed`.
-    """
+    """Frames on a connected TCP socket; no method waits or raises."""
 
     def __init__(self, connected: socket.socket, *, is_timed: bool = False) -> None:
         self.socket = connected
-        self.is_open = True
-        self.age = 0.0
+        self.is_open = True  # False from the end of the connection on; then call `close`
+        self.age = 0.0  # s for which the newest frame waited before `receive`, if `is_timed`
         self._room = _ROOM if is_timed else 0
         self._received = bytearray()
         self._unsent = b""
@@ -149,7 +145,9 @@ class Connection:
         self.socket.close()
 
     def _take_frames(self) -> list[Frame]:
-        frames, buffer, at = list[Frame](), self._received, 0
+        frames: list[Frame] = []
+        buffer = self._received
+        at = 0
         while len(buffer) - at >= _HEAD.size:
             word, length = _HEAD.unpack_from(buffer, at)
             if length > MAX_PAYLOAD:
@@ -210,61 +208,63 @@ class RobotServer:
         return self._poll.fileno()
 
     def send(self, robot: str, name: str, payload: bytes) -> bool:
-        """Send to all that listen to a robot; False if one has no room for it."""
+        """Send to all that listen to a robot; False if a connection has no room for the frame."""
         is_sent = True
-        for one in self._listeners[robot]:
-            if not one.send(name, payload):
+        for connection in self._listeners[robot]:
+            if not connection.send(name, payload):
                 is_sent = False
                 self.dropped += 1
         return is_sent
 
     def receive(self) -> list[Received]:
         """The frames since the last call; does not wait."""
-        found: list[Received] = []
+        received: list[Received] = []
         for file, _ in self._poll.poll(0.0):
-            one = self._connections.get(file)
-            if one is None:
-                self._accept(found)
+            connection = self._connections.get(file)
+            if connection is None:
+                self._accept(received)
             else:
-                self._take(file, one, found)
+                self._take(file, connection, received)
         self._emptied_at = self._clock()
-        return found
+        return received
 
     def close(self) -> None:
         """Close all connections."""
-        for file, one in list(self._connections.items()):
-            self._forget(file, one)
+        for file, connection in list(self._connections.items()):
+            self._forget(file, connection)
         self._poll.close()
         self._socket.close()
 
-    def _take(self, file: int, one: Connection, found: list[Received]) -> None:
-        frames, now = one.receive(), self._clock()
+    def _take(self, file: int, connection: Connection, received: list[Received]) -> None:
+        frames, now = connection.receive(), self._clock()
         # The wall clock, which gives the age, may be set: the last call bounds the age.
-        arrival = now - min(max(one.age, 0.0), max(now - self._emptied_at, 0.0))
+        arrival = now - min(max(connection.age, 0.0), max(now - self._emptied_at, 0.0))
         for name, payload in frames:
-            if one in self._robots:
-                found.append(Received(self._robots[one], name, payload, arrival))
+            if connection in self._robots:
+                received.append(Received(self._robots[connection], name, payload, arrival))
             else:
-                self._welcome(one, name, payload)
-        if not one.is_open:
-            self._forget(file, one)
+                self._welcome(connection, name, payload)
+        if not connection.is_open:
+            self._forget(file, connection)
 
-    def _accept(self, found: list[Received]) -> None:
+    def _accept(self, received: list[Received]) -> None:
         """Take all waiting connections with their hellos: a storm of strangers delays no daemon."""
         for _ in range(_BACKLOG):
             try:
                 accepted, _ = self._socket.accept()
             except OSError:  # none is left, or no descriptor
                 return
-            strangers = [file for file, one in self._connections.items() if one not in self._robots]
+            strangers = [
+                file for file, known in self._connections.items() if known not in self._robots
+            ]
             if len(strangers) >= MAX_STRANGERS:  # the longest silent stranger ends
                 self._forget(strangers[0], self._connections[strangers[0]])
-            one = Connection(accepted, is_timed=True)
-            self._connections[accepted.fileno()] = one
+            connection = Connection(accepted, is_timed=True)
+            self._connections[accepted.fileno()] = connection
             self._poll.register(accepted, select.EPOLLIN)
-            self._take(accepted.fileno(), one, found)
+            self._take(accepted.fileno(), connection, received)
 
-    def _welcome(self, one: Connection, name: str, payload: bytes) -> None:
+    def _welcome(self, connection: Connection, name: str, payload: bytes) -> None:
         """Take the first frame of a connection, which ends if it is no hello to a robot here."""
         try:
             hello = _hello(payload)
@@ -275,20 +275,21 @@ class RobotServer:
         is_full = count >= MAX_CONNECTIONS_OF_ROBOT
         if name != HELLO or hello is None or hello.swarm != self._swarm or there is None or is_full:
             self.dropped += 1
-            one.is_open = False
+            connection.is_open = False
             return
-        self._robots[one] = hello.robot
-        one.send(HELLO, payload)
+        self._robots[connection] = hello.robot
+        connection.send(HELLO, payload)
         if hello.listens:
-            self._listeners[hello.robot] = (*there, one)
+            self._listeners[hello.robot] = (*there, connection)
 
-    def _forget(self, file: int, one: Connection) -> None:
+    def _forget(self, file: int, connection: Connection) -> None:
         del self._connections[file]
-        robot = self._robots.pop(one, None)
+        robot = self._robots.pop(connection, None)
         if robot is not None:
-            left = tuple(other for other in self._listeners[robot] if other is not one)
-            self._listeners[robot] = left
-        one.close()
+            self._listeners[robot] = tuple(
+                listener for listener in self._listeners[robot] if listener is not connection
+            )
+        connection.close()
 
 
 class RobotClient:
@@ -327,12 +328,12 @@ class RobotClient:
                 made.close()
             await asyncio.sleep(RETRY_PERIOD)
 
-    async def _use(self, one: Connection, loop: asyncio.AbstractEventLoop) -> None:
+    async def _use(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
         ended: asyncio.Future[None] = loop.create_future()
 
         def on_readable() -> None:
-            frames = one.receive()
-            if not one.is_open and not ended.done():
+            frames = connection.receive()
+            if not connection.is_open and not ended.done():
                 loop.remove_reader(file)
                 ended.set_result(None)
             if frames and not self.is_known:
@@ -341,9 +342,9 @@ class RobotClient:
             if frames:
                 self._on_frames(frames)
 
-        file = one.socket.fileno()
-        self._connection = one
-        one.send(HELLO, self._hello)
+        file = connection.socket.fileno()
+        self._connection = connection
+        connection.send(HELLO, self._hello)
         loop.add_reader(file, on_readable)
         try:
             await ended
@@ -351,12 +352,12 @@ class RobotClient:
             if not ended.done() or ended.cancelled():
                 loop.remove_reader(file)
             self._connection, self.is_known = None, False
-            one.close()
+            connection.close()
 
     def send(self, name: str, payload: bytes) -> bool:
         """Send a frame; False if it is dropped: there is no room, or no connection."""
-        one = self._connection
-        return one is not None and one.is_open and one.send(name, payload)
+        connection = self._connection
+        return connection is not None and connection.is_open and connection.send(name, payload)
 
 
 def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
@@ -365,10 +366,10 @@ def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
         made = socket.create_connection((endpoint.host, endpoint.port), timeout)
     except OSError:
         return None
-    one = Connection(made)
-    if one.send(HELLO, encode(hello)):
-        return one
-    one.close()
+    connection = Connection(made)
+    if connection.send(HELLO, encode(hello)):
+        return connection
+    connection.close()
     return None
 
 

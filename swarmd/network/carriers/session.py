@@ -64,8 +64,9 @@ def open_session(
     """Open the session of a daemon, which listens only. Raises NetworkError in one line.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
-    reads the addresses of interfaces once: it joins the group of scouts on others only by their
-    numbers, and tells programs of none at which it listens by the name of the interface.
+    reads the addresses of interfaces once. On a late address Zenoh joins the group of scouts only
+    by the number of the address, and programs learn no late address of an endpoint that is given by
+    the name of the interface.
     """
     options = session_options(settings, identity)
     if late:
@@ -110,7 +111,7 @@ def _open(settings: NetworkSettings, options: dict[str, object]) -> zenoh.Sessio
         check_interface(settings.interface_name)
     connect = options["connect/endpoints"]
     assert isinstance(connect, list)
-    options = {**options, "connect/endpoints": [_dialled(one) for one in connect]}
+    options = {**options, "connect/endpoints": [_dialled(endpoint) for endpoint in connect]}
     session = open_with(options, what=f"swarm {settings.swarm!r}")
     tune_sockets(session, settings.lease_seconds)
     return session
@@ -169,7 +170,8 @@ def open_listening(
 async def open_in_thread(open_it: Callable[[], S]) -> S:
     """The result of `open_it`, called in a thread; closed at once if the caller is cancelled.
 
-    Even if the loop ends meanwhile: a session that is left open would keep the process alive.
+    The session is closed even if the loop ends meanwhile: an open session would keep the process
+    alive.
     """
     import asyncio
     from concurrent.futures import Future
@@ -276,8 +278,8 @@ def foreign_options(
         if not path.startswith(("transport/unicast", "transport/link/tx", "transport/link/rx")):
             *above, name = path.split("/")
             section = nested
-            for one in above:
-                section = section.setdefault(one, {})
+            for key in above:
+                section = section.setdefault(key, {})
             section[name] = value
     return nested
 
@@ -382,7 +384,8 @@ def _listen(settings: NetworkSettings) -> list[str]:
     wanted = settings.listen or (default_listen(settings),)
     if settings.profile == "dev":
         return list(wanted)
-    return [one if "#" in one else f"{one}#iface={settings.interface_name}" for one in wanted]
+    suffix = f"#iface={settings.interface_name}"
+    return [endpoint if "#" in endpoint else endpoint + suffix for endpoint in wanted]
 
 
 def check_interface(interface: str) -> None:
@@ -457,10 +460,10 @@ def tune_link(src: str, dst: str, lease: float) -> int:
 
 def connected_sockets() -> Iterator[socket.socket]:
     """This process's connected TCP sockets; see `own_sockets`."""
-    for one in own_sockets():
+    for sock in own_sockets():
         with contextlib.suppress(OSError):
-            if one.getpeername():
-                yield one
+            if sock.getpeername():
+                yield sock
 
 
 def own_sockets() -> Iterator[socket.socket]:
@@ -481,13 +484,13 @@ def own_sockets() -> Iterator[socket.socket]:
         except OSError:  # closed meanwhile
             continue
         try:
-            one = socket.socket(fileno=copy)
+            sock = socket.socket(fileno=copy)
         except OSError:  # reused meanwhile, for a file
             os.close(copy)
             continue
-        with one:
-            if one.type == socket.SOCK_STREAM and one.family in (socket.AF_INET, socket.AF_INET6):
-                yield one
+        with sock:
+            if sock.type == socket.SOCK_STREAM and sock.family in (socket.AF_INET, socket.AF_INET6):
+                yield sock
 
 
 def _address(locator: str) -> Address | None:

@@ -1,17 +1,18 @@
 """The datagrams of a swarm on UDP: by multicast, by broadcast as a fallback, and by unicast.
 
-What is sent to all goes
+A datagram to all goes
 
 - to the IPv4 group if the interface has an IPv4 address, else to the IPv6 group of the link. While
-  a robot without an IPv4 address is heard, the others send copies by IPv6, to a group of their own:
-  the copies tell nobody that somebody lacks IPv4;
+  a robot without an IPv4 address is heard, robots with IPv4 send copies by IPv6. The copies go to a
+  group of their own, so that no copy suggests that its sender lacks IPv4.
 - in profile field by broadcast, too: each `Stop`, `Ack` and `Latches`, every fifth beacon, and
-  everything while nobody has been heard by multicast for a lease (access points may drop it);
+  every datagram while no robot has been heard by multicast for a lease (access points may drop
+  multicast).
 - by unicast to seeds and to peers that are not heard by the group (`Recipients`).
 
-A datagram waits in its socket while the process is frozen or busy. The kernel's time of its arrival
-(SO_TIMESTAMPNS) tells for how long. That time is of the wall clock; the time since the sockets were
-empty bounds what a step of that clock can add.
+A datagram waits in its socket while the process is frozen or busy. The kernel's time of arrival
+(SO_TIMESTAMPNS) tells for how long. That time is of the wall clock. The time since the sockets were
+empty bounds the error after a step of the wall clock.
 
 A copy that arrives by another way than its twin is dropped. Sockets are bound to the interface and
 not to an address, so that they outlive a change of addresses. Profile dev is on loopback, without
@@ -58,7 +59,9 @@ from swarmd.network.settings import NetworkSettings, parse_endpoint
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
 
-GROUP4, GROUP6, COPIES6 = "224.0.0.226", "ff02::5357:4d44", "ff02::5357:4d45"
+GROUP4 = "224.0.0.226"
+GROUP6 = "ff02::5357:4d44"
+COPIES6 = "ff02::5357:4d45"
 BROADCAST = "255.255.255.255"
 GROUP_PORT = 7446
 
@@ -77,9 +80,13 @@ _TAG = slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
-_SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_MEMINFO = 33, 35, 55
+_SO_RCVBUFFORCE = 33
+_SO_TIMESTAMPNS = 35
+_SO_MEMINFO = 55
 _MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h; in bytes, the last one in datagrams
-_QUEUED, _QUEUE_LIMIT, _LOST = 0, 1, 8
+_QUEUED = 0  # places in _MEMINFO
+_QUEUE_LIMIT = 1
+_LOST = 8
 _TIMESPEC = struct.Struct("@ll")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
 SHORT_WAIT = 0.2  # s since the sockets were empty below which the wait of a datagram counts as none
@@ -168,7 +175,7 @@ class UdpCarrier:
     @property
     def filenos(self) -> tuple[int, ...]:
         """The descriptors that become readable."""
-        return tuple(one.socket.fileno() for one in self._listeners)
+        return tuple(listener.socket.fileno() for listener in self._listeners)
 
     @property
     def dropped(self) -> Counter[str]:
@@ -180,8 +187,8 @@ class UdpCarrier:
         self._detach()
         self._detach = lambda: None
         with self._lock:
-            for one in self._listeners:
-                one.socket.close()
+            for listener in self._listeners:
+                listener.socket.close()
             self._listeners.clear()
             self._own4 = self._own6 = None
 
@@ -245,7 +252,7 @@ class UdpCarrier:
             return
         self._refresh_at = now
         self._addresses = frozenset(addresses_of(self._index))
-        self._has_ipv4 = self._is_dev or any(":" not in one for one in self._addresses)
+        self._has_ipv4 = self._is_dev or any(":" not in address for address in self._addresses)
         if (addresses := self._seeds.addresses(now)) is not None:
             self.recipients.set_seeds(addresses)
 
@@ -253,7 +260,7 @@ class UdpCarrier:
 
     def receive(self) -> list[Received]:
         """What has arrived, at most BATCH."""
-        found: list[Received] = []
+        received: list[Received] = []
         with self._lock:
             now = self._clock()
             self._refresh(now)
@@ -263,7 +270,7 @@ class UdpCarrier:
             room = BATCH * _COST
             self._weigh(now)
             for listener in (*self._listeners[first:], *self._listeners[:first]):
-                room -= self._take_from(listener, room // 2, now, found)
+                room -= self._take_from(listener, room // 2, now, received)
             rules = self._limits.rules(now)
             if rules is not self._rules:
                 self._rules = rules
@@ -271,7 +278,7 @@ class UdpCarrier:
                     self._attach_filter(sock)
             if not self._is_full:
                 self._emptied_at = now
-        return found
+        return received
 
     def _weigh(self, now: float) -> None:
         """Update the weight: the ratio of arrived to read datagrams, above 1 in an overload.
@@ -291,8 +298,10 @@ class UdpCarrier:
             self._weight = min(1.0 + lost / max(self._reads, 1), MAX_WEIGHT)
         self._reads = 0
 
-    def _take_from(self, listener: _Listener, room: int, now: float, found: list[Received]) -> int:
-        """Append what a listener has; returns what it cost, at most `room` and one more."""
+    def _take_from(
+        self, listener: _Listener, room: int, now: float, received: list[Received]
+    ) -> int:
+        """Append the datagrams of a listener; returns their cost, at most `room` and one more."""
         cost, waited = 0, 0.0
         longest = now - self._emptied_at
         while cost < room:
@@ -310,18 +319,18 @@ class UdpCarrier:
             source = self._admit(payload, name, listener.way, now)
             cost += _DROP_COST if source is None else _COST
             if source is not None:
-                found.append(Received(payload, source, waited))
+                received.append(Received(payload, source, waited))
         self._is_full = True
         return cost
 
     def _admit(
         self, payload: bytes, name: tuple[str, int], way: _Way, now: float
     ) -> Address | None:
-        """The source of a datagram that counts; None of one that does not."""
+        """The source of a datagram; None if the datagram does not count."""
         host, port = name[0], name[1]
         self._reads += 1
         if port == self.port and (host in self._addresses or self._is_dev):
-            return None  # an own one, from the group
+            return None  # this robot's own datagram, from the group
         source = _address(name)
         if len(payload) <= KIND_OFFSET:
             self.dropped["datagram:short"] += 1
@@ -364,7 +373,7 @@ class UdpCarrier:
             return first[1] is not way
         if len(self._twins) >= BATCH:
             self._twins = {
-                one: old for one, old in self._twins.items() if now - old[0] <= COPY_TIME
+                twin: old for twin, old in self._twins.items() if now - old[0] <= COPY_TIME
             }
         if len(self._twins) < BATCH:
             self._twins[key] = (now, way)
@@ -388,8 +397,8 @@ class UdpCarrier:
             if self._is_full:
                 ignore()
                 timer[:] = [loop.call_later(PAUSE, listen)]
-            for one in received:
-                on_datagram(one.payload, one.source, one.waited)
+            for datagram in received:
+                on_datagram(datagram.payload, datagram.source, datagram.waited)
 
         def detach() -> None:
             ignore()
@@ -412,8 +421,8 @@ class UdpCarrier:
                 poll.poll()
                 if ended.is_set():
                     break
-                for one in self.receive():
-                    on_datagram(one.payload, one.source, one.waited)
+                for datagram in self.receive():
+                    on_datagram(datagram.payload, datagram.source, datagram.waited)
                 if self._is_full:
                     ended.wait(PAUSE)
 
@@ -437,13 +446,13 @@ class UdpCarrier:
         with self._lock, contextlib.suppress(OSError, NetworkError):
             self._refresh_at = -1e9
             self._index = index_of(self._interface)
-            for one in self._listeners:
+            for listener in self._listeners:
                 with contextlib.suppress(OSError):
-                    self._bind_to_interface(one.socket)
-                if one.way in (_Way.MULTICAST, _Way.COPY):
+                    self._bind_to_interface(listener.socket)
+                if listener.way in (_Way.MULTICAST, _Way.COPY):
                     with contextlib.suppress(OSError):
-                        self._join(one, socket.IP_DROP_MEMBERSHIP, socket.IPV6_LEAVE_GROUP)
-                    self._join(one, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
+                        self._join(listener, socket.IP_DROP_MEMBERSHIP, socket.IPV6_LEAVE_GROUP)
+                    self._join(listener, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
 
     def _open(self, port: int) -> int:
         bound = self._open_unicast(port)
@@ -480,7 +489,7 @@ class UdpCarrier:
     def _listen(self, family: int, host: str, port: int, way: _Way) -> socket.socket:
         """A bound socket that hears by one way."""
         sock = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
-        one = _Listener(sock, way)
+        listener = _Listener(sock, way)
         try:
             self._attach_filter(sock)
             self._bind_to_interface(sock)
@@ -493,11 +502,11 @@ class UdpCarrier:
             self._enlarge(sock)
             sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             if way in (_Way.MULTICAST, _Way.COPY):
-                self._join(one, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
+                self._join(listener, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
         except OSError:
             sock.close()
             raise
-        self._listeners.append(one)
+        self._listeners.append(listener)
         return sock
 
     def _bind_to_interface(self, sock: socket.socket) -> None:
@@ -522,16 +531,16 @@ class UdpCarrier:
             else:
                 sock.setsockopt(socket.IPPROTO_IPV6, _IPV6_UNICAST_IF, index)
 
-    def _join(self, one: _Listener, ipv4: int, ipv6: int) -> None:
-        if one.socket.family == socket.AF_INET:
+    def _join(self, listener: _Listener, ipv4: int, ipv6: int) -> None:
+        if listener.socket.family == socket.AF_INET:
             group = socket.inet_aton(GROUP4)
             membership = struct.pack("4s4si", group, bytes(4), self._index)
-            one.socket.setsockopt(socket.IPPROTO_IP, ipv4, membership)
+            listener.socket.setsockopt(socket.IPPROTO_IP, ipv4, membership)
         else:
-            text = GROUP6 if one.way is _Way.MULTICAST else COPIES6
+            text = GROUP6 if listener.way is _Way.MULTICAST else COPIES6
             group = socket.inet_pton(socket.AF_INET6, text)
             membership = struct.pack("16si", group, self._index)
-            one.socket.setsockopt(socket.IPPROTO_IPV6, ipv6, membership)
+            listener.socket.setsockopt(socket.IPPROTO_IPV6, ipv6, membership)
 
     def _attach_filter(self, sock: socket.socket) -> None:
         """Replace the kernel's filter; without one the limits and the reader do all the work."""
@@ -560,8 +569,8 @@ class _Seeds:
     """The addresses of seeds; names are resolved on a thread, since that may take seconds."""
 
     def __init__(self, endpoints: Iterable[str]) -> None:
-        parsed = [parse_endpoint(one) for one in endpoints]
-        self._names = [(one.host, one.port) for one in parsed]
+        parsed = [parse_endpoint(endpoint) for endpoint in endpoints]
+        self._names = [(endpoint.host, endpoint.port) for endpoint in parsed]
         self._is_numeric = all(_sockaddr(name, 0) for name in self._names)
         self._next = -1e9
         self._found: list[list[Address]] = []
@@ -569,8 +578,8 @@ class _Seeds:
 
     def addresses(self, now: float) -> list[Address] | None:
         """The addresses, if they are new since the last call; begins to look for more if due."""
-        found = self._found.pop() if self._found else None
-        if found is not None and len(found) < len(self._names):
+        addresses = self._found.pop() if self._found else None
+        if addresses is not None and len(addresses) < len(self._names):
             self._next = min(self._next, now + RETRY_PERIOD)
         if now >= self._next and not self._is_under_way and self._names:
             self._next = now + RESOLVE_PERIOD
@@ -579,15 +588,15 @@ class _Seeds:
                 return self._names
             self._is_under_way = True
             threading.Thread(target=self._resolve, name="swarmd-seeds", daemon=True).start()
-        return found
+        return addresses
 
     def _resolve(self) -> None:
-        found: list[Address] = []
+        addresses: list[Address] = []
         for host, port in self._names:
             with contextlib.suppress(OSError, UnicodeError):
                 for *_, name in socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[:1]:
-                    found.append(_address(name))
-        self._found.append(found)
+                    addresses.append(_address(name))
+        self._found.append(addresses)
         self._is_under_way = False
 
 

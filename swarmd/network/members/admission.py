@@ -1,8 +1,8 @@
 """Which datagrams count in a secured swarm, and which are forged or replayed. Pure.
 
-Verified datagrams and times go in. A signature shows the class of the signer. Beyond that, a
-datagram counts if its signer may send it, if the robot that it names is on the roster, and if it
-is fresh:
+Verified datagrams and times go in. A signature shows the class of the signer. A datagram counts if
+three conditions hold: its signer may send this kind, the robot in the datagram is on the roster,
+and the datagram is fresh:
 
 - beacons as `beacon_freshness.py` describes; a question is due for those that are unproven,
 - messages, places, latches and goals of the instance that is the member now,
@@ -62,7 +62,7 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
 
 
 class Admission:
-    """What the robot `own` takes; `names`: the robots on the roster.
+    """The datagrams that the robot `own` takes; `names`: the robots on the roster.
 
     `echoes` gives numbers that were never used before, `counters` those that `StopFreshness` kept.
     """
@@ -89,7 +89,7 @@ class Admission:
         *,
         is_claiming: bool,
     ) -> Datagram | Flaw:
-        """The datagram as far as it counts, or why it does not.
+        """The part of the datagram that counts, or the flaw.
 
         `is_claiming`: this robot does not own its id yet, so that rivals matter.
         """
@@ -134,7 +134,7 @@ class Admission:
 
 
 def _is_in_its_name(stop: Stop, author: Author) -> bool:
-    """True if the operator itself signed the stop, or a robot that hands it on."""
+    """True if the operator signed the stop, or a robot that hands the stop on."""
     if author.role is Role.ROBOT:
         return stop.hops > 0
     return stop.hops == 0 and stop.operator == author.name

@@ -2,8 +2,8 @@
 
 Only secured swarms use this. `membership.py` decides after which silence a member has failed.
 A signed beacon may be an old beacon that an attacker replays. An instance that is unknown, or was
-silent for a lease, counts only once it has repeated the echo of a question that was asked after it
-was last heard. From then on each beacon counts that has a greater sequence than the last one.
+silent for a lease, counts only once it has repeated the echo of a question from the time after its
+last beacon. From then on each beacon counts that has a greater sequence than the last beacon.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MAX_ECHOES = 4096
 MAX_INSTANCES = 2048
 # Questions to instances that are not proven: a second in all, and at once.
 QUESTION_RATE, QUESTION_BURST = 20.0, 40.0
-# Between two of them to one instance, in s: it doubles with each, so that replayed beacons of many
-# earlier lives leave room for robots that join.
+# s between two questions to one instance. The time doubles with each question, so that replayed
+# beacons of many earlier lives leave room for robots that join.
 QUESTION_PERIOD, LAST_QUESTION_PERIOD = 0.2, 8.0
 LATCH_TIME = 1.0  # s for which a robot that joins waits for the answer of one with latches
 
@@ -31,12 +31,12 @@ _Key = tuple[str, bytes]
 
 
 class _ProvenLife(Struct):
-    """An instance that has answered. `said`, `clock`: what is not newer was sent before that."""
+    """An instance that has answered."""
 
-    sequence: int
+    sequence: int  # of the last beacon
     heard: float
-    said: int
-    clock: int
+    said: int  # messages up to this number were sent before the answer
+    clock: int  # ms; places up to this time were sent before the answer or the last place
 
 
 class _Asked(Struct, frozen=True):
@@ -76,7 +76,7 @@ class BeaconFreshness:
         return asked is not None and asked > after and now - asked <= ECHO_TIME
 
     def on_beacon(self, beacon: Beacon, now: float) -> Flaw | None:
-        """Take a beacon; why it does not count, or None."""
+        """Take a beacon; the flaw of a beacon that does not count, or None."""
         key = beacon.robot, beacon.instance
         known = self._known.get(key)
         if known is not None and now - known.heard <= self._lease:
@@ -91,7 +91,7 @@ class BeaconFreshness:
         self._known.pop(key, None)
         self._known[key] = _ProvenLife(beacon.sequence, now, beacon.said, beacon.clock)
         if len(self._known) > MAX_INSTANCES:
-            del self._known[min(self._known, key=lambda one: self._known[one].heard)]
+            del self._known[min(self._known, key=lambda instance: self._known[instance].heard)]
         return None
 
     def question(self, beacon: Beacon, now: float) -> Solicit | None:
@@ -110,7 +110,9 @@ class BeaconFreshness:
 
     def awaits_latches(self, now: float) -> bool:
         """True while an instance that shows latches was asked and did not answer yet."""
-        return any(one.has_latches and now - one.at < LATCH_TIME for one in self._asked.values())
+        return any(
+            asked.has_latches and now - asked.at < LATCH_TIME for asked in self._asked.values()
+        )
 
     def knows(self, robot: str, instance: bytes) -> bool:
         """True if the instance has answered."""

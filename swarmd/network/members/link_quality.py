@@ -1,7 +1,7 @@
 """How well the datagrams of each robot arrive here. Pure: beacons and times in, figures out.
 
 A robot numbers the beacons that it sends to all, so that a gap in the numbers is a loss. Loss is
-directed: it measures how well this robot hears the other one.
+directed: it measures how well this robot hears the sender.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LinkQualities:
         if link is None or link.instance != instance:
             self._links.pop(robot, None)
             while len(self._links) >= MAX_LINKS:
-                del self._links[min(self._links, key=lambda one: self._links[one].heard)]
+                del self._links[min(self._links, key=lambda name: self._links[name].heard)]
             link = self._links[robot] = _Link(instance, now)
         link.heard = now
         if number:

@@ -2,14 +2,15 @@
 
 That silence is the lease (`network/settings.py`). To each robot or operator, a member is
 
-- alive while its beacons are heard: a silent one is solicited before its lease ends,
+- alive while its beacons are heard: a silent member is solicited before its lease ends,
 - left once its latest instance sent a beacon with Flag.LEFT,
-- failed when its lease ended without that; it stays listed until it returns or is forgotten.
+- failed when its lease ended without such a beacon. A failed member stays listed until it returns
+  or is forgotten.
 
-The lists of others name robots whose beacons do not arrive here. These indirect members are handed
-on with their age and their distance, and are no neighbours. An operator owns no id, and keeps what
-each robot reports of the others in `operator/member_reports.py`.
-Times are in s on the caller's monotonic clock.
+The member lists of other robots name robots whose beacons do not arrive here. These indirect
+members are handed on with their age and their distance, and are no neighbours. An operator owns no
+id, and keeps the reports of the robots in `operator/member_reports.py`. Times are in s on the
+caller's monotonic clock.
 """
 
 from __future__ import annotations
@@ -39,35 +40,31 @@ MAX_INSTANCES = 8
 # A member that is silent for this share of its lease is solicited, once per PROBE_PERIOD.
 PROBE_SHARE = 0.5
 PROBE_PERIOD = 0.25
-# A beacon with a lower number than the last is a delayed one for this long, in s.
-LATE_TIME = 1.5
-# A failed member that was heard for less than this was a stranger, and is dropped after a while.
+LATE_TIME = 1.5  # s for which a beacon with a lower number than the last counts as delayed
+# A failed member that was heard for less than STRANGER_TIME s was a stranger.
 STRANGER_TIME = 10.0
-STRANGER_KEPT = 120.0
-MEMBER_KEPT = 600.0  # s for which one that is gone and was no stranger keeps its place
+STRANGER_KEPT = 120.0  # s after which a stranger that is gone is dropped
+MEMBER_KEPT = 600.0  # s for which any other member that is gone keeps its place
 
 
 class Life(Struct):
-    """One life of a robot: from its first beacon as the owner of its id, at `since`.
+    """One life of a robot."""
 
-    `beacon`, `address`: the newest. `version`: of the package, once a beacon told. `left`: when it
-    said that it leaves. `has_returned`: it was heard after that, so that the farewell was false.
-    """
-
-    since: float
-    heard: float
-    beacon: Beacon
-    address: Address
-    version: str = ""
-    left: float | None = None
-    has_returned: bool = False
+    since: float  # the time of the first beacon of the robot as the owner of its id
+    heard: float  # the time of the newest beacon
+    beacon: Beacon  # the newest
+    address: Address  # the newest
+    version: str = ""  # of the package, once a beacon has it
+    left: float | None = None  # the time of the farewell
+    has_returned: bool = False  # a beacon came after the farewell, which was false
 
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
-        """Take a beacon; False if it is a delayed one, or a farewell that does not count.
+        """Take a beacon; False for a delayed beacon, or a farewell that does not count.
 
-        A beacon with a lower number is a delayed one for a while only: a forged number must not
-        hide the robot. A false farewell does not count twice. `is_answer`: the beacon answers what
-        was asked after the farewell.
+        1. A beacon with a lower number counts as delayed for LATE_TIME only: a forged number must
+           not hide the robot.
+        2. After a farewell the answer to a later question counts in any case (`is_answer`).
+        3. After a false farewell no farewell of this life counts.
         """
         is_farewell = bool(beacon.flags & Flag.LEFT)
         is_late = beacon.sequence <= self.beacon.sequence and now - self.heard < LATE_TIME
@@ -76,7 +73,9 @@ class Life(Struct):
         ):
             return False
         self.has_returned |= self.left is not None and not is_farewell
-        self.heard, self.beacon, self.address = now, beacon, address
+        self.heard = now
+        self.beacon = beacon
+        self.address = address
         self.version = beacon.version or self.version
         self.left = now if is_farewell else None
         return True
@@ -92,17 +91,14 @@ class Change(Enum):
 
 
 class _Robot(Struct):
-    """The lives of one robot. `shown`: the life and presence at the last event, `since` when.
+    """The lives of one robot."""
 
-    `body`: what the latest life that tells its body told of it.
-    """
-
-    first: float
-    lives: dict[bytes, Life] = {}
-    body: BodyReport | None = None
-    shown: tuple[bytes, Presence] | None = None
-    since: float = 0.0
-    probed: float = 0.0
+    first: float  # the time of the first beacon
+    lives: dict[bytes, Life] = {}  # by instance, in the order of their first beacons
+    body: BodyReport | None = None  # of the latest life that reports a body
+    shown: tuple[bytes, Presence] | None = None  # the life and the presence at the last event
+    since: float = 0.0  # the time of that event
+    probed: float = 0.0  # the time of the last solicit
 
     @property
     def is_stranger(self) -> bool:
@@ -117,36 +113,36 @@ class _Robot(Struct):
     def living(self, lease: float, now: float) -> list[bytes]:
         """The living instances, the newest first.
 
-        An older one counts only if it was heard after the newest appeared: a robot that restarts
-        is no duplicate of itself.
+        An older instance counts only if it was heard after the newest appeared: a robot that
+        restarts is no duplicate of itself.
         """
         newest = self.latest
         return [
             name
-            for name, one in reversed(self.lives.items())
-            if one.left is None
-            and now - one.heard <= lease
-            and (one is newest or one.heard > newest.since)
+            for name, life in reversed(self.lives.items())
+            if life.left is None
+            and now - life.heard <= lease
+            and (life is newest or life.heard > newest.since)
         ]
 
 
 class IndirectMember(Struct, frozen=True):
-    """A robot that others know: their description, by whom and when it came."""
+    """A robot that other robots know."""
 
-    heard: MemberReport
-    by: str
-    at: float
+    heard: MemberReport  # their description
+    by: str  # the robot that sent the description
+    at: float  # the time at which the description came
 
     def age(self, now: float) -> float:
-        """Seconds since the robot was heard by whoever hears it directly."""
+        """Seconds since a robot heard this robot directly."""
         return self.heard.age / 1000.0 + max(now - self.at, 0.0)
 
 
 class Membership:
     """The other robots of a swarm; `own` is never among them, and empty for an operator.
 
-    Bounded: beyond MAX_MEMBERS a new robot replaces the one that is gone the longest, and is
-    ignored and counted in `ignored` if all are alive.
+    Bounded: beyond MAX_MEMBERS a new robot replaces the robot that is gone the longest. If all are
+    alive, the new robot is ignored, and counted in `ignored`.
     """
 
     def __init__(self, own: str, lease: float) -> None:
@@ -223,15 +219,15 @@ class Membership:
 
     def to_probe(self, now: float) -> list[Address]:
         """The addresses of members whose beacons are overdue."""
-        found = []
+        overdue = []
         for known in self._robots.values():
             if _is_gone(known) or known.shown is None:
                 continue
             silence = now - known.latest.heard
             if silence > PROBE_SHARE * self._lease and now - known.probed >= PROBE_PERIOD:
                 known.probed = now
-                found.append(known.latest.address)
-        return found
+                overdue.append(known.latest.address)
+        return overdue
 
     def forget(self, robot: str) -> bool:
         """Remove a robot; False if it is alive or unknown."""
@@ -249,7 +245,7 @@ class Membership:
                 del known[robot]
 
     def member(self, robot: str, now: float) -> Member | None:
-        """One member, or None if it was never heard or is forgotten."""
+        """One member; None for a robot that was never heard or is forgotten."""
         known = self._robots.get(robot)
         if known is None or known.shown is None:
             return None
@@ -263,14 +259,14 @@ class Membership:
 
     def members(self, now: float) -> dict[str, Member]:
         """All members by id, in the order of their names."""
-        found = ((robot, self.member(robot, now)) for robot in sorted(self._robots))
-        return {robot: member for robot, member in found if member is not None}
+        members = ((robot, self.member(robot, now)) for robot in sorted(self._robots))
+        return {robot: member for robot, member in members if member is not None}
 
     def bodies(self) -> dict[str, Body | None]:
-        """What each member that was heard here tells of its body; None: nothing so far.
+        """The reported body of each member that was heard here; None: nothing so far.
 
-        Also of those that left or failed, until they are forgotten: they still stand somewhere. An
-        instance that tells nothing of its body does not take back what another one told.
+        Members that left or failed are included until they are forgotten: they still stand
+        somewhere. A new instance that reports no body does not take back an earlier report.
         """
         return {
             robot: None if known.body is None else known.body.body
@@ -331,14 +327,14 @@ class Membership:
                 yield robot, known.latest.address
 
     def reports(self, now: float) -> tuple[MemberReport, ...]:
-        """The list for others: the robots heard here, then those that only others hear."""
-        found = []
+        """The member list for other robots: the robots heard here, then the indirect members."""
+        reports = []
         for robot, known in sorted(self._robots.items()):
             if known.shown is None:
                 continue
             presence, latest = known.shown[1], known.latest
             since = latest.heard if presence is Presence.ALIVE else known.since
-            found.append(
+            reports.append(
                 MemberReport(
                     robot=robot,
                     instance=known.shown[0],
@@ -351,7 +347,7 @@ class Membership:
         for robot, indirect in sorted(self._indirect.items()):
             heard = indirect.heard
             age = round(indirect.age(now) * 1000)
-            found.append(
+            reports.append(
                 MemberReport(
                     robot=robot,
                     instance=heard.instance,
@@ -362,15 +358,15 @@ class Membership:
                     port=heard.port,
                 )
             )
-        return tuple(found)
+        return tuple(reports)
 
     def duplicates(self, now: float) -> Mapping[str, tuple[str, ...]]:
         """Robot ids that more than one living instance holds, with those instances."""
-        found = {
+        living_of = {
             robot: tuple(sorted(name.hex() for name in known.living(self._lease, now)))
             for robot, known in self._robots.items()
         }
-        return {robot: living for robot, living in found.items() if len(living) > 1}
+        return {robot: living for robot, living in living_of.items() if len(living) > 1}
 
     # Of one robot, by instance
 
@@ -380,7 +376,7 @@ class Membership:
         return frozenset(
             name
             for name, robot in self._robots.items()
-            if any(one.left is None for one in robot.lives.values())
+            if any(life.left is None for life in robot.lives.values())
         )
 
     def was_heard(self, robot: str) -> bool:
@@ -391,23 +387,23 @@ class Membership:
         """The lives of a robot that were heard and did not leave."""
         known = self._robots.get(robot)
         lives = {} if known is None else known.lives
-        return {name.hex(): one for name, one in lives.items() if one.left is None}
+        return {name.hex(): life for name, life in lives.items() if life.left is None}
 
     def farewells(self, robot: str) -> dict[str, float]:
-        """When the instances of a robot that left said so."""
+        """The times of the farewells of the instances of a robot that left."""
         known = self._robots.get(robot)
         lives = {} if known is None else known.lives
-        return {name.hex(): one.left for name, one in lives.items() if one.left is not None}
+        return {name.hex(): life.left for name, life in lives.items() if life.left is not None}
 
     def left_at(self, robot: str, instance: bytes) -> float | None:
-        """When an instance said that it leaves; None: it did not."""
+        """The time of an instance's farewell; None without."""
         known = self._robots.get(robot)
         life = None if known is None else known.lives.get(instance)
         return None if life is None else life.left
 
     def last_heard(self, robot: str) -> Life | None:
         """The life of a robot that was heard last, and did not leave."""
-        return max(self.lives(robot).values(), key=lambda one: one.heard, default=None)
+        return max(self.lives(robot).values(), key=lambda life: life.heard, default=None)
 
     def holders(self, robot: str) -> frozenset[str]:
         """The living instances of a robot when it was heard last; several hold one id."""

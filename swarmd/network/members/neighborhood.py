@@ -17,7 +17,7 @@ from msgspec import structs
 from swarmd.core.values import Neighbor, PeerPlace, SharedPose
 from swarmd.network.members.neighbor_settings import NeighborSettings
 
-RANGE_MARGIN = 1.1  # times the range beyond which a neighbor is one no more
+RANGE_MARGIN = 1.1  # times the range beyond which a robot is a neighbor no more
 QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0  # below the limits of quality and of signal (dB)
 PLACE_TIMEOUT = 1.0  # s after which the place of a peer is too old
 
@@ -59,27 +59,31 @@ class Neighborhood:
     ) -> tuple[Neighbor, ...]:
         """The candidates, each marked as within reach or not; `links` by robot.
 
-        A distance that the base measures precedes one by poses. A robot of unknown distance, or
-        without a link that was measured, is not within reach.
+        A distance that the base measures precedes a distance by poses. A robot of unknown distance,
+        or without a link that was measured, is not within reach.
         """
         if self.settings.neighborhood == "all":
             return tuple(candidates)
-        is_near = [self._is_near(one, now, links or {}) for one in candidates]
+        is_near = [self._is_near(candidate, now, links or {}) for candidate in candidates]
         marked = [
-            one if near else structs.replace(one, in_reach=False)
-            for one, near in zip(candidates, is_near, strict=True)
+            candidate if near else structs.replace(candidate, in_reach=False)
+            for candidate, near in zip(candidates, is_near, strict=True)
         ]
-        self._ids = frozenset(one.id for one in marked if one.in_reach)
-        self._places = {robot: one for robot, one in self._places.items() if now <= one[1]}
+        self._ids = frozenset(neighbor.id for neighbor in marked if neighbor.in_reach)
+        self._places = {robot: place for robot, place in self._places.items() if now <= place[1]}
         return tuple(marked)
 
-    def _is_near(self, one: Neighbor, now: float, links: Mapping[str, Link]) -> bool:
-        was_near = one.id in self._ids
+    def _is_near(self, candidate: Neighbor, now: float, links: Mapping[str, Link]) -> bool:
+        was_near = candidate.id in self._ids
         if self.settings.neighborhood == "range":
-            away = one.distance if one.distance is not None else self._told_distance(one.id, now)
+            away = (
+                candidate.distance
+                if candidate.distance is not None
+                else self._told_distance(candidate.id, now)
+            )
             limit = self.settings.range or 0.0
             return away is not None and away <= limit * (RANGE_MARGIN if was_near else 1.0)
-        link, signal = links.get(one.id), self.settings.signal
+        link, signal = links.get(candidate.id), self.settings.signal
         if link is None:
             return False
         is_strong = (

@@ -50,6 +50,7 @@ class PeerPlaces:
         late = delay.take(place.sent / 1000.0, now)
         if late is None:
             return None
-        x, y, error = place.x / 1000.0, place.y / 1000.0, place.error / 1000.0
+        x, y = place.x / 1000.0, place.y / 1000.0
+        error = place.error / 1000.0
         age = place.age / 1000.0 + late + FASTEST_DATAGRAM
         return PeerPlace(place.robot, place.frame, x, y, error, age)

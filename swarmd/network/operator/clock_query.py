@@ -64,10 +64,9 @@ class ClockReadings:
             self.offsets.pop(reply.robot, None)
         self._answers[reply.robot] = self._answers.get(reply.robot, 0) + 1
         error = max(now - sent, 0.0) / 2.0
-        found = ClockOffset(answered - (sent + now) / 2.0, error, now)
         known = self.offsets.get(reply.robot)
         if known is None or error < known.error:
-            self.offsets[reply.robot] = found
+            self.offsets[reply.robot] = ClockOffset(answered - (sent + now) / 2.0, error, now)
 
     def lacking(self, robots: Collection[str]) -> set[str]:
         """The robots with which there were fewer than EXCHANGES exchanges."""
@@ -100,6 +99,6 @@ def start_times(
 
     `moment`: on the operator's clock.
     """
-    starts = {robot: moment + one.offset for robot, one in offsets.items()}
-    errors = sorted((one.error_at(moment) for one in offsets.values()), reverse=True)
+    starts = {robot: moment + offset.offset for robot, offset in offsets.items()}
+    errors = sorted((offset.error_at(moment) for offset in offsets.values()), reverse=True)
     return starts, sum(errors[:2]) if len(errors) > 1 else 0.0

@@ -40,11 +40,11 @@ FORGET_PERIOD = 1.0  # between two searches for robots that no list names any mo
 LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
 
 # How long a look waits, in s, and in round trips.
-FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
+FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # no robot is heard; on loopback
 ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
-SECURED_WAIT = 1.5  # times that with keys: a link is signed and verified by both ends
-UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # one that is alive by the word of others
-GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # one that failed, or is on a roster and was not seen
+SECURED_WAIT = 1.5  # times ANSWER_WAIT with keys: both ends sign and verify a link
+UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # a robot that only other robots hear
+GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # a robot that failed, or is on a roster and was not seen
 LOSS_WAIT = 15.0  # times the share of solicits without an answer: TCP repeats after 1, 3 and 7 s
 LOOK_CAP = 45.0  # the bound of a look, in s, that no datagram can raise
 # A robot that is found later than this in a look, in s, prolongs it only if another robot knows it
@@ -53,13 +53,16 @@ PROLONGING_TIME = 3.0
 
 
 class Discovery:
-    """What one look of an operator has found; `roster`: robots that are expected in any case.
+    """What one look of an operator has found.
 
-    `first_robot_timeout`: how long to wait for a first robot, in s. `earlier`: the result of an
-    earlier look: its robots stay expected, and count as failed until they are heard again.
-    `is_local`: all robots are on this machine, by the loopback interface. `is_secured`: links take
-    longer to open. `needs_status`: only a
-    status is an answer; else also a beacon that echoes a solicit, with a whole member list.
+    - `roster`: robots that are expected in any case.
+    - `first_robot_timeout`: how long to wait for a first robot, in s.
+    - `earlier`: the result of an earlier look, whose robots stay expected, and count as failed
+      until they are heard again.
+    - `is_local`: all robots are on this machine, by the loopback interface.
+    - `is_secured`: links take longer to open.
+    - `needs_status`: only a status is an answer. Without, a beacon that echoes a solicit is an
+      answer, too, with a whole member list.
     """
 
     def __init__(
@@ -94,8 +97,8 @@ class Discovery:
             if member.presence is not Presence.LEFT:
                 self._mentioned[robot] = now
                 self._named[robot] = now if member.by else float("inf")
-                found = PeerReport(member.instance, Presence.FAILED, now - member.age)
-                self._reports.store(robot, "", EARLIER, [found])
+                report = PeerReport(member.instance, Presence.FAILED, now - member.age)
+                self._reports.store(robot, "", EARLIER, [report])
 
     # Events
 
@@ -116,7 +119,7 @@ class Discovery:
         self._trips.on_solicit(echo, now)
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
-        """A robot's own beacon; one that does not own its id yet is no member."""
+        """A robot's own beacon; a robot that does not own its id yet is no member."""
         robot, instance = beacon.robot, beacon.instance.hex()
         if not self._has_room(robot):
             return
@@ -124,7 +127,7 @@ class Discovery:
         is_answer = left is not None and self._trips.is_after(beacon.echo, left)
         change = self._members.take(beacon, address, now, is_answer=is_answer)
         if change is Change.LEFT:
-            self._lists_at = -float("inf")  # do the others know?
+            self._lists_at = -float("inf")  # ask at once whether the other robots know
             self._statuses.drop(robot, instance)
             self._on_news(robot, now)
         elif change is Change.FOUND:
@@ -135,7 +138,7 @@ class Discovery:
             self._trips.on_echo(robot, instance, beacon.echo, now)
 
     def on_member_list(self, word: MemberList, now: float) -> None:
-        """A robot's word about others; the parts of one come one by one."""
+        """A part of a robot's member list."""
         if word.part >= word.parts or not self._has_room(word.robot):
             return
         self._mention(word.robot, now)
@@ -185,7 +188,9 @@ class Discovery:
         return frozenset(
             robot
             for robot in self.heard
-            if any(one.beacon.wire != codec.VERSION for one in self._members.lives(robot).values())
+            if any(
+                life.beacon.wire != codec.VERSION for life in self._members.lives(robot).values()
+            )
         )
 
     @property
@@ -201,15 +206,16 @@ class Discovery:
     @property
     def settled(self) -> frozenset[str]:
         """The robots of which every living instance has answered: both, if two hold one id."""
-        found = {
+        settled = {
             robot
             for robot in self._statuses.robots
             if (answers := self._statuses.instances(robot))
             and self.holders(robot) <= answers.keys()
         }
         if not self._needs_status:
-            found |= {robot for robot in self.heard - found if self._answered_by_datagram(robot)}
-        return frozenset(found)
+            unsettled = self.heard - settled
+            settled |= {robot for robot in unsettled if self._answered_by_datagram(robot)}
+        return frozenset(settled)
 
     def _answered_by_datagram(self, robot: str) -> bool:
         """True if its only instance echoed a solicit and listed its members.
@@ -217,7 +223,7 @@ class Discovery:
         Of an id that two daemons hold, both must be linked before a request goes out.
         """
         holders = self.holders(robot)
-        is_echoed = all(self._trips.has_answered(robot, one) for one in holders)
+        is_echoed = all(self._trips.has_answered(robot, instance) for instance in holders)
         return len(holders) == 1 and is_echoed and self._reports.has_full_list(robot)
 
     def holders(self, robot: str) -> frozenset[str]:
@@ -230,37 +236,40 @@ class Discovery:
         heard = self._members.last_heard(robot)
         if heard is not None:
             return heard.address
-        reports = [one for one in self._all_reports(robot) if one.address is not None]
-        return max(reports, key=lambda one: one.at).address if reports else None
+        reports = [report for report in self._all_reports(robot) if report.address is not None]
+        return max(reports, key=lambda report: report.at).address if reports else None
 
     def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
-        Of those that are known by the word of others alone and did not answer, the most reported.
+        Of the robots that only other robots have heard and that did not answer, at most
+        MAX_INDIRECT_DIALS, those with the most reporters.
         """
-        found: dict[tuple[str, str], Address] = {}
+        direct: dict[tuple[str, str], Address] = {}
         indirect: dict[tuple[str, str], Address] = {}
         for robot in self._mentioned:
             heard = self._members.lives(robot)
             if heard:
                 for instance in self.holders(robot) & heard.keys():
-                    found[robot, instance] = heard[instance].address
+                    direct[robot, instance] = heard[instance].address
             elif (address := self.address(robot)) is not None:
                 best = most_certain(self._all_reports(robot))
                 is_alive = best is not None and best.presence is Presence.ALIVE
                 if best is not None and is_alive and now - best.at <= INDIRECT_TIME:
                     has_answered = robot in self._statuses.robots
-                    (found if has_answered else indirect)[robot, best.instance] = address
-        names = self.heard
-        first = sorted(indirect, key=lambda who: -len(self._reports.reporters(who[0]) & names))
-        return found | {who: indirect[who] for who in first[:MAX_INDIRECT_DIALS]}
+                    (direct if has_answered else indirect)[robot, best.instance] = address
+        heard_here = self.heard
+        first = sorted(indirect, key=lambda who: -len(self._reports.reporters(who[0]) & heard_here))
+        return direct | {who: indirect[who] for who in first[:MAX_INDIRECT_DIALS]}
 
     def to_solicit(self) -> tuple[Address, ...]:
         """The addresses of robots that are known by the word of others alone, some at a time."""
         known = {self.address(robot) for robot in self._mentioned.keys() - self.heard}
-        found = sorted(one for one in known if one is not None)
-        first = self._trips.solicits * MAX_COPIES % len(found) if len(found) > MAX_COPIES else 0
-        return tuple((found[first:] + found[:first])[:MAX_COPIES])
+        addresses = sorted(address for address in known if address is not None)
+        first = (
+            self._trips.solicits * MAX_COPIES % len(addresses) if len(addresses) > MAX_COPIES else 0
+        )
+        return tuple((addresses[first:] + addresses[:first])[:MAX_COPIES])
 
     # When to end
 
@@ -324,7 +333,7 @@ class Discovery:
         return max(ends)
 
     def is_over(self, now: float) -> bool:
-        """True once a look has waited long enough for those that have not answered."""
+        """True once a look has waited long enough for the robots that have not answered."""
         if now - self.started < GONE_WAIT:
             return False
         if now - self.started >= LOOK_CAP:
@@ -342,8 +351,8 @@ class Discovery:
         """The members as known so far."""
         members = {robot: self._member(robot, now) for robot in sorted(self._mentioned)}
         seen = {robot: member for robot, member in members.items() if member is not None}
-        others = {name for name, one in seen.items() if one.contact is Contact.OTHER_VERSION}
-        alive = {name for name, one in seen.items() if one.presence is Presence.ALIVE}
+        others = {name for name, member in seen.items() if member.contact is Contact.OTHER_VERSION}
+        alive = {name for name, member in seen.items() if member.presence is Presence.ALIVE}
         holders = {robot: self.holders(robot) for robot in alive}
         return MembersView(
             programs=frozenset(self._programs),
@@ -363,7 +372,7 @@ class Discovery:
         """Those of the goals that robots show in beacons and in statuses."""
         for robot in self.heard:
             instances = self._members.lives(robot).values()
-            yield from (generation_of(one.beacon.digest(RecordKind.GOAL)) for one in instances)
+            yield from (generation_of(life.beacon.digest(RecordKind.GOAL)) for life in instances)
         for _, status, _ in self._statuses.statuses():
             if status.goal is not None and status.goal.held is not None:
                 yield status.goal.held.goal.generation
@@ -405,7 +414,9 @@ class Discovery:
         return (
             robot in self._statuses.robots
             or self._reports.is_reported(robot)
-            or any(self._trips.has_answered(robot, one) for one in self._members.lives(robot))
+            or any(
+                self._trips.has_answered(robot, instance) for instance in self._members.lives(robot)
+            )
         )
 
     def _has_room(self, robot: str) -> bool:
@@ -458,4 +469,7 @@ class Discovery:
         """The reports of other robots about a robot, and its own last beacon before it left."""
         gone = self._members.farewells(robot)
         left = [PeerReport(instance, Presence.LEFT, at) for instance, at in gone.items()]
-        return [*left, *(one for one in self._reports.of(robot) if one.instance not in gone)]
+        return [
+            *left,
+            *(report for report in self._reports.of(robot) if report.instance not in gone),
+        ]

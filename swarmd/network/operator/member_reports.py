@@ -11,17 +11,20 @@ from swarmd.core.messages import PeerView, Presence
 from swarmd.network.datagram import PRESENCES, Address, MemberList
 from swarmd.network.members.membership import MAX_INSTANCES
 
-FRESH_TIME = 3.0  # a beacon, and the word of one, counts for this long, in s
+FRESH_TIME = 3.0  # s for which a beacon counts, and a report of a beacon
 
-LIST, VIEW, EARLIER = "list", "view", "earlier"
+LIST = "list"
+VIEW = "view"
+EARLIER = "earlier"
 """The ways of a report: a member list, a view, an earlier look of the operator (of reporter "").
 
-Of one reporter the list is the better: it says when a living robot was heard.
+Of the reports of one robot its list counts before its view: the list says when a living robot was
+heard.
 """
 
 
 class PeerReport(Struct, frozen=True):
-    """What one robot says of another; `at`: when that was so."""
+    """The report of one robot on another; `at`: the time of what it reports, in s."""
 
     instance: str
     presence: Presence
@@ -34,7 +37,7 @@ def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
     """The address of a robot in the report of another robot; None if no robot can have it.
 
     The host must be an IP literal, with a numeric scope only if it is local to its link. With
-    `is_local` it must be in 127.0.0.0/8, else it must not be this machine itself.
+    `is_local` the host must be in 127.0.0.0/8. Without, the host must not be this machine itself.
     """
     try:
         ip = ipaddress.ip_address(host)
@@ -51,31 +54,36 @@ def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
 
 
 def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
-    """The most certain of reports on one robot: alive, then the newest, `left` before failed."""
-    some = list(reports)
-    alive = [one for one in some if one.presence is Presence.ALIVE]
+    """The most certain of the reports on one robot; None without reports.
+
+    1. The newest report that the robot is alive.
+    2. Without such a report: of the reports on the newest instance, `left` before failed, then the
+       newest.
+    """
+    on_robot = list(reports)
+    alive = [report for report in on_robot if report.presence is Presence.ALIVE]
     if alive:
-        return max(alive, key=lambda one: one.at)
-    newest = max(some, key=lambda one: one.at, default=None)
+        return max(alive, key=lambda report: report.at)
+    newest = max(on_robot, key=lambda report: report.at, default=None)
     if newest is None:
         return None
-    same = [one for one in some if one.instance == newest.instance]
-    return max(same, key=lambda one: (one.presence is Presence.LEFT, one.at))
+    on_instance = [report for report in on_robot if report.instance == newest.instance]
+    return max(on_instance, key=lambda report: (report.presence is Presence.LEFT, report.at))
 
 
 def reports_of_view(view: PeerView, now: float) -> dict[str, list[PeerReport]]:
     """What a view reports, by robot."""
     reports: dict[str, list[PeerReport]] = {}
-    for one in view.members:
-        at = now if one.presence is Presence.ALIVE else now - one.age
-        reports.setdefault(one.robot, []).append(
-            PeerReport(one.instance, one.presence, at, by=view.robot)
+    for member in view.members:
+        at = now if member.presence is Presence.ALIVE else now - member.age
+        reports.setdefault(member.robot, []).append(
+            PeerReport(member.instance, member.presence, at, by=view.robot)
         )
     return reports
 
 
 class MemberReports:
-    """The newest reports of each robot on each other one.
+    """The newest reports of each robot on each of the others.
 
     `is_local`: all robots are on this machine, by the loopback interface.
     """
@@ -92,7 +100,11 @@ class MemberReports:
     # Events
 
     def add_list(self, word: MemberList, now: float) -> dict[str, list[PeerReport]]:
-        """Keep a part of a robot's member list; what all parts that are there report, by robot."""
+        """Keep a part of a robot's member list; the reports of all parts so far, by robot.
+
+        Parts older than the last whole list are dropped. Without a whole list, the parts of the
+        last four lists are kept.
+        """
         parts = self._lists.setdefault(word.robot, {})
         parts[word.echo, word.part] = (word, now)
         whole = [echo for echo, _ in parts if _has_all(parts, echo)]
@@ -103,16 +115,16 @@ class MemberReports:
             del parts[key]
         reports: dict[str, list[PeerReport]] = {}
         for part, at in parts.values():
-            for one in part.members:
-                if one.presence < len(PRESENCES):
-                    found = PeerReport(
-                        one.instance.hex(),
-                        PRESENCES[one.presence],
-                        at - one.age / 1000.0,
+            for member in part.members:
+                if member.presence < len(PRESENCES):
+                    report = PeerReport(
+                        member.instance.hex(),
+                        PRESENCES[member.presence],
+                        at - member.age / 1000.0,
                         word.robot,
-                        reported_address(one.host, one.port, is_local=self._is_local),
+                        reported_address(member.host, member.port, is_local=self._is_local),
                     )
-                    reports.setdefault(one.robot, []).append(found)
+                    reports.setdefault(member.robot, []).append(report)
         return reports
 
     def drop(self, reporter: str, way: str) -> None:
@@ -125,7 +137,7 @@ class MemberReports:
     def store(self, robot: str, reporter: str, way: str, reports: list[PeerReport]) -> None:
         """Keep what a robot reports of one other robot."""
         self._reports.setdefault(robot, {})[reporter, way] = reports[:MAX_INSTANCES]
-        alive = {one.instance for one in reports if one.presence is Presence.ALIVE}
+        alive = {report.instance for report in reports if report.presence is Presence.ALIVE}
         if len(alive) > 1:
             self._doubles.setdefault(robot, {})[reporter] = frozenset(alive)
 
@@ -140,10 +152,10 @@ class MemberReports:
         """The reports on a robot: of each reporter those of its list, else those of its view."""
         reporters = self._reports.get(robot, {})
         return [
-            one
-            for (reporter, way), some in reporters.items()
+            report
+            for (reporter, way), reports in reporters.items()
             if way == LIST or (reporter, LIST) not in reporters
-            for one in some
+            for report in reports
         ]
 
     def is_reported(self, robot: str) -> bool:
@@ -153,9 +165,9 @@ class MemberReports:
     def is_alive(self, robot: str, instance: str) -> bool:
         """True if a robot reports an instance of another robot as alive."""
         return any(
-            one.instance == instance and one.presence is Presence.ALIVE
-            for some in self._reports.get(robot, {}).values()
-            for one in some
+            report.instance == instance and report.presence is Presence.ALIVE
+            for reports in self._reports.get(robot, {}).values()
+            for report in reports
         )
 
     def reporters(self, robot: str) -> frozenset[str]:
@@ -171,7 +183,9 @@ class MemberReports:
         return frozenset(
             robot
             for robot, reporters in self._reports.items()
-            if any(one.presence is Presence.ALIVE for one in reporters.get((reporter, LIST), ()))
+            if any(
+                report.presence is Presence.ALIVE for report in reporters.get((reporter, LIST), ())
+            )
         )
 
     def has_list(self, robot: str) -> bool:
@@ -189,12 +203,15 @@ class MemberReports:
             (reporter, robot)
             for robot, reports in self._reports.items()
             for (reporter, _), some in reports.items()
-            if any(one.presence is Presence.ALIVE and now - one.at <= FRESH_TIME for one in some)
+            if any(
+                report.presence is Presence.ALIVE and now - report.at <= FRESH_TIME
+                for report in some
+            )
         }
         return frozenset(pair for pair in alive if pair[0] < pair[1] and pair[::-1] in alive)
 
 
 def _has_all(parts: Mapping[tuple[int, int], tuple[MemberList, float]], echo: int) -> bool:
     """True if all parts of the answer to one solicit are there."""
-    some = [word for (number, _), (word, _) in parts.items() if number == echo]
-    return bool(some) and len(some) >= some[0].parts
+    answer = [word for (number, _), (word, _) in parts.items() if number == echo]
+    return bool(answer) and len(answer) >= answer[0].parts

@@ -25,47 +25,36 @@ class Contact(StrEnum):
 class SeenMember(Member, frozen=True, kw_only=True):
     """A member as one operator sees it.
 
-    `age`: seconds since the figures were sent, or since it was heard last, or failed or left.
-    `by`: the robot by whose word it is known, if it was not heard here. `state` is that of its
-    beacon, `wire` the version of its requests, `header` what is read of another version's status.
-    `epoch`: of its status, else of its newest beacon.
+    `age`: seconds since the member sent its figures, or was heard last, or failed, or left.
     """
 
     contact: Contact = Contact.ANSWERED
-    by: Annotated[str, Meta(max_length=63)] = ""
-    state: Word = ""
-    wire: int | None = None
+    by: Annotated[str, Meta(max_length=63)] = ""  # the robot that reported a member not heard here
+    state: Word = ""  # of the beacon
+    wire: int | None = None  # the version of the member's requests
     version: Word = ""
-    header: StatusHeader | None = None
-    epoch: Epoch | None = None
+    header: StatusHeader | None = None  # the readable part of the status of another version
+    epoch: Epoch | None = None  # of the status, without a status of the newest beacon
 
 
 class MembersView(Struct, frozen=True):
-    """The swarm as one operator sees it.
+    """The swarm as one operator sees it."""
 
-    `members`: all robots by id. `answered`: those that answered for themselves, in this version
-    with a status. `absent` robots are on the roster and nowhere else. `duplicates`: ids that
-    several instances hold, with those instances. `round_trip` in s, the longest; `loss` the largest
-    share of solicits that a robot left unanswered. `seconds`: how long the look took.
-    `goal_generation`: the greatest one of a goal that a robot shows; 0 without a goal. `programs`:
-    the Zenoh programs whose tokens a robot sees; they are no members.
-    """
-
-    members: Mapping[str, SeenMember]
-    answered: frozenset[str] = frozenset()
+    members: Mapping[str, SeenMember]  # all robots by id
+    answered: frozenset[str] = frozenset()  # that answered themselves, in this version by a status
     roster: frozenset[str] = frozenset()
-    duplicates: Mapping[str, tuple[str, ...]] = {}
-    round_trip: float = 0.0
-    loss: float = 0.0
-    seconds: float = 0.0
-    goal_generation: int = 0
-    programs: frozenset[str] = frozenset()
+    duplicates: Mapping[str, tuple[str, ...]] = {}  # ids of several instances, with the instances
+    round_trip: float = 0.0  # the longest, in s
+    loss: float = 0.0  # the largest share of solicits that a robot left unanswered, 0 to 1
+    seconds: float = 0.0  # the duration of the look
+    goal_generation: int = 0  # the greatest generation of a goal that a robot shows; 0 without
+    programs: frozenset[str] = frozenset()  # Zenoh programs whose tokens a robot sees; no members
 
     @property
     def alive(self) -> tuple[str, ...]:
         """The names of the robots that are alive."""
         members = self.members.items()
-        return tuple(name for name, one in members if one.presence is Presence.ALIVE)
+        return tuple(name for name, member in members if member.presence is Presence.ALIVE)
 
     @property
     def absent(self) -> tuple[str, ...]:
@@ -76,7 +65,7 @@ class MembersView(Struct, frozen=True):
     def expected(self) -> frozenset[str]:
         """The robots that must answer: the roster, and all that did not leave in order."""
         members = self.members.items()
-        there = {name for name, one in members if one.presence is not Presence.LEFT}
+        there = {name for name, member in members if member.presence is not Presence.LEFT}
         return frozenset(there | self.roster)
 
     @property
@@ -92,14 +81,16 @@ class MembersView(Struct, frozen=True):
     def of_other_version(self) -> tuple[str, ...]:
         """The robots that speak another version."""
         members = self.members.items()
-        return tuple(name for name, one in members if one.contact is Contact.OTHER_VERSION)
+        return tuple(name for name, member in members if member.contact is Contact.OTHER_VERSION)
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
         """The epoch seen of each robot, to quote in a request; None if it was not heard."""
         members = ((name, self.members.get(name)) for name in names)
-        return {name: one.epoch if one else None for name, one in members}
+        return {name: member.epoch if member else None for name, member in members}
 
     def latches(self, names: Iterable[str]) -> dict[str, Latch]:
         """The emergency stops that these robots hold, by id."""
         statuses = [self.members[name].status for name in names if name in self.members]
-        return {key: latch for one in statuses if one for key, latch in one.latches.items()}
+        return {
+            key: latch for status in statuses if status for key, latch in status.latches.items()
+        }

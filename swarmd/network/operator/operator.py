@@ -236,9 +236,9 @@ class Operator:
     def endpoints(self) -> dict[str, str]:
         """The endpoints of Zenoh at which the robots that the last look has found listen."""
         with self._arrivals.lock:
-            found = {} if self._discovery is None else self._discovery.to_dial(boottime())
+            to_dial = {} if self._discovery is None else self._discovery.to_dial(boottime())
         interface = self.settings.interface_name
-        return {robot: endpoint_of(address, interface) for (robot, _), address in found.items()}
+        return {robot: endpoint_of(address, interface) for (robot, _), address in to_dial.items()}
 
     def ways(self, robot: str) -> tuple[str, ...]:
         """By which ways beacons of a robot came lately; empty without any, and by routers."""
@@ -246,12 +246,12 @@ class Operator:
 
         now = boottime()
         with self._arrivals.lock:
-            found = {} if self._discovery is None else self._discovery.to_dial(now)
-            addresses = [address for (name, _), address in found.items() if name == robot]
+            to_dial = {} if self._discovery is None else self._discovery.to_dial(now)
+            addresses = [address for (name, _), address in to_dial.items() if name == robot]
         carrier = self._datagrams.carrier
         if not isinstance(carrier, UdpCarrier):
             return ()
-        return tuple(way for one in addresses[:1] for way in carrier.ways.of(one, now))
+        return tuple(way for address in addresses[:1] for way in carrier.ways.of(address, now))
 
     def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""
@@ -287,8 +287,8 @@ class Operator:
     def send_to_robots(self, make: Callable[[], Datagram], robots: Collection[str]) -> None:
         """Send a datagram, made anew for each, to robots that the last look has found."""
         with self._arrivals.lock:
-            found = {} if self._discovery is None else self._discovery.to_dial(boottime())
-        for (robot, _), address in found.items():
+            to_dial = {} if self._discovery is None else self._discovery.to_dial(boottime())
+        for (robot, _), address in to_dial.items():
             if robot in robots:
                 self._datagrams.send(make(), (address,), is_to_all=False)
 
@@ -408,11 +408,11 @@ class Operator:
 
     def _check_role(self, verb: str) -> None:
         """Raise ConfigError if the role of the own identity does not permit a verb."""
-        one = self.identity
-        if one is not None and not may_ask(one.role, verb):
+        identity = self.identity
+        if identity is not None and not may_ask(identity.role, verb):
             raise ConfigError(
-                f"{one.name} is a {one.role} of swarm {self.settings.swarm}, which may only look;"
-                f" {verb} needs the identity of an operator; nothing was sent"
+                f"{identity.name} is a {identity.role} of swarm {self.settings.swarm}, which may"
+                f" only look; {verb} needs the identity of an operator; nothing was sent"
             )
 
     def _mute(self, linked: Collection[str], missing: Collection[str]) -> tuple[str, ...]:

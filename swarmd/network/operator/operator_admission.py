@@ -1,10 +1,10 @@
-"""What an operator or viewer takes from the robots of a secured swarm. Pure.
+"""The datagrams of robots that an operator or viewer of a secured swarm takes. Pure.
 
 Each look asks often, so that a robot counts once it has answered, as in `beacon_freshness.py`.
 Answers count only if the robot itself signed them for this operator. An ack counts only in a
-datagram that a robot of this roster signed, and with the proof of the robot that made it for this
-operator, also if another robot hands it on. An identity that is older than a robot has no key of
-that pair: nothing of that robot counts until it has handed over its key by a link
+datagram that a robot of this roster signed, and only with a proof for this operator by the robot
+that acks, also if another robot hands the ack on. An identity that is older than a robot has no key
+of that pair: datagrams of the robot do not count until the robot has handed over its key by a link
 (`roster_follower.py`).
 """
 
@@ -62,14 +62,14 @@ class OperatorAdmission:
         """The identity has keys of more robots; its roster is the same."""
         self._trust = Trust.of(identity)
         has_key_of = self._trust.verifier.has_key_of
-        self.unproven = {n: one for n, one in self.unproven.items() if not has_key_of(n)}
+        self.unproven = {n: address for n, address in self.unproven.items() if not has_key_of(n)}
 
     def sign(self, payload: bytes) -> bytes:
         """A datagram with the signature of this name."""
         return self._trust.signer.sign(payload)
 
     def admit(self, body: Datagram, payload: bytes, source: Address, now: float) -> Datagram | None:
-        """What of a datagram counts; None: nothing."""
+        """The part of a datagram that counts; None if no part does."""
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
             self._note_generation(author, body, payload, source, now)

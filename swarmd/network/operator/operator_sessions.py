@@ -96,14 +96,14 @@ class OperatorSessions:
         `only` None: all of them, again if their status does not come.
         """
         with self._arrivals.lock:
-            found = discovery.to_dial(now)
+            to_dial = discovery.to_dial(now)
             if only is not None:
-                found = {who: address for who, address in found.items() if who[0] in only}
+                to_dial = {who: address for who, address in to_dial.items() if who[0] in only}
             answered = discovery.settled if only is None else frozenset[str]()
             trip = discovery.round_trip
         again = REDIAL_WAIT + REDIAL_TRIPS * trip
         wanted: dict[tuple[str, str], Address] = {}
-        for who, address in found.items():
+        for who, address in to_dial.items():
             known, at = self._dialled.get(who, (None, 0.0))
             is_late = who[0] not in answered and now - max(at, discovery.started) >= again
             if known != address or is_late:
@@ -118,9 +118,9 @@ class OperatorSessions:
             return due - now
         if len(self._opened) >= MAX_SESSIONS:
             self.close()
-            wanted = dict(found)
+            wanted = dict(to_dial)
         interface = self._settings.interface_name
-        endpoints = sorted({endpoint_of(one, interface) for one in wanted.values()})
+        endpoints = sorted({endpoint_of(address, interface) for address in wanted.values()})
         opened = self._open_to(endpoints)
         self._opened += opened
         for session in opened:
@@ -226,8 +226,8 @@ class OperatorSessions:
                     handler(key.robot, sample.payload.to_bytes())
 
         with contextlib.suppress(zenoh.ZError):
-            one = session.declare_subscriber(build(swarm, robot, "state", name), on_sample)
-            self._subscribers.setdefault((name, robot), []).append(one)
+            subscriber = session.declare_subscriber(build(swarm, robot, "state", name), on_sample)
+            self._subscribers.setdefault((name, robot), []).append(subscriber)
 
 
 def endpoint_of(address: Address, interface: str) -> str:

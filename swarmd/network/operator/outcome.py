@@ -82,8 +82,8 @@ class Outcome(Struct, frozen=True):
     def mistake(self) -> str:
         """The text with which all that answered refused one mistake of the operator; else empty.
 
-        Only the robots know which patterns they have, and which parameters those take. A robot that
-        does not answer makes a mistake no less one.
+        Only the robots know which patterns they have, and which parameters those take. Robots that
+        do not answer are not counted.
         """
         replies = self.replies.values()
         texts = {reply.text for reply in replies}
@@ -113,15 +113,15 @@ class Outcome(Struct, frozen=True):
 
 def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Outcome:
     """One outcome of requests to different robots."""
-    some = list(outcomes)
+    parts = list(outcomes)
     return Outcome(
-        replies={name: reply for one in some for name, reply in one.replies.items()},
-        missing=tuple(sorted({name for one in some for name in one.missing})),
-        warnings=tuple(line for one in some for line in one.warnings),
-        seconds=sum(one.seconds for one in some),
-        duplicates=tuple(sorted({name for one in some for name in one.duplicates})),
-        reached=sum(one.reached for one in some),
-        unlisted=tuple(sorted({name for one in some for name in one.unlisted})),
+        replies={name: reply for outcome in parts for name, reply in outcome.replies.items()},
+        missing=tuple(sorted({name for outcome in parts for name in outcome.missing})),
+        warnings=tuple(line for outcome in parts for line in outcome.warnings),
+        seconds=sum(outcome.seconds for outcome in parts),
+        duplicates=tuple(sorted({name for outcome in parts for name in outcome.duplicates})),
+        reached=sum(outcome.reached for outcome in parts),
+        unlisted=tuple(sorted({name for outcome in parts for name in outcome.unlisted})),
         unlabelled=unlabelled,
     )
 
@@ -164,7 +164,7 @@ class Acks:
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
         if code is not Code.APPLIED:  # a later version may have reasons of its own
-            known = [one for one in Refusal if one == ack.refusal]
+            known = [refusal for refusal in Refusal if refusal == ack.refusal]
             refusal = known[0] if known else Refusal.OTHER_VERSION
         reply = Reply(
             id=ack.id,

@@ -22,8 +22,10 @@ from swarmd.network.operator.outcome import Acks, Outcome
 
 # A request without a reply is repeated after this time, in s: a congested or closing link loses it.
 REPEAT_PERIOD = 0.5
-# How long a request waits by default, in s, in round trips, and times the loss (see discovery.py).
-REQUEST_WAIT, REQUEST_TRIPS, REQUEST_LOSS_WAIT = 5.0, 8.0, 15.0
+# A request waits for the sum of these three by default, see discovery.py.
+REQUEST_WAIT = 5.0  # s
+REQUEST_TRIPS = 8.0  # round trips
+REQUEST_LOSS_WAIT = 15.0  # s, times the loss
 REQUEST_CAP = 45.0  # or `least`, if that is longer
 # How often a request looks for links that have come up, in s.
 LINK_PERIOD = 0.003
@@ -40,7 +42,7 @@ def request_timeout(view: MembersView, least: float) -> float:
 
 
 def aged(request: AnyRequest, age: float) -> AnyRequest:
-    """The request as it is sent `age` s after it was issued; a goal in it is as old.
+    """The request `age` s after its operator issued it; the age counts for its goal, too.
 
     Only requests with a field `age` count from when their operator issued them, as stops do.
     """

@@ -61,7 +61,7 @@ class RoundTrips:
 
         Robots that answered one solicit alone count only while no robot answered two.
         """
-        twice = {robot for (robot, _), one in self._answers.items() if len(one.echoes) > 1}
+        twice = {robot for (robot, _), answers in self._answers.items() if len(answers.echoes) > 1}
         trips = sorted(trip for robot, trip in self._trips.items() if not twice or robot in twice)
         if not trips:
             return 0.0

@@ -10,7 +10,7 @@ from swarmd.network.operator.member_reports import PeerReport
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.network.operator.status_table import StatusAnswer
 
-INDIRECT_TIME = 10.0  # s after others heard a robot, in which it counts
+INDIRECT_TIME = 10.0  # s for which a robot that only other robots heard counts as alive
 
 
 def present_member(
@@ -47,9 +47,10 @@ def silent_member(
     report: PeerReport | None,
     now: float,
 ) -> SeenMember | None:
-    """A robot that is not heard now; `report`: the most certain one on it. None: it is not known.
+    """A robot that is not heard now; None for a robot that is not known.
 
-    It is alive if others heard it lately; it failed if its last beacon is newer than the report.
+    `report`: the most certain report on the robot. The robot is alive if another robot heard it
+    within INDIRECT_TIME. The robot has failed if its last beacon is newer than the report.
     """
     if heard is not None and (report is None or report.at <= heard.heard):
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)

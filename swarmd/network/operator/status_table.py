@@ -50,15 +50,15 @@ class StatusTable:
     def newest(self, robot: str, living: Collection[str]) -> StatusAnswer | None:
         """The newest answer of a robot; of an instance in `living`, if there are any."""
         answers = self.instances(robot).values()
-        some = [one for one in answers if not living or one.status.instance in living]
-        return max(some, key=lambda one: one.at, default=None)
+        counted = [answer for answer in answers if not living or answer.status.instance in living]
+        return max(counted, key=lambda answer: answer.at, default=None)
 
     def statuses(self) -> Iterator[tuple[str, Status, tuple[Member, ...]]]:
         """The robot, the status and the members of each answer of this version."""
         for robot, answers in self._answers.items():
-            for one in answers.values():
-                if isinstance(one.status, Status):
-                    yield robot, one.status, one.members
+            for answer in answers.values():
+                if isinstance(answer.status, Status):
+                    yield robot, answer.status, answer.members
 
     def agree(self, robots: Collection[str]) -> bool:
         """True if two robots or more answered, and each has all of `robots` as alive members."""
@@ -67,6 +67,6 @@ class StatusTable:
             return False
         return all(
             set(robots)
-            <= {robot} | {one.robot for one in members if one.presence is Presence.ALIVE}
+            <= {robot} | {member.robot for member in members if member.presence is Presence.ALIVE}
             for robot, members in views
         )

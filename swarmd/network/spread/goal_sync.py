@@ -2,7 +2,7 @@
 
 A robot whose beacon shows another goal, of at least the own generation, is asked for it. Each
 question has a random number that the answer repeats: an answer to no question is dropped, so that a
-recorded one brings no goal and no age. The time from question to answer is added to the age. A
+recorded answer brings no goal and no age. The time from question to answer is added to the age. A
 robot that does not know the age of its goal asks robots that hold the same goal.
 """
 
@@ -79,16 +79,18 @@ class GoalSync:
     def repeats(self, own: HeldGoal | None, now: float) -> list[tuple[int, Address]]:
         """Questions to repeat, since their answers are overdue: number and receiver."""
         asked: list[tuple[int, Address]] = []
-        for echo, one in list(self._questions.items()):
-            if now - one.at < ASK_PERIOD:
+        for echo, question in list(self._questions.items()):
+            if now - question.at < ASK_PERIOD:
                 continue
-            is_over = now - one.at >= ANSWER_TIMEOUT or one.repeats >= MAX_REPEATS
-            is_held = own is not None and one.digest == own.digest and not _lacks_age(own)
+            is_over = now - question.at >= ANSWER_TIMEOUT or question.repeats >= MAX_REPEATS
+            is_held = own is not None and question.digest == own.digest and not _lacks_age(own)
             if is_over or is_held:
                 del self._questions[echo]
-            elif one.repeated_at + ASK_PERIOD <= now:
-                self._questions[echo] = one._replace(repeats=one.repeats + 1, repeated_at=now)
-                asked.append((echo, one.source))
+            elif question.repeated_at + ASK_PERIOD <= now:
+                self._questions[echo] = question._replace(
+                    repeats=question.repeats + 1, repeated_at=now
+                )
+                asked.append((echo, question.source))
         return asked
 
     def on_report(self, report: GoalReport, now: float) -> FoundGoal | None:
@@ -104,7 +106,7 @@ class GoalSync:
             goal = decode_goal(report.goal)
         except CodecError:
             return None
-        if digest_of(goal) != question.digest:  # it holds another one by now: its beacon shows it
+        if digest_of(goal) != question.digest:  # the robot's next beacon shows its present goal
             self._asks.forget(report.instance)
         return FoundGoal(goal, None if report.age is None else report.age / 1000.0 + trip)
 

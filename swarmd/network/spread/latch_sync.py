@@ -86,7 +86,9 @@ class LatchSync:
         """An answer came; with the last part its digest is known."""
         key = latches.instance, latches.digest
         parts = self._partial.get(key, {})
-        parts.update((name, one) for name, one in latches.held.items() if one.scope == "swarm")
+        parts.update(
+            (name, latch) for name, latch in latches.held.items() if latch.scope == "swarm"
+        )
         is_whole = digest_of(parts) == latches.digest
         if is_whole:
             self._open.discard(latches.instance)

@@ -10,12 +10,12 @@ import msgspec
 from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalStatus, KnownGoal, encode_goal, signed_part
+from swarmd.core.goal import MAX_UNSIGNED, Goal, KnownGoal, encode_goal, signed_part
 from swarmd.network.spread.goal_sync import is_signed_goal
 from swarmd.security.content_signature import Purpose, sign
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.members_view import MembersView, SeenMember
     from swarmd.network.operator.operator import Operator
     from swarmd.security.identity import Identity
 
@@ -26,7 +26,7 @@ _MAX_ISSUER = 63
 def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
     """A goal with these `fields` that is greater than all in `view`.
 
-    ConfigError if it is too long, or if keys are in force and it cannot be signed.
+    ConfigError if the goal is too long, or if keys are in force and the goal cannot be signed.
     """
     goal = Goal(
         generation=next_generation(operator, view),
@@ -45,8 +45,9 @@ def next_generation(operator: Operator, view: MembersView) -> int:
     """
     greatest = view.goal_generation
     if operator.identity is not None and greatest > MAX_UNSIGNED:
-        statuses = [one.status for one in signed_goals(view, operator.identity).members.values()]
-        goals = [one.goal.held for one in statuses if one is not None and one.goal is not None]
+        members = signed_goals(view, operator.identity).members.values()
+        statuses = [member.status for member in members if member.status is not None]
+        goals = [status.goal.held for status in statuses if status.goal is not None]
         signed = (held.goal.generation for held in goals if held is not None)
         greatest = max(MAX_UNSIGNED, *signed)
     if greatest >= MAX_GENERATION:
@@ -61,7 +62,7 @@ def next_generation(operator: Operator, view: MembersView) -> int:
 def resigned(operator: Operator, goal: Goal, **changes: Any) -> Goal:
     """The goal with changes, signed anew where keys are in force. ConfigError as `next_goal`.
 
-    It keeps its id: to `undo` it is one goal.
+    The goal keeps its id, so that `undo` takes both as one goal.
     """
     goal = replace(goal, **changes)
     goal = goal if operator.identity is None else sign_goal(goal, operator.identity)
@@ -83,8 +84,9 @@ def sign_goal(goal: Goal, identity: Identity) -> Goal:
 def signed_goals(view: MembersView, identity: Identity | None) -> MembersView:
     """The look without goals that do not count: in a secured swarm those without a signature.
 
-    A robot tells its goals in its status. A stolen robot may tell false goals, which an operator
-    must not show as those of the swarm, and never sign anew. Each signature takes some 4 ms. Pure.
+    A robot reports its goals in its status. A stolen robot may report false goals, which an
+    operator must not show as goals of the swarm, and never sign anew. To verify a signature takes
+    some 4 ms. Pure.
     """
     if identity is None:
         return view
@@ -94,20 +96,22 @@ def signed_goals(view: MembersView, identity: Identity | None) -> MembersView:
     def counts(content: bytes) -> bool:
         return is_signed_goal(msgspec.msgpack.decode(content, type=Goal), key_of)
 
-    def goal(one: Goal | None) -> Goal | None:
-        return one if one is not None and counts(msgspec.msgpack.encode(one)) else None
+    def checked_goal(goal: Goal | None) -> Goal | None:
+        return goal if goal is not None and counts(msgspec.msgpack.encode(goal)) else None
 
-    def known(one: KnownGoal | None) -> KnownGoal | None:
-        return one if one is not None and goal(one.goal) is not None else None
+    def checked_known(known: KnownGoal | None) -> KnownGoal | None:
+        return known if known is not None and checked_goal(known.goal) is not None else None
 
-    def checked(goals: GoalStatus) -> GoalStatus:
-        held, own, before = known(goals.held), known(goals.own), goal(goals.before)
-        return replace(goals, held=held, own=own, before=before)
+    def checked(member: SeenMember) -> SeenMember:
+        if member.status is None or member.status.goal is None:
+            return member
+        goals = member.status.goal
+        goals = replace(
+            goals,
+            held=checked_known(goals.held),
+            own=checked_known(goals.own),
+            before=checked_goal(goals.before),
+        )
+        return replace(member, status=replace(member.status, goal=goals))
 
-    members = {
-        name: one
-        if one.status is None or one.status.goal is None
-        else replace(one, status=replace(one.status, goal=checked(one.status.goal)))
-        for name, one in view.members.items()
-    }
-    return replace(view, members=members)
+    return replace(view, members={name: checked(seen) for name, seen in view.members.items()})

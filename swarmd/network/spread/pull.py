@@ -191,9 +191,9 @@ async def _pieces(
             raise NetworkError(f"{label} changed while it was pulled")
         content += reply.data
     whole = bytes(content)
-    found = hashlib.sha256(whole).digest()
-    if found != (first.digest if digest is None else digest):
-        raise NetworkError(f"{label} is damaged: its SHA-256 is {found.hex()[:12]}..")
+    present = hashlib.sha256(whole).digest()
+    if present != (first.digest if digest is None else digest):
+        raise NetworkError(f"{label} is damaged: its SHA-256 is {present.hex()[:12]}..")
     return whole
 
 

@@ -104,6 +104,6 @@ class RosterFollower:
             if taken is not None:
                 self._operator.take_identity(taken)
                 return
-        found = pulled_keys(settings, identity, missing) if missing else None
-        if found is not None:
-            self._operator.take_identity(found)
+        completed = pulled_keys(settings, identity, missing) if missing else None
+        if completed is not None:
+            self._operator.take_identity(completed)

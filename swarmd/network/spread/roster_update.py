@@ -1,7 +1,7 @@
 """An operator or viewer whose roster is older than that of the robots takes theirs.
 
-Robots do not answer what is signed with keys of an earlier generation, so that nothing else works
-before that. The key with a robot that was added later is taken from that robot: its link proves the
+Robots do not answer datagrams signed with keys of an earlier generation, so that nothing else works
+before. The key with a robot that was added later is taken from that robot: its link proves the
 name, since `access.py` lets a robot answer on its own keys alone.
 """
 
@@ -55,10 +55,10 @@ def pulled_keys(
     `robots`: with the addresses at which they were heard, of which some may be false.
     """
     try:
-        found = asyncio.run(_pull_keys(settings, identity, robots))
+        keys = asyncio.run(_pull_keys(settings, identity, robots))
     except OSError:  # no loop, such as without a free file: they are asked for again
         return None
-    return take_answers(identity, found) if found else None
+    return take_answers(identity, keys) if keys else None
 
 
 async def _pull_shared(
@@ -72,12 +72,12 @@ async def _pull_shared(
 async def _pull_keys(
     settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> dict[str, bytes]:
-    found: dict[str, bytes] = {}
+    keys: dict[str, bytes] = {}
     places = asyncio.Semaphore(MAX_PULLS)
 
     async def ask(robot: str, address: Address) -> None:
         async with places:
-            if robot in found:
+            if robot in keys:
                 return
             try:
                 shared = await _pull_shared(settings, identity, robot, address)
@@ -85,10 +85,10 @@ async def _pull_keys(
                 return
         key = None if shared.keys is None else shared.keys.answers.get(robot)
         if key is not None and len(key) == KEY_BYTES:
-            found[robot] = key
+            keys[robot] = key
 
     with suppress(TimeoutError):
         async with asyncio.timeout(KEYS_TIMEOUT), asyncio.TaskGroup() as group:
             for robot, address in robots:
                 group.create_task(ask(robot, address))
-    return found
+    return keys

@@ -3,33 +3,34 @@
 A stop carries the `origin` of its operator's installation (4 random bytes) and a `counter`: ms of
 the operator's clock, and never less than that of the last stop plus 1. A robot takes
 
-- a copy of a stop that it knows by its id: the stop is at least as old as the time since the robot
-  first heard of it. So a copy ends no run that began later, and does not renew an emergency stop
-  that was reset since;
-- any other stop, unless its counter is SLACK below the greatest of its origin: it is replayed.
-  SLACK covers stops that operators issue at one time and robots hand on in another order.
+- a copy of a stop that it knows by its id. The age of the stop is at least the time since the robot
+  first heard of the stop. So a copy ends no run that began later, and does not renew an emergency
+  stop that was reset since.
+- any other stop, unless its counter is SLACK below the greatest of its origin: such a stop is
+  replayed. SLACK covers stops that operators issue at one time and robots hand on in another order.
 
-An emergency stop must never be refused wrongly. A robot that refuses one answers `REPLAYED`, proven
-for the operator. An operator that waits for an answer then repeats the stop with an origin that was
-never used, which an attacker who replays cannot. The cases:
+An emergency stop must never be refused wrongly. A robot that refuses a stop answers `REPLAYED`,
+proven for the operator. An operator that waits for an answer then repeats the stop with an origin
+that was never used. An attacker who replays cannot do so. The cases:
 
 ===============================  ===================================================================
 two machines of one operator     each has an origin of its own
 a copied home, its clock behind  refused, and taken with the next repeat (0.1 s), under a new origin
-the operator's clock is set back the file keeps the counter: it goes on from the last one
+the operator's clock is set back the file keeps the counter, which goes on from the last
 the file is lost or damaged      a new origin
 the file cannot be written       a random origin for each command
-the file was restored from       refused if the clock is behind, too; then as for a copied home
-several commands at one time     the file is locked; counters within SLACK are taken in any order
-a robot restarts                 it keeps the greatest counters on disk; a stop that is still
-                                 repeated gets a new origin; without its file it takes replayed ones
-relayed copies                   are known by their ids, or come within SLACK; robots relay for a
-                                 minute; a relay takes over the origin of the operator's newest copy
+the file was restored from       refused if the clock is behind, too, and then as for a copied home
+several commands at one time     the file is locked, and any order of counters within SLACK is taken
+a robot restarts                 it keeps the greatest counters on disk, and a stop that is still
+                                 repeated gets a new origin. Without its file the robot takes
+                                 replayed stops
+relayed copies                   are known by their ids, or come within SLACK. Robots relay for a
+                                 minute, and take over the origin of the operator's newest copy
 a stolen robot forges counters   as for a copied home
 ===============================  ===================================================================
 
-Left over: a robot that heard no stop of that origin with this or a later counter takes it when it
-is replayed. It stops late, which is the safe direction, and logs the operator's name.
+Left over: a robot that heard no stop of an origin with this or a later counter takes a replayed
+stop. The robot stops late, which is the safe direction, and logs the operator's name.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ MAX_IDS = 1024
 
 
 class TakenStop(Struct, frozen=True):
-    """A stop that counts, with the age that it has at least; `is_repeated`: it was heard before."""
+    """A stop that counts, with its least age; `is_repeated`: a copy of it was heard before."""
 
     stop: Stop
     is_repeated: bool

@@ -144,9 +144,9 @@ class StopRelay:
 
     def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
         """Another robot acked a stop that this one handed on; whom to hand the ack to."""
-        found = [one for key, one in self._stops.items() if key[0] == ack.id]
+        parts = [part for key, part in self._stops.items() if key[0] == ack.id]
         sends: list[Send] = []
-        for relayed in found:
+        for relayed in parts:
             if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
                 continue
             handed = replace(ack, via=self._own)

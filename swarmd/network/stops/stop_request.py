@@ -1,7 +1,7 @@
 """The state of a stop or estop on its way: which robots lack an ack, and when it is done. Pure.
 
-A robot acks at once, and says so while its base is not known to rest: the stop is repeated to it
-until it rests, or says that it has not stopped.
+A robot acks at once, and its ack shows whether its base is known to rest. The stop is repeated to
+the robot until the base rests, or the robot reports that it has not stopped.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Renew = Callable[[], tuple[bytes, int]]
 RENEW_PERIOD = 0.5  # s between two new origins: answers to the one before are on their way
 # Names in one datagram, in bytes: beside an operator's name and a reason of full length.
 _ROOM = 400
-# By default it goes on for this long, in s, and for so many round trips since the last news.
+# By default a stop goes on for this long, in s, and for so many round trips since the last news.
 STOP_WAIT, STOP_TRIPS = 3.0, 8.0
 # A bound that no datagram can raise, in s, beside so many round trips of at most this many s.
 STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
@@ -31,9 +31,11 @@ STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
 class PendingStop:
     """One stop or estop that is repeated until every expected robot acked.
 
-    `select` picks from the names known so far; None: all. `names` are targets from the start, known
-    or not. A stop of all has no targets, and needs no membership. Every repeat has the same id.
-    `renew`: for robots that refuse it as replayed (`stop_freshness.py`).
+    - `select` picks from the names known so far; None: all.
+    - `names` are targets from the start, known or not.
+    - A stop of all has no targets, and needs no membership.
+    - Every repeat has the same id.
+    - `renew`: for robots that refuse the stop as replayed (`stop_freshness.py`).
     """
 
     def __init__(
@@ -72,7 +74,7 @@ class PendingStop:
             return
         part: list[str] = []
         for name in sorted(self.selected() if names is None else names):
-            if part and sum(len(one) + 2 for one in (*part, name)) > _ROOM:
+            if part and sum(len(target) + 2 for target in (*part, name)) > _ROOM:
                 yield (
                     replace(stop, targets=tuple(part)),
                     self._addresses(lacking.intersection(part)),
@@ -83,8 +85,8 @@ class PendingStop:
             yield replace(stop, targets=tuple(part)), self._addresses(lacking.intersection(part))
 
     def _addresses(self, names: Collection[str]) -> tuple[Address, ...]:
-        found = {self._discovery.address(name) for name in names}
-        return tuple(sorted(one for one in found if one is not None))
+        addresses = {self._discovery.address(name) for name in names}
+        return tuple(sorted(address for address in addresses if address is not None))
 
     def on_ack(self, ack: Ack, now: float) -> bool:
         """Take an ack; False if it is of another request."""
@@ -122,7 +124,7 @@ class PendingStop:
         return is_known and not self.lacking(now)
 
     def is_over(self, now: float) -> bool:
-        """True once it has waited long enough, by the round trip, for those without an ack."""
+        """True after a wait that is long enough, by the round trip, for robots without an ack."""
         trip = self._discovery.round_trip
         if now - self._started >= STOP_CAP + STOP_TRIPS * min(trip, MAX_STOP_TRIP):
             return True
@@ -133,7 +135,7 @@ class PendingStop:
         return is_bare or now >= self._discovery.ends_at(now, self.lacking(now))
 
     def outcome(self, now: float) -> Outcome:
-        """The outcome if it ended now."""
+        """The outcome if the stop ended now."""
         is_open = self._select is None or not self.selected() <= self._names
         return self.acks.outcome(
             self._expected(now),
@@ -144,11 +146,11 @@ class PendingStop:
         )
 
     def _expected(self, now: float) -> frozenset[str]:
-        """The robots that must ack: all that are selected but those that left.
+        """The robots that must ack: all selected robots but those that left.
 
         Failed robots count, and so does the whole roster: a robot that cannot be reached may move.
-        A beacon that says that a robot left may be false: the others must agree.
+        A farewell may be false, and counts only while no other robot lists the robot as alive.
         """
         view = self._discovery.result(now)
-        left = {name for name, one in view.members.items() if one.presence is Presence.LEFT}
+        left = {name for name, member in view.members.items() if member.presence is Presence.LEFT}
         return self.selected() - (left - view.roster - self._discovery.doubted)

@@ -68,8 +68,8 @@ class StopSender:
                     is_due, new = repeat.is_due(now), selected - before
                     # Robots that were just found get a copy of their own before the next repeat.
                     stops = tuple(pending.datagrams(now, None if is_due else new))
-                for one, addresses in stops if is_due or new else ():
-                    self._datagrams.send(one, addresses, is_to_all=is_due)
+                for stop_part, addresses in stops if is_due or new else ():
+                    self._datagrams.send(stop_part, addresses, is_to_all=is_due)
                 self._rosters.begin()
                 if solicit.is_due(now):
                     self._datagrams.solicit(discovery, now)
