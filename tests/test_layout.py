@@ -264,16 +264,24 @@ def test_kernels_are_loaded_and_not_imported() -> None:
 
 
 def kernels_by_line(path: Path) -> dict[int, list[str]]:
-    """The lines that import a kernel, or a part of one that has two forms, and its name."""
+    """The lines that import a kernel, or a part of one that has two forms, and its name.
+
+    A kernel may import those that are in one library with it.
+    """
     by_line: dict[int, list[str]] = {}
     for line, name in imports(path):
         by_line.setdefault(line, []).append(name)
+    own = next(
+        (names for names in kernels.LIBRARIES.values()
+         if path.relative_to(ROOT).as_posix() in map(kernels.source_of, names)), ()
+    )  # fmt: skip
+    others = {*kernels.KERNELS} - {*own}
     found = {}
     for line, names in by_line.items():
         parts = [name.rpartition(".") for name in names]
-        parts = [part for part in parts if part[0] in kernels.KERNELS]
+        parts = [part for part in parts if part[0] in others]
         forms = ["".join(p) for p in parts if not p[2].isupper() and p[2] not in ALIKE]
-        found[line] = forms if parts else [name for name in names if name in kernels.KERNELS]
+        found[line] = forms if parts else [name for name in names if name in others]
     return {line: names for line, names in found.items() if names}
 
 

@@ -1,0 +1,390 @@
+"""The delay of scans by turns of the robot.
+
+The turn between two scans, by circular correlation of their ranges, is compared with the turn by
+odometry at candidate delays, in least squares with a free scale of the odometry. It needs a rate of
+turn that changes: at a constant rate all delays explain the turns alike, and then there is no
+figure. After the temporal calibration of sensors by correlated rotations (Rehder, Siegwart and
+Furgale, IEEE T-RO 2016), with one axis and a grid.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.core.messages import DelayFigure
+from swarmd.sensing.angles import TURN
+from swarmd.sensing.buffers import new_doubles, view_of
+from swarmd.sensing.measured_sweep import Headings
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        INFINITY,
+        NAN,
+        ceil,
+        fabs,
+        floor,
+        hypot,
+        isnan,
+        remainder,
+        sqrt,
+    )
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        NAN,
+        ceil,
+        fabs,
+        floor,
+        hypot,
+        isnan,
+        remainder,
+        sqrt,
+    )
+
+_CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
+_LONGEST = cython.declare(cython.double, 1.2)  # s, of the last candidate
+_STEP = cython.declare(cython.double, 1.2 / 48)
+_HISTORY = cython.declare(cython.Py_ssize_t, 96)  # headings
+_SPACING = cython.declare(cython.double, 0.02)  # s between two of them, at least
+_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)  # rad/s
+# rad by which candidates must differ for a pair of scans to tell anything
+_MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
+# rad by which the search for the turn goes beyond the turns of all candidates
+_SEARCHED = cython.declare(cython.double, 0.25)
+# rad; beyond it a square room looks like itself
+_MAX_SEARCHED = cython.declare(cython.double, 1.2)
+# m between two scans: a shift of near things looks like a turn
+_MAX_SHIFT = cython.declare(cython.double, 0.03)
+_MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
+# m; farther returns count as if they were there
+_MAX_RANGE = cython.declare(cython.double, 6.0)
+# m, standard deviation of ranges below which a scene has no features
+_MIN_RELIEF = cython.declare(cython.double, 0.1)
+# correlation of two scans at the turn found
+_MIN_LIKENESS = cython.declare(cython.double, 0.6)
+# of earlier pairs, for each new one: some 50 count
+_FORGETTING = cython.declare(cython.double, 0.98)
+_MIN_PAIRS = cython.declare(cython.double, 8.0)
+# rad of one measured turn: things that move by themselves turn a scene by that, for seconds
+_MIN_SPREAD = cython.declare(cython.double, 0.025)
+# factor on the spread, as errors of pairs are not independent: 1.7 in simulation
+_ALIKE = cython.declare(cython.double, 2.0)
+# s of candidates within three deviations: a wider one is no figure
+_MAX_INTERVAL = cython.declare(cython.double, 0.2)
+_LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
+_HIGHEST_SCALE = cython.declare(cython.double, 1.15)
+# after which only each fourth scan is compared with the one before it
+_ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
+
+
+@cython.cclass
+class DelayByTurns:
+    """Delay by turns, see `scan_delay.py`: `delay` and `spread` in s, from `pairs` of scans.
+
+    `at`: the time of the last one. `delay`: NaN while it is not known, and `why` it is not.
+    `pose`: the last one by odometry.
+    """
+
+    delay: cython.double
+    spread: cython.double
+    at: cython.double
+    pairs: cython.Py_ssize_t
+    why: object
+    pose: object
+    _headings: object
+    _times: cython.double[::1]
+    _yaws: cython.double[::1]
+    _first: cython.Py_ssize_t  # of the headings kept
+    _end: cython.Py_ssize_t
+    _stamp: cython.double
+    _yaw: cython.double
+    _slow_rate: cython.double
+    _changed_at: cython.double
+    _total: cython.double  # turned so far
+    _bearings: object
+    _n: cython.Py_ssize_t
+    _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
+    # The last scan: when it arrived on the clock of odometry, where, and its ranges about their
+    # mean, twice in a row, with their norm. Then the same of the one before.
+    _scans: cython.Py_ssize_t
+    _has_last: cython.bint
+    _scan_at: cython.double
+    _x: cython.double
+    _y: cython.double
+    _relief: cython.double[::1]
+    _norm: cython.double
+    _old_relief: cython.double[::1]
+    _old_norm: cython.double
+    # Turns by candidate delay, and sums over pairs: of measured turns m, and of those p.
+    _turn_of: cython.double[49]
+    _error_of: cython.double[49]
+    _mm: cython.double
+    _mp: cython.double[49]
+    _pp: cython.double[49]
+    _weight: cython.double
+
+    def __init__(self):
+        self.delay, self.why = NAN, "it has not turned at a changing rate yet"
+        self._headings = np.empty((2, 4 * _HISTORY))
+        self._times, self._yaws = map(memoryview, self._headings)
+        self._stamp = self._changed_at = -INFINITY
+        self._relief = self._old_relief = new_doubles(0)
+
+    def check_indices(self) -> None:
+        """ValueError unless its ranges are those of its rays, as `_likeness` reads them."""
+        ray: cython.double = fabs(self._ray)
+        lengths = len(self._relief), len(self._old_relief), 2 * self._n
+        is_even: cython.bint = ray == 0.0 or fabs(ray * self._n - TURN) < 1.5 * ray
+        if self._n < 0 or min(lengths) != max(lengths) or not is_even:
+            raise ValueError(f"{self._n} rays at steps of {ray} rad, {lengths} ranges")
+
+    @cython.cfunc
+    def figure(self, now: cython.double):
+        """The delay, or why it is not known."""
+        if isnan(self.delay):
+            return DelayFigure(method="turns", text=self.why)
+        return DelayFigure(
+            method="turns",
+            delay=self.delay,
+            spread=self.spread,
+            samples=self.pairs,
+            age=max(now - self.at, 0.0),
+        )
+
+    @cython.cfunc
+    def forget(self):
+        """Measure anew."""
+        k: cython.Py_ssize_t
+        self.delay, self.pairs, self._mm, self._weight = NAN, 0, 0.0, 0.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = self._pp[k] = 0.0
+        self.why = "its last figure was older than a minute"
+
+    @cython.cfunc
+    def forget_headings(self):
+        """The clock of odometry was set."""
+        self._first = self._end = 0
+        self._stamp, self._has_last = -INFINITY, False
+
+    @cython.cfunc
+    def headings(self):
+        """A copy of the headings kept."""
+        return Headings(*self._headings[:, self._first : self._end].copy())
+
+    @cython.cfunc
+    def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
+        """Keep a heading."""
+        self._slow_rate += 0.1 * (rate - self._slow_rate)
+        if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
+            self._changed_at = stamp
+        self.pose = pose
+        if stamp - self._stamp < _SPACING:
+            return
+        if self._end == 4 * _HISTORY:
+            self._times[:_HISTORY] = self._times[3 * _HISTORY :]
+            self._yaws[:_HISTORY] = self._yaws[3 * _HISTORY :]
+            self._first, self._end = 0, _HISTORY
+        if self._end > self._first:
+            self._total += remainder(yaw - self._yaw, TURN)
+        self._times[self._end], self._yaws[self._end] = stamp, self._total
+        self._yaw, self._stamp, self._end = yaw, stamp, self._end + 1
+        self._first = max(self._first, self._end - _HISTORY)
+
+    @cython.cfunc
+    def compare(self, scan, at: cython.double, now: cython.double):
+        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
+        had_last: cython.bint = self._has_last
+        self._has_last = False
+        if at - self._changed_at > _LONGEST + 0.5:
+            return
+        if scan.bearings is not self._bearings:
+            self._set_bearings(scan.bearings)
+            had_last = False
+        if self._ray == 0.0:
+            return
+        self._scans += 1
+        if self.pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
+            return
+        before: cython.double = self._scan_at
+        x: cython.double = self._x
+        y: cython.double = self._y
+        self._keep(scan)
+        self._scan_at, self._has_last = at, True
+        self._x, self._y = self.pose.x, self.pose.y
+        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
+            return
+        if at - before > 0.5 or self._end == self._first:
+            return
+        if before - _LONGEST < self._times[self._first]:
+            return
+        if hypot(self._x - x, self._y - y) > _MAX_SHIFT:
+            return
+        k: cython.Py_ssize_t
+        low: cython.double = INFINITY
+        high: cython.double = -INFINITY
+        end: cython.Py_ssize_t = self._end - 1
+        begin: cython.Py_ssize_t = end
+        for k in range(_CANDIDATES):
+            while end > self._first and self._times[end] > at - _STEP * k:
+                end -= 1
+            while begin > self._first and self._times[begin] > before - _STEP * k:
+                begin -= 1
+            self._turn_of[k] = self._heading(end, at - _STEP * k) - self._heading(
+                begin, before - _STEP * k
+            )
+            low, high = min(low, self._turn_of[k]), max(high, self._turn_of[k])
+        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
+            return
+        turn: cython.double = self._measured(low - _SEARCHED, high + _SEARCHED)
+        if not isnan(turn):
+            self._add(turn)
+            self.at = now
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        self._bearings, self._ray, self._n = bearings, 0.0, len(bearings)
+        steps = np.diff(np.unwrap(bearings))
+        if self._n >= _MIN_RAYS:
+            step: cython.double = steps.mean()
+            is_even: cython.bint = np.abs(steps - step).max() < 0.1 * fabs(step)
+            if is_even and fabs(fabs(step) * self._n - TURN) < 1.5 * fabs(step):
+                self._ray = step
+        if self._ray == 0.0:
+            self.why = "its rays do not cover a full turn evenly"
+        self._relief, self._old_relief = new_doubles(2 * self._n), new_doubles(2 * self._n)
+
+    @cython.cfunc
+    def _keep(self, scan):
+        """Keep the ranges of a scan about their mean; a ray without a return tells nothing.
+
+        As far away, it would be a feature: lost rays and a blind sector do not turn with the room.
+        """
+        ranges: cython.const[cython.double][::1] = view_of(
+            np.ascontiguousarray(scan.ranges, np.float64)
+        )
+        least: cython.double = scan.range_min
+        most: cython.double = scan.range_max
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        returns: cython.Py_ssize_t = 0
+        mean: cython.double = 0.0
+        square: cython.double = 0.0
+        self._relief, self._old_relief = self._old_relief, self._relief
+        self._old_norm = self._norm
+        relief: cython.double[::1] = self._relief
+        for i in range(n):
+            if least <= ranges[i] <= most:
+                mean += min(ranges[i], _MAX_RANGE)
+                returns += 1
+        mean /= max(returns, 1)
+        for i in range(n):
+            is_return: cython.bint = least <= ranges[i] <= most
+            relief[i] = min(ranges[i], _MAX_RANGE) - mean if is_return else 0.0
+            relief[n + i] = relief[i]
+            square += relief[i] * relief[i]
+        self._norm = sqrt(square)
+
+    @cython.cfunc
+    def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
+        """The heading at a time, which is not before that of heading k and before the next one."""
+        before: cython.double = self._times[k]
+        if at <= before or k == self._end - 1:
+            return self._yaws[k]
+        slope: cython.double = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
+        return slope * (at - before) + self._yaws[k]
+
+    @cython.cfunc
+    def _measured(self, low: cython.double, high: cython.double) -> cython.double:
+        """The turn in rad from one scan to the next, between `low` and `high`; NaN: unclear.
+
+        A turn by k rays to the left moves all that is seen k rays to the right.
+        """
+        least: cython.double = _MIN_RELIEF * sqrt(self._n)
+        if min(self._norm, self._old_norm) < least:
+            self.why = "it sees no features to tell a turn by"
+            return NAN
+        ray: cython.double = fabs(self._ray)
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / ray))
+        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / ray))
+        shift: cython.Py_ssize_t
+        best: cython.Py_ssize_t = first
+        most: cython.double = -INFINITY
+        for shift in range(first, last + 1):
+            likeness = self._likeness(shift)
+            if likeness > most:
+                most, best = likeness, shift
+        if not first < best < last or most < _MIN_LIKENESS * self._old_norm * self._norm:
+            return NAN
+        a: cython.double = self._likeness(best - 1)
+        c: cython.double = self._likeness(best + 1)
+        return (best + 0.5 * (a - c) / (a - 2.0 * most + c)) * ray
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def _likeness(self, shift: cython.Py_ssize_t) -> cython.double:
+        """The correlation of the last two scans at a turn by so many rays, at most n."""
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
+        if first < 0:
+            first += n
+        one: cython.double[::1] = self._old_relief
+        other: cython.double[::1] = self._relief
+        i: cython.Py_ssize_t
+        a: cython.double = 0.0
+        b: cython.double = 0.0
+        c: cython.double = 0.0
+        d: cython.double = 0.0
+        for i in range(0, n - 3, 4):  # four sums: a processor adds to them at the same time
+            a += one[first + i] * other[i]
+            b += one[first + i + 1] * other[i + 1]
+            c += one[first + i + 2] * other[i + 2]
+            d += one[first + i + 3] * other[i + 3]
+        for i in range(n - n % 4, n):
+            a += one[first + i] * other[i]
+        return (a + b) + (c + d)
+
+    @cython.cfunc
+    def _add(self, turn: cython.double):
+        """Add a measured turn, and what odometry says of it for each candidate."""
+        k: cython.Py_ssize_t
+        best: cython.Py_ssize_t = 0
+        self._mm = _FORGETTING * self._mm + turn * turn
+        self._weight = _FORGETTING * self._weight + 1.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turn_of[k]
+            self._pp[k] = _FORGETTING * self._pp[k] + self._turn_of[k] * self._turn_of[k]
+            scale = self._mp[k] / max(self._pp[k], 1e-12)
+            scale = min(max(scale, _LOWEST_SCALE), _HIGHEST_SCALE)
+            self._error_of[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
+            if self._error_of[k] < self._error_of[best]:
+                best = k
+        self.pairs += 1
+        self.delay = NAN
+        if self._weight < _MIN_PAIRS:
+            self.why = "too few turns yet"
+            return
+        self.why = "its turns do not tell one delay from another"
+        variance: cython.double = self._error_of[best] / (self._weight - 2.0)
+        variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
+        limit: cython.double = self._error_of[best] + 9.0 * variance
+        low: cython.Py_ssize_t = 0
+        high: cython.Py_ssize_t = _CANDIDATES - 1
+        while self._error_of[low] > limit:
+            low += 1
+        while self._error_of[high] > limit:
+            high -= 1
+        if high == _CANDIDATES - 1 or (high - low) * _STEP > _MAX_INTERVAL:
+            return
+        best = max(best, 1)
+        a: cython.double = self._error_of[best - 1]
+        c: cython.double = self._error_of[best + 1]
+        bend: cython.double = a - 2.0 * self._error_of[best] + c
+        if bend > 0.0:
+            self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
+            self.spread = max(_ALIKE * _STEP * sqrt(2.0 * variance / bend), 0.005)
