@@ -1,4 +1,4 @@
-"""Angles in rad, with the bits of numpy."""
+"""Arithmetic of angles in rad, for the kernels of this folder."""
 
 from __future__ import annotations
 
@@ -38,6 +38,6 @@ def mod_turn(angle: cython.double) -> cython.double:
 @cython.cfunc
 @cython.inline
 @cython.exceptval(check=False)
-def angle_between(one: cython.double, other: cython.double) -> cython.double:
+def angle_between(first: cython.double, second: cython.double) -> cython.double:
     """The angle between two directions."""
-    return fabs(mod_turn(one - other + PI) - PI)
+    return fabs(mod_turn(first - second + PI) - PI)

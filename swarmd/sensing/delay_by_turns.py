@@ -47,66 +47,76 @@ else:
         sqrt,
     )
 
+# Candidate delays: 0 to _LONGEST s.
 _CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
-_LONGEST = cython.declare(cython.double, 1.2)  # s, of the last candidate
+_LONGEST = cython.declare(cython.double, 1.2)
 _STEP = cython.declare(cython.double, 1.2 / 48)
-_HISTORY = cython.declare(cython.Py_ssize_t, 96)  # headings
-_SPACING = cython.declare(cython.double, 0.02)  # s between two of them, at least
-_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)  # rad/s
-# rad by which candidates must differ for a pair of scans to tell anything
+# Headings that are kept, and s between two of them, at least.
+_HISTORY = cython.declare(cython.Py_ssize_t, 96)
+_SPACING = cython.declare(cython.double, 0.02)
+# The rate of turn changes by so many rad/s from its mean, which follows by this share a reading.
+_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)
+_FOLLOWING = cython.declare(cython.double, 0.1)
+_CHANGE_LASTS = cython.declare(cython.double, 1.2 + 0.5)  # s for which such a change counts
+_MAX_APART = cython.declare(cython.double, 0.5)  # s from one scan to the next
+# rad by which candidates must differ for a pair of scans to tell anything.
 _MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
-# rad by which the search for the turn goes beyond the turns of all candidates
+# rad by which the search for the turn goes beyond the turns of all candidates.
 _SEARCHED = cython.declare(cython.double, 0.25)
-# rad; beyond it a square room looks like itself
+# rad; beyond it a square room looks like itself.
 _MAX_SEARCHED = cython.declare(cython.double, 1.2)
-# m between two scans: a shift of near things looks like a turn
+# m between two scans: a shift of near things looks like a turn.
 _MAX_SHIFT = cython.declare(cython.double, 0.03)
 _MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
-# m; farther returns count as if they were there
+# Rays are even if each step differs by less than this share from the mean, and if they miss a full
+# turn by less than so many steps.
+_UNEVEN_SHARE = cython.declare(cython.double, 0.1)
+_MISSED_STEPS = cython.declare(cython.double, 1.5)
+# m; farther returns count as if they were there.
 _MAX_RANGE = cython.declare(cython.double, 6.0)
-# m, standard deviation of ranges below which a scene has no features
+# m, standard deviation of ranges below which a scene has no features.
 _MIN_RELIEF = cython.declare(cython.double, 0.1)
-# correlation of two scans at the turn found
+# Correlation of two scans at the turn that was measured.
 _MIN_LIKENESS = cython.declare(cython.double, 0.6)
-# of earlier pairs, for each new one: some 50 count
+# Weight of earlier pairs, for each new one: some 50 count.
 _FORGETTING = cython.declare(cython.double, 0.98)
 _MIN_PAIRS = cython.declare(cython.double, 8.0)
-# rad of one measured turn: things that move by themselves turn a scene by that, for seconds
+# rad of one measured turn: things that move by themselves turn a scene by that, for seconds.
 _MIN_SPREAD = cython.declare(cython.double, 0.025)
-# factor on the spread, as errors of pairs are not independent: 1.7 in simulation
+# Factor on the spread, as errors of pairs are not independent: 1.7 in simulation.
 _ALIKE = cython.declare(cython.double, 2.0)
-# s of candidates within three deviations: a wider one is no figure
+_MIN_DELAY_SPREAD = cython.declare(cython.double, 0.005)  # s
+_DEVIATIONS = cython.declare(cython.double, 9.0)  # the square of three deviations
+# s of candidates within three deviations: a wider one is no figure.
 _MAX_INTERVAL = cython.declare(cython.double, 0.2)
 _LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
 _HIGHEST_SCALE = cython.declare(cython.double, 1.15)
-# after which only each fourth scan is compared with the one before it
+_MIN_SQUARE = cython.declare(cython.double, 1e-12)  # rad2: a scale needs turns
+# Pairs after which only each fourth scan is compared with the one before it.
 _ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
 
 
 @cython.cclass
 class DelayByTurns:
-    """Delay by turns, see `scan_delay.py`: `delay` and `spread` in s, from `pairs` of scans.
+    """The delay of one sensor's scans by turns. Times in s, angles in rad, ranges in m."""
 
-    `at`: the time of the last one. `delay`: NaN while it is not known, and `why` it is not.
-    `pose`: the last one by odometry.
-    """
-
-    delay: cython.double
+    delay: cython.double  # NaN while not known
     spread: cython.double
-    at: cython.double
-    pairs: cython.Py_ssize_t
-    why: object
-    pose: object
+    at: cython.double  # when the last pair of scans was compared
+    pairs: cython.Py_ssize_t  # of scans compared
+    why: object  # the delay is not known
+    pose: object  # the last one by odometry
+    # The headings kept: places `_first` to `_end` of the arrays.
     _headings: object
     _times: cython.double[::1]
-    _yaws: cython.double[::1]
-    _first: cython.Py_ssize_t  # of the headings kept
+    _yaws: cython.double[::1]  # turned since the start, not wrapped
+    _first: cython.Py_ssize_t
     _end: cython.Py_ssize_t
-    _stamp: cython.double
+    _stamp: cython.double  # of the last heading
     _yaw: cython.double
+    _total: cython.double  # turned so far
     _slow_rate: cython.double
     _changed_at: cython.double
-    _total: cython.double  # turned so far
     _bearings: object
     _n: cython.Py_ssize_t
     _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
@@ -121,9 +131,10 @@ class DelayByTurns:
     _norm: cython.double
     _old_relief: cython.double[::1]
     _old_norm: cython.double
-    # Turns by candidate delay, and sums over pairs: of measured turns m, and of those p.
+    # By candidate delay: the turn by odometry, and the squared error of all pairs.
     _turn_of: cython.double[49]
     _error_of: cython.double[49]
+    # Sums over pairs: of measured turns m, and of turns p that candidates predict.
     _mm: cython.double
     _mp: cython.double[49]
     _pp: cython.double[49]
@@ -140,7 +151,7 @@ class DelayByTurns:
         """ValueError unless its ranges are those of its rays, as `_likeness` reads them."""
         ray: cython.double = fabs(self._ray)
         lengths = len(self._relief), len(self._old_relief), 2 * self._n
-        is_even: cython.bint = ray == 0.0 or fabs(ray * self._n - TURN) < 1.5 * ray
+        is_even: cython.bint = ray == 0.0 or fabs(ray * self._n - TURN) < _MISSED_STEPS * ray
         if self._n < 0 or min(lengths) != max(lengths) or not is_even:
             raise ValueError(f"{self._n} rays at steps of {ray} rad, {lengths} ranges")
 
@@ -161,7 +172,8 @@ class DelayByTurns:
     def forget(self):
         """Measure anew."""
         k: cython.Py_ssize_t
-        self.delay, self.pairs, self._mm, self._weight = NAN, 0, 0.0, 0.0
+        self.delay, self.pairs = NAN, 0
+        self._mm = self._weight = 0.0
         for k in range(_CANDIDATES):
             self._mp[k] = self._pp[k] = 0.0
         self.why = "its last figure was older than a minute"
@@ -180,7 +192,7 @@ class DelayByTurns:
     @cython.cfunc
     def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
         """Keep a heading."""
-        self._slow_rate += 0.1 * (rate - self._slow_rate)
+        self._slow_rate += _FOLLOWING * (rate - self._slow_rate)
         if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
             self._changed_at = stamp
         self.pose = pose
@@ -193,7 +205,8 @@ class DelayByTurns:
         if self._end > self._first:
             self._total += remainder(yaw - self._yaw, TURN)
         self._times[self._end], self._yaws[self._end] = stamp, self._total
-        self._yaw, self._stamp, self._end = yaw, stamp, self._end + 1
+        self._yaw, self._stamp = yaw, stamp
+        self._end += 1
         self._first = max(self._first, self._end - _HISTORY)
 
     @cython.cfunc
@@ -201,7 +214,7 @@ class DelayByTurns:
         """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
         had_last: cython.bint = self._has_last
         self._has_last = False
-        if at - self._changed_at > _LONGEST + 0.5:
+        if at - self._changed_at > _CHANGE_LASTS:
             return
         if scan.bearings is not self._bearings:
             self._set_bearings(scan.bearings)
@@ -212,32 +225,24 @@ class DelayByTurns:
         if self.pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
             return
         before: cython.double = self._scan_at
-        x: cython.double = self._x
-        y: cython.double = self._y
+        x_before: cython.double = self._x
+        y_before: cython.double = self._y
         self._keep(scan)
         self._scan_at, self._has_last = at, True
         self._x, self._y = self.pose.x, self.pose.y
         if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
             return
-        if at - before > 0.5 or self._end == self._first:
+        if at - before > _MAX_APART or self._end == self._first:
             return
         if before - _LONGEST < self._times[self._first]:
             return
-        if hypot(self._x - x, self._y - y) > _MAX_SHIFT:
+        if hypot(self._x - x_before, self._y - y_before) > _MAX_SHIFT:
             return
+        self._predict_turns(before, at)
         k: cython.Py_ssize_t
         low: cython.double = INFINITY
         high: cython.double = -INFINITY
-        end: cython.Py_ssize_t = self._end - 1
-        begin: cython.Py_ssize_t = end
         for k in range(_CANDIDATES):
-            while end > self._first and self._times[end] > at - _STEP * k:
-                end -= 1
-            while begin > self._first and self._times[begin] > before - _STEP * k:
-                begin -= 1
-            self._turn_of[k] = self._heading(end, at - _STEP * k) - self._heading(
-                begin, before - _STEP * k
-            )
             low, high = min(low, self._turn_of[k]), max(high, self._turn_of[k])
         if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
             return
@@ -247,13 +252,31 @@ class DelayByTurns:
             self.at = now
 
     @cython.cfunc
+    def _predict_turns(self, before: cython.double, at: cython.double) -> cython.int:
+        """Set the turn by odometry between the arrivals of two scans, for each candidate delay."""
+        k: cython.Py_ssize_t
+        begin: cython.Py_ssize_t = self._end - 1
+        end: cython.Py_ssize_t = self._end - 1
+        delay: cython.double
+        for k in range(_CANDIDATES):
+            delay = _STEP * k
+            while end > self._first and self._times[end] > at - delay:
+                end -= 1
+            while begin > self._first and self._times[begin] > before - delay:
+                begin -= 1
+            self._turn_of[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
+        return 0
+
+    @cython.cfunc
     def _set_bearings(self, bearings):
-        self._bearings, self._ray, self._n = bearings, 0.0, len(bearings)
+        """Take other bearings, with the angle from one ray to the next if they are even."""
+        self._bearings, self._n = bearings, len(bearings)
+        self._ray = 0.0
         steps = np.diff(np.unwrap(bearings))
         if self._n >= _MIN_RAYS:
             step: cython.double = steps.mean()
-            is_even: cython.bint = np.abs(steps - step).max() < 0.1 * fabs(step)
-            if is_even and fabs(fabs(step) * self._n - TURN) < 1.5 * fabs(step):
+            is_even: cython.bint = np.abs(steps - step).max() < _UNEVEN_SHARE * fabs(step)
+            if is_even and fabs(fabs(step) * self._n - TURN) < _MISSED_STEPS * fabs(step):
                 self._ray = step
         if self._ray == 0.0:
             self.why = "its rays do not cover a full turn evenly"
@@ -321,6 +344,7 @@ class DelayByTurns:
                 most, best = likeness, shift
         if not first < best < last or most < _MIN_LIKENESS * self._old_norm * self._norm:
             return NAN
+        # The top of the parabola through the best shift and those beside it.
         a: cython.double = self._likeness(best - 1)
         c: cython.double = self._likeness(best + 1)
         return (best + 0.5 * (a - c) / (a - 2.0 * most + c)) * ray
@@ -333,20 +357,20 @@ class DelayByTurns:
         first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
         if first < 0:
             first += n
-        one: cython.double[::1] = self._old_relief
-        other: cython.double[::1] = self._relief
+        old: cython.double[::1] = self._old_relief
+        new: cython.double[::1] = self._relief
         i: cython.Py_ssize_t
         a: cython.double = 0.0
         b: cython.double = 0.0
         c: cython.double = 0.0
         d: cython.double = 0.0
         for i in range(0, n - 3, 4):  # four sums: a processor adds to them at the same time
-            a += one[first + i] * other[i]
-            b += one[first + i + 1] * other[i + 1]
-            c += one[first + i + 2] * other[i + 2]
-            d += one[first + i + 3] * other[i + 3]
+            a += old[first + i] * new[i]
+            b += old[first + i + 1] * new[i + 1]
+            c += old[first + i + 2] * new[i + 2]
+            d += old[first + i + 3] * new[i + 3]
         for i in range(n - n % 4, n):
-            a += one[first + i] * other[i]
+            a += old[first + i] * new[i]
         return (a + b) + (c + d)
 
     @cython.cfunc
@@ -359,7 +383,7 @@ class DelayByTurns:
         for k in range(_CANDIDATES):
             self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turn_of[k]
             self._pp[k] = _FORGETTING * self._pp[k] + self._turn_of[k] * self._turn_of[k]
-            scale = self._mp[k] / max(self._pp[k], 1e-12)
+            scale = self._mp[k] / max(self._pp[k], _MIN_SQUARE)
             scale = min(max(scale, _LOWEST_SCALE), _HIGHEST_SCALE)
             self._error_of[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
             if self._error_of[k] < self._error_of[best]:
@@ -370,9 +394,14 @@ class DelayByTurns:
             self.why = "too few turns yet"
             return
         self.why = "its turns do not tell one delay from another"
+        self._set_delay(best)
+
+    @cython.cfunc
+    def _set_delay(self, best: cython.Py_ssize_t) -> cython.int:
+        """Set delay and spread by the errors about the best candidate, if few others fit."""
         variance: cython.double = self._error_of[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
-        limit: cython.double = self._error_of[best] + 9.0 * variance
+        limit: cython.double = self._error_of[best] + _DEVIATIONS * variance
         low: cython.Py_ssize_t = 0
         high: cython.Py_ssize_t = _CANDIDATES - 1
         while self._error_of[low] > limit:
@@ -380,11 +409,13 @@ class DelayByTurns:
         while self._error_of[high] > limit:
             high -= 1
         if high == _CANDIDATES - 1 or (high - low) * _STEP > _MAX_INTERVAL:
-            return
+            return 0
         best = max(best, 1)
         a: cython.double = self._error_of[best - 1]
         c: cython.double = self._error_of[best + 1]
         bend: cython.double = a - 2.0 * self._error_of[best] + c
         if bend > 0.0:
             self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
-            self.spread = max(_ALIKE * _STEP * sqrt(2.0 * variance / bend), 0.005)
+            spread: cython.double = _ALIKE * _STEP * sqrt(2.0 * variance / bend)
+            self.spread = max(spread, _MIN_DELAY_SPREAD)
+        return 0

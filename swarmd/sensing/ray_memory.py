@@ -1,4 +1,8 @@
-"""The memory of each ray, which fills rays that a scan does not know."""
+"""The memory of each ray: the meaning of raw ranges, and what fills unknown rays.
+
+The zeros of an LDS mean a near obstacle, no return or a lost packet: the last returns of a ray and
+of those beside it tell which.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +25,18 @@ else:
 
 PACKET_RAYS = 6  # rays that an LDS loses together
 
+_SMALL_ANGLE = cython.declare(cython.double, 1e-9)  # rad, of rounding
+_UNEVEN = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
+_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which they may miss a full turn
+_GUESSED_FROM = cython.declare(cython.Py_ssize_t, 3)  # places behind the last one, searched first
 # Far returns that do not vanish from one scan to the next: so many, and this share of the rays.
 # Fewer may vanish: those of a ring of few sensors.
 _BLIND_RETURNS = cython.declare(cython.double, 8.0)
 _BLIND_SHARE = cython.declare(cython.double, 0.1)
+# Share of range_max below which a return is a far one and no noise at the limit.
+_FAR_SHARE = cython.declare(cython.double, 0.8)
+# Of scans: the least share of known rays is a half.
+_UNKNOWN_PARTS = cython.declare(cython.Py_ssize_t, 2)
 # m above range_min: an LDS ray this near may turn into a zero.
 _NEAR_MARGIN = cython.declare(cython.double, 0.10)
 # s for which a near ray explains zeros.
@@ -43,7 +55,7 @@ def _nearest_angle(
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
-    for middle in range(hint, min(hint + 3, n)):
+    for middle in range(hint, min(hint + _GUESSED_FROM, n)):
         if rising[middle] >= angle and (middle == 0 or rising[middle - 1] < angle):
             low = high = middle
             break
@@ -67,7 +79,7 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 class RayMemory:
     """The memory of each ray, and what it makes of a scan's ranges.
 
-    `known_at`: see `ScanConditioner`.
+    `known_at`: see `ScanConditioner`. Times in s, angles in rad, ranges in m.
     """
 
     known_at = cython.declare(cython.double, visibility="readonly")
@@ -75,17 +87,17 @@ class RayMemory:
     _range_max: cython.double
     _max_gap: cython.double
     _stale_after: cython.double
-    _zero: cython.double
+    _zero: cython.double  # the meaning of a range of 0
     _is_lds: cython.bint
     _guesses_near: cython.bint
-    _near_below: cython.double
-    _step: cython.double
-    _yaw: cython.double
-    _far_returns: cython.Py_ssize_t
-    _given: object
+    _near_below: cython.double  # the range of a ray that may turn into a zero
+    _step: cython.double  # from one ray to the next
+    _yaw: cython.double  # to which the memory is turned
+    _far_returns: cython.Py_ssize_t  # of the last scan with returns
+    _given: object  # the array of the bearings
     _n: cython.Py_ssize_t
     _bearings: cython.double[::1]
-    _direction: cython.double
+    _direction: cython.double  # 1.0 if bearings rise, -1.0 if they fall
     _is_even: cython.bint  # rays cover a full turn, one each `_step`
     _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
     _rising: cython.double[::1]
@@ -101,7 +113,7 @@ class RayMemory:
     def __init__(self, spec, *, guesses_near):
         self.known_at = -INFINITY
         self._range_min, self._range_max = spec.range_min, spec.range_max
-        self._max_gap, self._stale_after = spec.max_gap + 1e-9, spec.stale_after
+        self._max_gap, self._stale_after = spec.max_gap + _SMALL_ANGLE, spec.stale_after
         self._zero, self._is_lds = _ZEROS[spec.zero], spec.zero == "lds"
         self._guesses_near = guesses_near
         self._near_below = spec.range_min + _NEAR_MARGIN
@@ -141,24 +153,28 @@ class RayMemory:
         if self._interpret(out):
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
-        if 2 * unknown > n:
+        if _UNKNOWN_PARTS * unknown > n:
             return False
         self.known_at = now
-        if unknown:
-            self.known_at = self._lost_since(now)
-            unknown = 0
-            i: cython.Py_ssize_t
-            k: cython.Py_ssize_t
-            for i in range(n):
+        if unknown == 0:
+            return True
+        self.known_at = self._lost_since(now)
+        return self._fill_from_memory(out, now) == 0 or self._bridge(out)
+
+    @cython.cfunc
+    def _fill_from_memory(self, out: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
+        """Fill unknown rays with their last ranges, if not stale; the number of those left."""
+        left: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for i in range(out.shape[0]):
+            if isnan(out[i]):
+                k = self._at(i)
+                if self._seen_at[k] >= now - self._stale_after:
+                    out[i] = self._ranges[k]
                 if isnan(out[i]):
-                    k = self._at(i)
-                    if self._seen_at[k] >= now - self._stale_after:
-                        out[i] = self._ranges[k]
-                    if isnan(out[i]):
-                        unknown += 1
-            if unknown and not self._bridge(out):
-                return False
-        return True
+                    left += 1
+        return left
 
     @cython.cfunc
     def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
@@ -202,7 +218,7 @@ class RayMemory:
         has_return: cython.bint = False
         near_below: cython.double = self._near_below
         range_max: cython.double = self._range_max
-        far_below: cython.double = 0.8 * self._range_max
+        far_below: cython.double = _FAR_SHARE * self._range_max
         for i in range(raw.shape[0]):
             distance = raw[i]
             if (0.0 < distance <= range_max) or distance == -INFINITY:
@@ -236,24 +252,34 @@ class RayMemory:
         rising: cython.double[::1] = self._rising
         values = np.array(bearings, dtype=np.float64, order="C")
         order = np.argsort(values % TURN, kind="stable")
-        self._given, self._n, self._direction = bearings, n, 1.0
+        self._given, self._n = bearings, n
+        self._direction = 1.0
         self._bearings, self._order = memoryview(values), memoryview(order)
         self._rising = memoryview(values[order] % TURN)
         self._place = memoryview(np.argsort(order))
         if n > 1:
             last = math.remainder(values[n - 1] - values[n - 2], TURN)
             self._direction = math.copysign(1.0, last)
-        self._is_even = fabs(n * step - TURN) < 0.5 * step
+        self._is_even = fabs(n * step - TURN) < _TURN_ERROR * step
         for i in range(n):
-            if fabs(self._rising[i] - self._rising[0] - i * step) > 0.2 * step:
+            if fabs(self._rising[i] - self._rising[0] - i * step) > _UNEVEN * step:
                 self._is_even = False
         self._is_zero, self._is_lost = new_flags(n), new_flags(n)
         if had:
             self._recall(rising, turned)
             return
-        self._ranges, self._seen_at, self._near_at = new_doubles(n), new_doubles(n), new_doubles(n)
+        self._set_empty_memory()
+
+    @cython.cfunc
+    def _set_empty_memory(self) -> cython.int:
+        i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._n
+        self._ranges, self._seen_at = new_doubles(n), new_doubles(n)
+        self._near_at = new_doubles(n)
         for i in range(n):
-            self._ranges[i], self._seen_at[i], self._near_at[i] = NAN, -INFINITY, -INFINITY
+            self._ranges[i] = NAN
+            self._seen_at[i] = self._near_at[i] = -INFINITY
+        return 0
 
     @cython.cfunc
     def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
@@ -268,7 +294,7 @@ class RayMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         at: cython.Py_ssize_t
-        self._ranges, self._seen_at, self._near_at = new_doubles(n), new_doubles(n), new_doubles(n)
+        self._set_empty_memory()
         for i in range(n):
             wanted = mod_turn(self._bearings[i] + turned)
             place = _nearest_angle(rising, had, wanted, place)
@@ -433,7 +459,8 @@ class RayMemory:
                 continue
             if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[i]):
                 is_filled = False
-            last, before, edge = k, angle, out[i]
+            last, before = k, angle
+            edge = out[i]
         if last < first + n - 1:
             after = start + math.copysign(TURN, angle - start)
             if not self._fill(out, last, first + n, before, after, edge, out[first]):
@@ -448,17 +475,18 @@ class RayMemory:
         end: cython.Py_ssize_t,
         before: cython.double,
         after: cython.double,
-        edge: cython.double,
-        other: cython.double,
+        range_last: cython.double,
+        range_end: cython.double,
     ) -> cython.bint:
         """Fill the rays between the known rays `last` and `end` with the smaller of their ranges.
 
-        `edge`, `other`: these ranges in m. `before`, `after`: the angles of the two rays in rad.
+        `range_last`, `range_end`: these ranges in m. `before`, `after`: the angles of the two rays
+        in rad.
         False, and nothing is filled, if the angles differ by more than `max_gap`.
         """
         if not fabs(after - before) <= self._max_gap:
             return False
         k: cython.Py_ssize_t
         for k in range(last + 1, end):
-            out[wrapped_index(k, out.shape[0])] = min(edge, other)
+            out[wrapped_index(k, out.shape[0])] = min(range_last, range_end)
         return True

@@ -87,26 +87,26 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
                 lowest[k], layout.nearest_ray[k] = distance, i
     if not is_seen:
         return np.empty((0, 2))
-    found: cython.Py_ssize_t = 0
+    points: cython.Py_ssize_t = 0
     before: cython.double = lowest[count - 1]
     if count >= 3:
         for k in range(count):
             after = lowest[k + 1] if k + 1 < count else lowest[0]
             if lowest[k] < before and lowest[k] <= after:
-                layout.point[found, 0] = lowest[k]
-                layout.point[found, 1] = layout.wrapped[layout.nearest_ray[k]]
-                found += 1
+                layout.point[points, 0] = lowest[k]
+                layout.point[points, 1] = layout.wrapped[layout.nearest_ray[k]]
+                points += 1
             before = lowest[k]
-    if found == 0:
+    if points == 0:
         distance = INFINITY
         for k in range(count):
             distance = min(distance, lowest[k])
         for k in range(count):
             if lowest[k] == distance and distance < INFINITY:
-                layout.point[found, 0] = distance
-                layout.point[found, 1] = layout.wrapped[layout.nearest_ray[k]]
-                found += 1
-    return layout.points[:found].copy()
+                layout.point[points, 0] = distance
+                layout.point[points, 1] = layout.wrapped[layout.nearest_ray[k]]
+                points += 1
+    return layout.points[:points].copy()
 
 
 @cython.boundscheck(False)
@@ -150,7 +150,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     is_whole: cython.bint = shift == 0
     if is_whole:
         shift = 1
-    found: cython.Py_ssize_t = 0
+    objects: cython.Py_ssize_t = 0
     first: cython.Py_ssize_t = shift
     lowest: cython.double = INFINITY
     for i in range(shift, shift + n):
@@ -159,36 +159,36 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
             lowest = ranges[k]
         if is_last[k] or (is_whole and i == shift + n - 1):
             if lowest < _UNSEEN:
-                _measure(layout, found, first, i, lowest)
-                found += 1
+                _measure(layout, objects, first, i, lowest)
+                objects += 1
             first, lowest = i + 1, INFINITY
-    distances, middles, widths = layout.found[:, :found].copy()
-    counts, is_free = layout.found_counts[:found].copy(), layout.found_free[:found].copy()
+    distances, middles, widths = layout.sizes[:, :objects].copy()
+    counts, is_free = layout.object_counts[:objects].copy(), layout.object_is_free[:objects].copy()
     return distances, middles, widths, counts, is_free
 
 
 @cython.cfunc
 def _measure(
     layout: ScanLayout,
-    found: cython.Py_ssize_t,
+    place: cython.Py_ssize_t,
     first: cython.Py_ssize_t,
     last: cython.Py_ssize_t,
     lowest: cython.double,
 ) -> cython.int:
-    """Keep the object of the rays `first` to `last`, which count on beyond n."""
+    """Keep the object of the rays `first` to `last` at a place; rays count on beyond n."""
     n: cython.Py_ssize_t = layout.n
-    one: cython.Py_ssize_t = first % n
+    begin: cython.Py_ssize_t = first % n
     end: cython.Py_ssize_t = last % n
-    start: cython.double = layout.rising[one] + (TURN if first >= n else 0.0)
+    start: cython.double = layout.rising[begin] + (TURN if first >= n else 0.0)
     stop: cython.double = layout.rising[end] + (TURN if last >= n else 0.0)
-    near: cython.double = layout.work[one]
+    near: cython.double = layout.work[begin]
     far: cython.double = layout.work[end]
     spread: cython.double = stop - start
     chord: cython.double = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
-    layout.ranges[found] = lowest
-    layout.bearings[found] = mod_turn(start + 0.5 * spread + PI) - PI
-    layout.widths[found] = max(chord, spread * lowest) + lowest * min(layout.spacing, PI)
-    layout.counts[found] = last - first + 1
-    layout.is_free[found] = (
-        layout.work[(one + n - 1) % n] > near and layout.work[(end + 1) % n] > far
+    layout.ranges[place] = lowest
+    layout.bearings[place] = mod_turn(start + 0.5 * spread + PI) - PI
+    layout.widths[place] = max(chord, spread * lowest) + lowest * min(layout.spacing, PI)
+    layout.counts[place] = last - first + 1
+    layout.is_free[place] = (
+        layout.work[(begin + n - 1) % n] > near and layout.work[(end + 1) % n] > far
     )

@@ -50,9 +50,10 @@ class ScanLayout:
     work: cython.double[::1]
     is_last: cython.uchar[::1]
     points: object
-    found: object
-    found_counts: object
-    found_free: object
+    # Of the objects in a scan: (3, n) of range, bearing and width, and the views of the rows.
+    sizes: object
+    object_counts: object
+    object_is_free: object
     point: cython.double[:, ::1]
     ranges: cython.double[::1]
     bearings: cython.double[::1]
@@ -70,11 +71,11 @@ class ScanLayout:
         self.rising, self.slopes = new_doubles(n), new_doubles(n)
         self.order, self.sector = new_indices(n), new_indices(n)
         self.is_apart, self.is_last = new_flags(n), new_flags(n)
-        self.found, self.found_counts = np.empty((3, n)), np.empty(n, np.int64)
-        self.found_free = np.empty(n, np.bool_)
-        self.ranges, self.bearings, self.widths = map(memoryview, self.found)
-        self.counts = memoryview(self.found_counts)
-        self.is_free = memoryview(self.found_free.view(np.uint8))
+        self.sizes, self.object_counts = np.empty((3, n)), np.empty(n, np.int64)
+        self.object_is_free = np.empty(n, np.bool_)
+        self.ranges, self.bearings, self.widths = map(memoryview, self.sizes)
+        self.counts = memoryview(self.object_counts)
+        self.is_free = memoryview(self.object_is_free.view(np.uint8))
 
     @cython.cfunc
     def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:
