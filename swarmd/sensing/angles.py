@@ -38,6 +38,14 @@ def mod_turn(angle: cython.double) -> cython.double:
 @cython.cfunc
 @cython.inline
 @cython.exceptval(check=False)
+def wrap(angle: cython.double) -> cython.double:
+    """The angle within [-pi, pi)."""
+    return mod_turn(angle + PI) - PI
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
 def angle_between(first: cython.double, second: cython.double) -> cython.double:
     """The angle between two directions."""
-    return fabs(mod_turn(first - second + PI) - PI)
+    return fabs(wrap(first - second))

@@ -30,48 +30,50 @@ MAX_LEAD = -0.05
 
 _STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans of which the third-latest is the delay
 _MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
-_PERIOD = cython.declare(cython.double, 0.5)  # s of odometry whose lowest lag is kept
-# s after which stamps tell again whether scan and odometry share a clock
+# Odometry whose lowest lags are kept: so many periods of so many s.
+_PERIODS = cython.declare(cython.Py_ssize_t, 4)
+_PERIOD = cython.declare(cython.double, 0.5)
+# s after which stamps tell again whether scan and odometry share a clock.
 _RESTART_TIME = cython.declare(cython.double, 2.5)
-# s between periods: beyond it, three times one way, the clock is no real time
+# s between periods: beyond it from each period to the next, the clock is no real time.
 _MAX_DRIFT = cython.declare(cython.double, 0.005)
-# s by which odometry gets later at once, or earlier: its clock was set then
+# s by which odometry gets later at once, or earlier: its clock was set then.
 _SHIFT = cython.declare(cython.double, 0.1)
 _MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
-# s: what a clock that was set shows at most, so that a status can tell it
+# s: what a clock that was set shows at most, so that a status can tell it.
 _LONGEST_AGE = cython.declare(cython.double, 1000.0)
 _MAX_LEAD = cython.declare(cython.double, MAX_LEAD)
 
 
 @cython.cclass
 class DelayByStamps:
-    """Delays by stamps. `offset`: the least arrival minus stamp of recent odometry; inf: none.
+    """The delay of one sensor's scans by stamps. Times in s."""
 
-    `is_restarting`: stamps jumped a moment ago, and whether scan and odometry share a clock is to
-    be found out. Until then a scan that seems late counts as late.
-    """
-
-    offset: cython.double
+    offset: cython.double  # the least arrival minus stamp of recent odometry; inf: none
+    # Stamps jumped a moment ago, and whether scan and odometry share a clock is not known yet. A
+    # scan that seems late counts as late meanwhile.
     is_restarting: cython.bint
     _spec: object
     _restart_ends: cython.double
     _scans: cython.Py_ssize_t  # that came since the restart
-    _stamp: cython.double
+    _stamp: cython.double  # of the last reading of odometry
     _scan_stamp: cython.double
-    _lowest: cython.double  # lag of this period, and of the two before it
-    _before: cython.double
-    _until: cython.double
+    # Lags of odometry: its arrival minus its stamp.
+    _lowest: cython.double  # of this period
+    _before: cython.double  # of the two periods before it
+    _until: cython.double  # the end of this period
     _drifts: cython.bint
     _minima: cython.double[4]  # of the last periods
     _periods: cython.Py_ssize_t
-    _ages: cython.double[20]  # of the last scans, the oldest at `_oldest`
+    # Ages of the last scans, the oldest at `_oldest`; when the last one arrived.
+    _ages: cython.double[20]
     _count: cython.Py_ssize_t
     _oldest: cython.Py_ssize_t
     _at: cython.double
-    _is_shared: cython.bint
-    _why: object
-    _ages_of_rays: object
-    _lead: cython.double
+    _is_shared: cython.bint  # scan and odometry have one clock
+    _why: object  # stamps tell no delay
+    _ages_of_rays: object  # those of the last scan
+    _lead: cython.double  # of scans with these ages
 
     def __init__(self, spec) -> None:
         self._spec, self._why = spec, "no odometry yet"
@@ -82,7 +84,7 @@ class DelayByStamps:
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays; see `recall`."""
         is_of_ages: cython.bint = 0 <= self._count <= _STAMPS and 0 <= self._oldest < _STAMPS
-        if not (is_of_ages and 0 <= self._periods <= 4):
+        if not (is_of_ages and 0 <= self._periods <= _PERIODS):
             raise ValueError(f"{self._count} ages from {self._oldest}, {self._periods} periods")
 
     @cython.cfunc
@@ -128,12 +130,13 @@ class DelayByStamps:
 
     @cython.cfunc
     def _end_period(self, now: cython.double) -> cython.int:
+        """Keep the lowest lag of a period, and begin the next one."""
         k: cython.Py_ssize_t
         change: cython.double
         if self._lowest < INFINITY:
-            if self._periods == 4:
-                self._periods = 3
-                for k in range(3):
+            if self._periods == _PERIODS:
+                self._periods -= 1
+                for k in range(self._periods):
                     self._minima[k] = self._minima[k + 1]
             self._minima[self._periods] = self._lowest
             self._periods += 1
@@ -151,7 +154,7 @@ class DelayByStamps:
             change = self._minima[k] - self._minima[k - 1]
             rises += change > _MAX_DRIFT
             falls += change < -_MAX_DRIFT
-        self._drifts = rises == 3 or falls == 3
+        self._drifts = rises == _PERIODS - 1 or falls == _PERIODS - 1
         return 0
 
     @cython.cfunc
@@ -172,22 +175,28 @@ class DelayByStamps:
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
             self._forget(wrong_stamps(age, self._lead))
         else:
-            age = min(max(age, 0.0), _LONGEST_AGE)
-            if self._count < _STAMPS:
-                self._ages[(self._oldest + self._count) % _STAMPS] = age
-                self._count += 1
-            else:
-                self._ages[self._oldest] = age
-                self._oldest = (self._oldest + 1) % _STAMPS
+            self._keep(min(max(age, 0.0), _LONGEST_AGE))
             self._at = now
-        if not self._is_shared and (self._count < _MIN_STAMPS or self._periods < 4):
+        if not self._is_shared and (self._count < _MIN_STAMPS or self._periods < _PERIODS):
             return 0.0
         self._is_shared = self._count > 0
         return self._delay()
 
     @cython.cfunc
+    def _keep(self, age: cython.double) -> cython.int:
+        """Keep the age of a scan, in place of the oldest one if the array is full."""
+        if self._count < _STAMPS:
+            self._ages[(self._oldest + self._count) % _STAMPS] = age
+            self._count += 1
+        else:
+            self._ages[self._oldest] = age
+            self._oldest = (self._oldest + 1) % _STAMPS
+        return 0
+
+    @cython.cfunc
     def _delay(self) -> cython.double:
         """The third-latest of the last scans, and at least that of the last one."""
+        # The three greatest ages so far.
         first: cython.double = -INFINITY
         second: cython.double = -INFINITY
         third: cython.double = -INFINITY
@@ -196,7 +205,8 @@ class DelayByStamps:
         for k in range(self._count):
             age = self._ages[(self._oldest + k) % _STAMPS]
             if age > first:
-                third, second, first = second, first, age
+                third = second
+                second, first = first, age
             elif age > second:
                 third, second = second, age
             elif age > third:
@@ -216,7 +226,8 @@ class DelayByStamps:
 
     @cython.cfunc
     def _forget(self, why):
-        self._count, self._is_shared, self._why = 0, False, why
+        self._count, self._is_shared = 0, False
+        self._why = why
 
 
 def delay_by_stamps(
@@ -245,7 +256,7 @@ def lead(scan: Scan, spec: ScanSpec) -> float:
 
 
 def wrong_stamps(age: float, ahead: float) -> str:
-    """Why stamps tell no delay of a scan whose mean ray seems `age` s old; `ahead`: its `lead`."""
+    """Why stamps tell no delay of a scan whose mean ray seems `age` s old, with its `lead`."""
     if MAX_LEAD - ahead <= age < MAX_LEAD:
         return (
             f"scans are stamped {-age:.2g} s or more after their oldest ray, as at their"

@@ -86,7 +86,7 @@ _MIN_SPREAD = cython.declare(cython.double, 0.025)
 # Factor on the spread, as errors of pairs are not independent: 1.7 in simulation.
 _ALIKE = cython.declare(cython.double, 2.0)
 _MIN_DELAY_SPREAD = cython.declare(cython.double, 0.005)  # s
-_DEVIATIONS = cython.declare(cython.double, 9.0)  # the square of three deviations
+_SQUARED_DEVIATIONS = cython.declare(cython.double, 9.0)  # three deviations
 # s of candidates within three deviations: a wider one is no figure.
 _MAX_INTERVAL = cython.declare(cython.double, 0.2)
 _LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
@@ -401,7 +401,7 @@ class DelayByTurns:
         """Set delay and spread by the errors about the best candidate, if few others fit."""
         variance: cython.double = self._error_of[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
-        limit: cython.double = self._error_of[best] + _DEVIATIONS * variance
+        limit: cython.double = self._error_of[best] + _SQUARED_DEVIATIONS * variance
         low: cython.Py_ssize_t = 0
         high: cython.Py_ssize_t = _CANDIDATES - 1
         while self._error_of[low] > limit:

@@ -1,4 +1,4 @@
-"""How much odometry is kept, and how far it is extrapolated."""
+"""The last readings of odometry: how far the sensor has moved between two times."""
 
 from __future__ import annotations
 
@@ -34,6 +34,15 @@ _MAX_COORDINATE = cython.declare(cython.double, MAX_COORDINATE)
 _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
 _AT_REST = cython.declare(cython.double, 5e-4)
+# Columns of a reading.
+_COLUMNS = cython.declare(cython.Py_ssize_t, 7)
+_STAMP = cython.declare(cython.Py_ssize_t, 0)
+_X = cython.declare(cython.Py_ssize_t, 1)
+_Y = cython.declare(cython.Py_ssize_t, 2)
+_YAW = cython.declare(cython.Py_ssize_t, 3)
+_LINEAR = cython.declare(cython.Py_ssize_t, 4)
+_ANGULAR = cython.declare(cython.Py_ssize_t, 5)
+_LATERAL = cython.declare(cython.Py_ssize_t, 6)
 
 
 @cython.cclass
@@ -45,20 +54,19 @@ class OdometryHistory:
 
     latest = cython.declare(cython.double, visibility="readonly")
     _delay: ScanDelay
-    # The last readings: stamp, x, y, yaw, linear, angular, lateral.
-    _readings: cython.double[::1]
-    _last: cython.Py_ssize_t
-    _known: cython.Py_ssize_t
-    _x: cython.double  # the pose that `_find` found
+    _readings: cython.double[::1]  # the last ones, in turn
+    _last: cython.Py_ssize_t  # the number of the last reading among them
+    _known: cython.Py_ssize_t  # how many there are
+    _x: cython.double  # the pose that `_set_pose` sets
     _y: cython.double
     _yaw: cython.double
-    path: cython.double[:, ::1]
-    way: cython.double[::1]
+    path: cython.double[:, ::1]  # see `set_path`
+    way: cython.double[::1]  # see `set_way`
 
     def __init__(self, delay: ScanDelay | None = None) -> None:
         """`delay` gets each reading whose stamp is new."""
         self._delay = delay
-        self.latest, self._readings = NAN, array("d", (7 * _READINGS) * [0.0])
+        self.latest, self._readings = NAN, array("d", (_COLUMNS * _READINGS) * [0.0])
         self.path, self.way = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
@@ -88,92 +96,117 @@ class OdometryHistory:
         if is_new and self._delay is not None:
             self._delay.read(stamp, yaw, angular, pose, now)
         r: cython.double[::1] = self._readings
-        at: cython.Py_ssize_t = 7 * self._last
+        at: cython.Py_ssize_t = self._place(0)
         if self._known:
             if (
                 not is_new
-                and (x == r[at + 1] and y == r[at + 2] and yaw == r[at + 3])
-                and (linear == r[at + 4] and angular == r[at + 5] and lateral == r[at + 6])
+                and (x == r[at + _X] and y == r[at + _Y] and yaw == r[at + _YAW])
+                and (linear == r[at + _LINEAR] and angular == r[at + _ANGULAR])
+                and lateral == r[at + _LATERAL]
             ):
                 return False
-            apart: cython.double = hypot(x - r[at + 1], y - r[at + 2])
-            apart = max(apart, fabs(remainder(yaw - r[at + 3], TURN)))
+            apart: cython.double = hypot(x - r[at + _X], y - r[at + _Y])
+            apart = max(apart, fabs(remainder(yaw - r[at + _YAW], TURN)))
             if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
                 self._known = 0
         self._last = (self._last + 1) % _READINGS
         self._known = min(self._known + 1, _READINGS)
-        at = 7 * self._last
-        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
-        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
-        self.latest = stamp
+        at = self._place(0)
+        r[at + _STAMP] = self.latest = stamp
+        r[at + _X], r[at + _Y] = x, y
+        r[at + _YAW] = yaw
+        r[at + _LINEAR], r[at + _ANGULAR] = linear, angular
+        r[at + _LATERAL] = lateral
         return is_new
+
+    @cython.cfunc
+    def _place(self, before: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """Where the reading begins that is so many before the last one."""
+        return _COLUMNS * ((self._last - before + _READINGS) % _READINGS)
 
     @cython.cfunc
     def covers(self, at: cython.double) -> cython.bint:
         """True if the readings reach back to a time."""
-        first: cython.Py_ssize_t = (self._last + 1 - self._known + _READINGS) % _READINGS
-        return self._known > 0 and at >= self._readings[7 * first] - _MAX_EXTRAPOLATION
+        if self._known == 0:
+            return False
+        return at >= self._readings[self._place(self._known - 1)] - _MAX_EXTRAPOLATION
 
     @cython.cfunc
-    def _find(self, at: cython.double) -> cython.int:
-        """Find the pose at a time, of one reading at least: between two, or extrapolated."""
+    def _set_pose(self, at: cython.double) -> cython.int:
+        """Set the pose at a time, of one reading at least: between two, or extrapolated."""
         r: cython.double[::1] = self._readings
         k: cython.Py_ssize_t
         early: cython.Py_ssize_t
-        late: cython.Py_ssize_t = 7 * self._last
+        late: cython.Py_ssize_t = self._place(0)
         for k in range(self._known):
-            early = 7 * ((self._last - k + _READINGS) % _READINGS)
+            early = self._place(k)
             if r[early] <= at:
                 if k == 0:
                     break
                 share = (at - r[early]) / (r[late] - r[early])
-                self._x = r[early + 1] + share * (r[late + 1] - r[early + 1])
-                self._y = r[early + 2] + share * (r[late + 2] - r[early + 2])
-                self._yaw = r[early + 3] + share * remainder(r[late + 3] - r[early + 3], TURN)
+                turned = remainder(r[late + _YAW] - r[early + _YAW], TURN)
+                self._x = r[early + _X] + share * (r[late + _X] - r[early + _X])
+                self._y = r[early + _Y] + share * (r[late + _Y] - r[early + _Y])
+                self._yaw = r[early + _YAW] + share * turned
                 return 0
             late = early
         # At a constant twist, along the chord of its arc.
-        share = min(at - r[late], _MAX_EXTRAPOLATION)
-        turn: cython.double = r[late + 5] * share
-        c: cython.double = cos(r[late + 3] + 0.5 * turn)
-        s: cython.double = sin(r[late + 3] + 0.5 * turn)
-        ahead: cython.double = r[late + 4] * share
-        left: cython.double = r[late + 6] * share
-        self._x = r[late + 1] + c * ahead - s * left
-        self._y = r[late + 2] + s * ahead + c * left
-        self._yaw = r[late + 3] + turn
+        seconds: cython.double = min(at - r[late], _MAX_EXTRAPOLATION)
+        turn: cython.double = r[late + _ANGULAR] * seconds
+        c: cython.double = cos(r[late + _YAW] + 0.5 * turn)
+        s: cython.double = sin(r[late + _YAW] + 0.5 * turn)
+        ahead: cython.double = r[late + _LINEAR] * seconds
+        left: cython.double = r[late + _LATERAL] * seconds
+        self._x = r[late + _X] + c * ahead - s * left
+        self._y = r[late + _Y] + s * ahead + c * left
+        self._yaw = r[late + _YAW] + turn
         return 0
 
     @cython.cfunc
     def set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
         """Set the path from the pose at a time back to that `seconds` earlier; its rows.
 
-        0 at rest, without readings that reach back that far, and for no time.
+        A row: s before that time, x and y in m and yaw in rad relative to the pose at that time. 0
+        rows at rest, without readings that reach back that far, and for no time.
         """
         if seconds == 0.0 or not self.covers(at - seconds):
             return 0
         r: cython.double[::1] = self._readings
-        p: cython.double[:, ::1] = self.path
         rows: cython.Py_ssize_t = 1
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        self._find(at)
-        p[0, 1], p[0, 2], p[0, 3] = self._x, self._y, self._yaw
+        self._set_pose(at)
+        self._set_row(0, 0.0, self._x, self._y, self._yaw)
         for i in range(self._known):
-            k = 7 * ((self._last - i + _READINGS) % _READINGS)
+            k = self._place(i)
             if at - r[k] >= seconds - _MIN_STEP:
                 break
             if at - r[k] > _MIN_STEP:
-                p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = (
-                    at - r[k],
-                    r[k + 1],
-                    r[k + 2],
-                    r[k + 3],
-                )
+                self._set_row(rows, at - r[k], r[k + _X], r[k + _Y], r[k + _YAW])
                 rows += 1
-        self._find(at - seconds)
-        p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = seconds, self._x, self._y, self._yaw
+        self._set_pose(at - seconds)
+        self._set_row(rows, seconds, self._x, self._y, self._yaw)
         rows += 1
+        return rows if self._makes_relative(rows) else 0
+
+    @cython.cfunc
+    def _set_row(
+        self,
+        row: cython.Py_ssize_t,
+        before: cython.double,
+        x: cython.double,
+        y: cython.double,
+        yaw: cython.double,
+    ) -> cython.int:
+        p: cython.double[:, ::1] = self.path
+        p[row, 0], p[row, 1] = before, x
+        p[row, 2], p[row, 3] = y, yaw
+        return 0
+
+    @cython.cfunc
+    def _makes_relative(self, rows: cython.Py_ssize_t) -> cython.bint:
+        """Make the poses of the path relative to the first one; false if all are at rest."""
+        p: cython.double[:, ::1] = self.path
         x: cython.double = p[0, 1]
         y: cython.double = p[0, 2]
         yaw: cython.double = p[0, 3]
@@ -181,23 +214,24 @@ class OdometryHistory:
         s: cython.double = sin(yaw)
         turned: cython.double = 0.0
         moves: cython.bint = False
-        p[0, 0] = 0.0
+        i: cython.Py_ssize_t
         for i in range(rows):
             dx, dy = p[i, 1] - x, p[i, 2] - y
             turned += remainder(p[i, 3] - yaw - turned, TURN)
-            p[i, 1], p[i, 2], p[i, 3] = c * dx + s * dy, c * dy - s * dx, turned
+            p[i, 1], p[i, 2] = c * dx + s * dy, c * dy - s * dx
+            p[i, 3] = turned
             if max(fabs(p[i, 1]), fabs(p[i, 2]), fabs(turned)) > _AT_REST:
                 moves = True
-        return rows if moves else 0
+        return moves
 
     @cython.cfunc
     def set_way(self, at: cython.double, end: cython.double) -> cython.int:
-        """Set the way to the pose at a time from that at its `end`."""
-        self._find(end)
+        """Set x, y and yaw of the pose at a time, relative to that at an `end`."""
+        self._set_pose(end)
         x: cython.double = self._x
         y: cython.double = self._y
         yaw: cython.double = self._yaw
-        self._find(at)
+        self._set_pose(at)
         dx: cython.double = self._x - x
         dy: cython.double = self._y - y
         c: cython.double = cos(yaw)

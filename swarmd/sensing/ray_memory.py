@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, angle_between, mod_turn
+from swarmd.sensing.angles import PI, TURN, angle_between, mod_turn, wrap
 from swarmd.sensing.buffers import new_doubles, new_flags, view_of, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -28,15 +28,13 @@ PACKET_RAYS = 6  # rays that an LDS loses together
 _SMALL_ANGLE = cython.declare(cython.double, 1e-9)  # rad, of rounding
 _UNEVEN = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
 _TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which they may miss a full turn
-_GUESSED_FROM = cython.declare(cython.Py_ssize_t, 3)  # places behind the last one, searched first
+_GUESSED_FROM = cython.declare(cython.Py_ssize_t, 3)  # places from the hint on that are tried first
 # Far returns that do not vanish from one scan to the next: so many, and this share of the rays.
 # Fewer may vanish: those of a ring of few sensors.
 _BLIND_RETURNS = cython.declare(cython.double, 8.0)
 _BLIND_SHARE = cython.declare(cython.double, 0.1)
-# Share of range_max below which a return is a far one and no noise at the limit.
+# Share of range_max up to which returns count as far ones: those beyond may vanish.
 _FAR_SHARE = cython.declare(cython.double, 0.8)
-# Of scans: the least share of known rays is a half.
-_UNKNOWN_PARTS = cython.declare(cython.Py_ssize_t, 2)
 # m above range_min: an LDS ray this near may turn into a zero.
 _NEAR_MARGIN = cython.declare(cython.double, 0.10)
 # s for which a near ray explains zeros.
@@ -153,7 +151,7 @@ class RayMemory:
         if self._interpret(out):
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
-        if _UNKNOWN_PARTS * unknown > n:
+        if 2 * unknown > n:  # fewer than half of the rays are known
             return False
         self.known_at = now
         if unknown == 0:
@@ -234,7 +232,7 @@ class RayMemory:
     @cython.cfunc
     def _turn_of(self, yaw: cython.double) -> cython.double:
         """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
-        turned: cython.double = mod_turn(yaw - self._yaw + PI) - PI
+        turned: cython.double = wrap(yaw - self._yaw)
         if not isfinite(turned):
             self._yaw = yaw
             return 0.0
@@ -450,7 +448,7 @@ class RayMemory:
             i = wrapped_index(k, n)
             step = self._bearings[i] - self._bearings[wrapped_index(k - 1, n)]
             if fabs(step) >= PI:
-                wrapped_step = mod_turn(step + PI) - PI
+                wrapped_step = wrap(step)
                 if wrapped_step == -PI and step > 0.0:
                     wrapped_step = PI
                 shift += wrapped_step - step

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmd.sensing.angles import PI, mod_turn
+from swarmd.sensing.angles import PI, mod_turn, wrap
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -14,6 +14,13 @@ if cython.compiled:
     from cython.cimports.libc.math import INFINITY, NAN, asin, atan2, cos, fabs, isfinite, sin, sqrt
 else:
     from swarmd.core.cython_shadow import INFINITY, NAN, asin, atan2, cos, fabs, isfinite, sin, sqrt
+
+
+# The tangent of an angle up to which its series is exact to 3e-15, and faster than atan2.
+_SMALL_TANGENT = cython.declare(cython.double, 0.03)
+# Share of range_min up to which the motion of the sensor bounds the change of all directions.
+_LEAST_SHARE = cython.declare(cython.double, 0.9)
+_ROUNDING = cython.declare(cython.double, 1e-9)  # rad
 
 
 @cython.cfunc
@@ -34,13 +41,13 @@ def _moved_bearing(
     bearing: cython.double, turn: cython.double, along: cython.double, across: cython.double
 ) -> cython.double:
     """The bearing of that return from a sensor that was turned."""
-    if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
+    if fabs(across) < _SMALL_TANGENT * along:
         tangent = across / along
         square = tangent * tangent
         turn += tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
     else:
         turn += atan2(across, along)
-    return mod_turn(bearing + turn + PI) - PI
+    return wrap(bearing + turn)
 
 
 @cython.ccall
@@ -96,16 +103,18 @@ def move_rays(
                 while k > 1 and age < path[k - 1, 0]:
                     k -= 1
                 begin, end = path[k - 1, 0], path[k, 0]
-                x_begin, y_begin, turn_begin = path[k - 1, 1], path[k - 1, 2], path[k - 1, 3]
+                x_begin, y_begin = path[k - 1, 1], path[k - 1, 2]
+                turn_begin = path[k - 1, 3]
                 x_way, y_way = path[k, 1] - x_begin, path[k, 2] - y_begin
                 turn_way = path[k, 3] - turn_begin
             share = min(max((age - begin) / (end - begin), 0.0), 1.0)
             turn = turn_begin + share * turn_way
         if not isfinite(distance):
-            distances[i], angles[i] = distance, mod_turn(bearings[i] + turn + PI) - PI
+            distances[i], angles[i] = distance, wrap(bearings[i] + turn)
             continue
         if not has_place:
-            has_place, c, s = True, cos(turn), sin(turn)
+            has_place = True
+            c, s = cos(turn), sin(turn)
             x, y = x_begin + share * x_way, y_begin + share * y_way
             x += (c - 1.0) * limits[0] - s * limits[1]
             y += s * limits[0] + (c - 1.0) * limits[1]
@@ -147,11 +156,11 @@ def rays_in_sector(
     s: cython.double = sin(turn)
     x += (c - 1.0) * limits[0] - s * limits[1]
     y += s * limits[0] + (c - 1.0) * limits[1]
-    # Nothing changes its direction by more than this; farther rays need no look.
+    # Nothing changes its direction by more than this: rays farther from the sector are skipped.
     most: cython.double = PI
     away: cython.double = sqrt(x * x + y * y)
-    if away < 0.9 * limits[2]:
-        most = asin(away / limits[2]) + 1e-9
+    if away < _LEAST_SHARE * limits[2]:
+        most = asin(away / limits[2]) + _ROUNDING
     n: cython.Py_ssize_t = ranges.shape[0]
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
@@ -165,7 +174,7 @@ def rays_in_sector(
             distances[count] = _moved_range(along, across, limits[2], limits[3])
             angles[count] = _moved_bearing(bearings[i], turn, along, across)
         else:
-            distances[count], angles[count] = ranges[i], mod_turn(bearings[i] + turn + PI) - PI
+            distances[count], angles[count] = ranges[i], wrap(bearings[i] + turn)
         if mod_turn(before) < width or mod_turn(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
             count += 1

@@ -1,6 +1,7 @@
 """How late scans arrive: measured by the stamps of one clock, and by turns.
 
-The delay of a scan is the mean age of its rays when it arrives.
+The delay of a scan is the mean age of its rays when it arrives. `delay_by_stamps.py` and
+`delay_by_turns.py` have the two methods.
 """
 
 from __future__ import annotations
@@ -27,34 +28,30 @@ else:
 TOLERANCE = 0.01
 """Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
 
-_CLEARS = cython.declare(
-    cython.double, 0.8
-)  # share of the bound below which a late scan is in time
+# Share of the bound below which a late scan is in time.
+_CLEARS = cython.declare(cython.double, 0.8)
 # Spreads by which turns must exceed declaration and stamps.
 _CERTAIN = cython.declare(cython.double, 2.5)
-_EXPIRES = cython.declare(
-    cython.double, 60.0
-)  # s after which turns no longer say that scans are late
+# s after which turns no longer say that scans are late.
+_EXPIRES = cython.declare(cython.double, 60.0)
 _TOLERANCE = cython.declare(cython.double, TOLERANCE)
 
 
 @cython.cclass
 class ScanDelay:
-    """Measures the delay of one sensor's scans, see `scan_delay.py`. Times in s of the robot.
+    """Measures the delay of one sensor's scans. Times in s of the robot."""
 
-    `added` is what protection counts beyond the declared latency: an upper estimate, at least the
-    age of the last scan by its stamp; 0 within TOLERANCE of the declared one. `is_late`: it exceeds
-    the platform's `max_scan_delay`, until it falls below 0.8 of that. `restarts` counts how often
-    stamps jumped, so that the clock of odometry or scan was set: stamps then count anew, and what
-    was added before is not taken back until they tell the delay again. `is_clock_set`: scans that
-    are late now were in time when stamps jumped last. `sweep`: None if the platform tells how the
-    sensor measures its rays.
-    """
-
+    # What protection counts beyond the declared latency: an upper estimate, at least the age of the
+    # last scan by its stamp; 0 within TOLERANCE of the declared one.
     added = cython.declare(cython.double, visibility="readonly")
+    # `added` exceeds the platform's `max_scan_delay`, until it falls below 0.8 of that.
     is_late = cython.declare(cython.bint, visibility="readonly")
+    # How often stamps jumped, so that the clock of odometry or scan was set. Stamps then count
+    # anew. What was added before is not taken back until they tell the delay again.
     restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    # Scans that are late now were in time when stamps jumped last.
     is_clock_set = cython.declare(cython.bint, visibility="readonly")
+    # None if the platform tells how the sensor measures its rays.
     sweep = cython.declare(object, visibility="readonly")
     _latency: cython.double
     _bound: cython.double

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, mod_turn
+from swarmd.sensing.angles import PI, TURN, wrap
 from swarmd.sensing.scan_layout import ScanLayout, layout_of
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -39,7 +39,7 @@ def nearest(scan, bearing: cython.double, half_width: cython.double):
         if distance < least:
             distance = least
         if distance < lowest:
-            if is_sector and fabs(mod_turn(layout.wrapped[i] - bearing + PI) - PI) > half_width:
+            if is_sector and fabs(wrap(layout.wrapped[i] - bearing)) > half_width:
                 continue
             lowest, index = distance, i
     return None if index < 0 else (lowest, layout.wrapped[index])
@@ -87,26 +87,51 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
                 lowest[k], layout.nearest_ray[k] = distance, i
     if not is_seen:
         return np.empty((0, 2))
-    points: cython.Py_ssize_t = 0
-    before: cython.double = lowest[count - 1]
-    if count >= 3:
-        for k in range(count):
-            after = lowest[k + 1] if k + 1 < count else lowest[0]
-            if lowest[k] < before and lowest[k] <= after:
-                layout.point[points, 0] = lowest[k]
-                layout.point[points, 1] = layout.wrapped[layout.nearest_ray[k]]
-                points += 1
-            before = lowest[k]
+    points: cython.Py_ssize_t = _keep_local_minima(layout, count) if count >= 3 else 0
     if points == 0:
-        distance = INFINITY
-        for k in range(count):
-            distance = min(distance, lowest[k])
-        for k in range(count):
-            if lowest[k] == distance and distance < INFINITY:
-                layout.point[points, 0] = distance
-                layout.point[points, 1] = layout.wrapped[layout.nearest_ray[k]]
-                points += 1
+        points = _keep_least(layout, count)
     return layout.points[:points].copy()
+
+
+@cython.cfunc
+def _keep_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Keep a point for each sector that is nearer than those beside it; their number."""
+    lowest: cython.double[::1] = layout.lowest
+    before: cython.double = lowest[count - 1]
+    points: cython.Py_ssize_t = 0
+    k: cython.Py_ssize_t
+    for k in range(count):
+        after = lowest[k + 1] if k + 1 < count else lowest[0]
+        if lowest[k] < before and lowest[k] <= after:
+            _keep_point(layout, points, k)
+            points += 1
+        before = lowest[k]
+    return points
+
+
+@cython.cfunc
+def _keep_least(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Keep a point for each sector that is as near as the nearest one; their number."""
+    lowest: cython.double[::1] = layout.lowest
+    least: cython.double = INFINITY
+    points: cython.Py_ssize_t = 0
+    k: cython.Py_ssize_t
+    for k in range(count):
+        least = min(least, lowest[k])
+    for k in range(count):
+        if lowest[k] == least and least < INFINITY:
+            _keep_point(layout, points, k)
+            points += 1
+    return points
+
+
+@cython.cfunc
+def _keep_point(
+    layout: ScanLayout, place: cython.Py_ssize_t, sector: cython.Py_ssize_t
+) -> cython.int:
+    layout.point[place, 0] = layout.lowest[sector]
+    layout.point[place, 1] = layout.wrapped[layout.nearest_ray[sector]]
+    return 0
 
 
 @cython.boundscheck(False)
@@ -186,7 +211,7 @@ def _measure(
     spread: cython.double = stop - start
     chord: cython.double = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
     layout.ranges[place] = lowest
-    layout.bearings[place] = mod_turn(start + 0.5 * spread + PI) - PI
+    layout.bearings[place] = wrap(start + 0.5 * spread)
     layout.widths[place] = max(chord, spread * lowest) + lowest * min(layout.spacing, PI)
     layout.counts[place] = last - first + 1
     layout.is_free[place] = (

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.sensing.angles import PI, TURN, mod_turn
+from swarmd.sensing.angles import PI, TURN, wrap
 from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, wrapped_index
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -20,6 +20,8 @@ else:
     from swarmd.core.cython_shadow import INFINITY, NAN, isfinite, isnan, rint, tan
 
 _MAX_LAYOUTS = cython.declare(cython.int, 8)  # that are kept
+_MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object
+_MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)  # after which bearings count as unsorted
 
 
 @cython.auto_pickle(False)
@@ -31,42 +33,45 @@ class ScanLayout:
     """
 
     n: cython.Py_ssize_t
-    capacity: cython.Py_ssize_t
-    given: cython.double[::1]
-    angles: object
-    wrapped: cython.double[::1]
-    order: cython.longlong[::1]
+    capacity: cython.Py_ssize_t  # of the buffers
+    given: cython.double[::1]  # bearings
+    angles: object  # the array of `wrapped`
+    wrapped: cython.double[::1]  # bearings within [-pi, pi)
+    scan: object  # the last one of these bearings, if nothing can change it
+    known: cython.const[cython.double][::1]  # ranges of that scan
+    # By rising bearing, see `set_grazing`.
     is_ordered: cython.bint
+    order: cython.longlong[::1]
     rising: cython.double[::1]
-    steps: cython.double[::1]
-    spacing: cython.double
+    steps: cython.double[::1]  # to the next ray
+    spacing: cython.double  # the median step
     grazing: cython.double
     slopes: cython.double[::1]
     is_apart: cython.uchar[::1]
+    # Of `count` equal sectors.
     count: cython.Py_ssize_t
-    sector: cython.longlong[::1]
-    lowest: cython.double[::1]
+    sector: cython.longlong[::1]  # of each ray
+    lowest: cython.double[::1]  # range in each sector
     nearest_ray: cython.Py_ssize_t[::1]
-    work: cython.double[::1]
-    is_last: cython.uchar[::1]
-    points: object
-    # Of the objects in a scan: (3, n) of range, bearing and width, and the views of the rows.
-    sizes: object
-    object_counts: object
-    object_is_free: object
-    point: cython.double[:, ::1]
+    points: object  # (count, 2) closest points: range and bearing
+    point: cython.double[:, ::1]  # the view of `points`
+    # Of the objects in a scan.
+    work: cython.double[::1]  # ranges by rising bearing
+    is_last: cython.uchar[::1]  # rays at whose end an object ends
+    sizes: object  # (3, n): the arrays of ranges, bearings and widths
     ranges: cython.double[::1]
     bearings: cython.double[::1]
     widths: cython.double[::1]
+    object_counts: object  # the array of `counts`
     counts: cython.longlong[::1]
+    object_is_free: object  # the array of `is_free`
     is_free: cython.uchar[::1]
-    scan: object  # the last one of these bearings, if nothing can change it, and its known ranges
-    known: cython.const[cython.double][::1]
 
     def __init__(self, n):
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.steps, self.given = np.empty(n), new_doubles(n), new_doubles(n)
+        self.angles, self.given = np.empty(n), new_doubles(n)
+        self.steps = new_doubles(n)
         self.wrapped, self.work = memoryview(self.angles), new_doubles(n)
         self.rising, self.slopes = new_doubles(n), new_doubles(n)
         self.order, self.sector = new_indices(n), new_indices(n)
@@ -96,8 +101,9 @@ class ScanLayout:
             if not isfinite(bearings[i]):
                 raise ValueError(f"bearing {i} of a scan is {bearings[i]}; expected a finite angle")
             self.given[i] = bearings[i]
-            self.wrapped[i] = mod_turn(bearings[i] + PI) - PI
-        self.is_ordered, self.grazing, self.count = False, NAN, -1
+            self.wrapped[i] = wrap(bearings[i])
+        self.is_ordered, self.grazing = False, NAN
+        self.count = -1
         return 0
 
     @cython.cfunc
@@ -124,7 +130,7 @@ class ScanLayout:
             self.is_ordered = True
         if grazing != self.grazing:
             slope: cython.double = tan(grazing)
-            least: cython.double = min(3.5 * self.spacing, 0.5 * PI)
+            least: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
             for i in range(n):
                 self.slopes[i] = self.steps[i] / slope if slope else INFINITY
                 self.is_apart[i] = self.steps[i] >= least
@@ -147,7 +153,7 @@ class ScanLayout:
         step: cython.Py_ssize_t = 1
         if self.wrapped[(ray + n - 1) % n] < self.wrapped[(ray + 1) % n]:
             step = n - 1  # they fall
-        moves: cython.Py_ssize_t = 16 * n
+        moves: cython.Py_ssize_t = _MOVES_A_RAY * n
         for i in range(n):
             angle, k = self.wrapped[ray], i
             while k > 0 and (
