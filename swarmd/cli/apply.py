@@ -17,7 +17,7 @@ from swarmd.cli.send import known_members, show
 from swarmd.client.goals import resume_on
 from swarmd.client.runs import send_goal
 from swarmd.core.verbs import LabelRequest, ParamRequest
-from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
+from swarmd.network.operator.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.operator.outcome import Outcome, joined
 from swarmd.network.spread.operator_goals import next_goal, signed_goals
 

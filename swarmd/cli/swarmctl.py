@@ -26,7 +26,7 @@ from swarmd.core.errors import (
     SwarmError,
 )
 from swarmd.core.files import as_text
-from swarmd.network.exit_codes import EXIT_CODES_HELP
+from swarmd.network.operator.exit_codes import EXIT_CODES_HELP
 
 LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
 OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"

@@ -1,13 +1,14 @@
-"""The exit codes of swarmctl, and the text that explains the codes in `swarmctl --help`.
-
-`Outcome.exit_code` derives the code of a request from the replies.
-"""
+"""The exit codes of swarmctl, the rules that decide the code of a command, and their help text."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 from swarmd.core.messages import Refusal
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.outcome import Outcome
 
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
 EXIT_CODES_HELP = """\b
@@ -21,6 +22,22 @@ Exit codes:
   6  no daemon could be reached
   7  all robots refused
   130  interrupted"""
+
+
+def code_of_outcome(outcome: Outcome) -> int:
+    """The code of a request, from the replies of the targeted robots."""
+    if not outcome.targeted:
+        return NO_TARGET
+    if outcome.mistake:
+        return USAGE
+    is_whole = not outcome.unlisted and not outcome.unlabelled
+    if len(outcome.applied) == outcome.targeted and is_whole:
+        return APPLIED
+    if outcome.applied:
+        return PARTIAL
+    if outcome.failed:
+        return FAILED
+    return TIMEOUT if outcome.missing else REFUSED
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:
