@@ -104,7 +104,7 @@ class Swarm:
         timeout: float | None = None,
     ) -> tuple[Difference, ...]:
         """What each robot is to do beside what it does; `is_as_desired` tells whether it does."""
-        from swarmd.network.spread.operator_goals import signed_goals
+        from swarmd.network.operator.operator_goals import signed_goals
         from swarmd.texts.goal import differences
 
         targets = _targets(robots, labels, exclude)
