@@ -302,17 +302,24 @@ def test_kernels_are_loaded_and_not_imported() -> None:
     assert found == []
 
 
+def library_of(path: Path) -> tuple[str, ...]:
+    """The kernels of the library that a file is compiled into; they import each other."""
+    rows = kernels.LIBRARIES.values()
+    return next((row for row in rows if name_of(path) in map(kernels.source_of, row)), ())
+
+
 def kernels_by_line(path: Path) -> dict[int, list[str]]:
     """The lines that import a kernel, or a part of one that has two forms, and its name."""
     by_line: dict[int, list[str]] = {}
     for line, name in imports(path):
         by_line.setdefault(line, []).append(name)
     found = {}
+    wanted = {*kernels.KERNELS} - {*library_of(path)}
     for line, names in by_line.items():
         parts = [name.rpartition(".") for name in names]
-        parts = [part for part in parts if part[0] in kernels.KERNELS]
+        parts = [part for part in parts if part[0] in wanted]
         forms = ["".join(p) for p in parts if not p[2].isupper() and p[2] not in ALIKE]
-        found[line] = forms if parts else [name for name in names if name in kernels.KERNELS]
+        found[line] = forms if parts else [name for name in names if name in wanted]
     return {line: names for line, names in found.items() if names}
 
 

@@ -13,12 +13,12 @@ from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
 from swarmd.protection.decision import Decision, WayState
 from swarmd.protection.protection import Protection
-from swarmd.robot.pattern_run import Loading
+from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import DutyCycle
+    from swarmd.robot.ticker import DutyCycle
 
 MAX_REPORTED = 20
 MAX_ROWS = 4

@@ -76,7 +76,7 @@ def test_status_reports_no_constraint_that_does_not_bind(harness: RobotHarness) 
 def test_status_reports_the_lateral_speed() -> None:
     requested, safe = Twist(0.0, 0.0, 0.25), Twist(0.0, 0.0, 0.125)
     decision = Decision("barrier", requested, safe, None, True, (), None, None, 1)
-    shown = make_summary(decision, load_kernel("swarmd.robot.tick").DutyCycle())
+    shown = make_summary(decision, load_kernel("swarmd.robot.ticker").DutyCycle())
     assert (shown.requested_lateral, shown.safe_lateral) == (0.25, 0.125)
 
 
