@@ -41,9 +41,9 @@ from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
-from swarmd.daemon.network import Network
+from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.recorder import RecordingService
-from swarmd.daemon.requests import RequestServer
+from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.store import CodeFiles, LatchFile
@@ -170,11 +170,13 @@ class Daemon:
         )
         self._network = Network(
             settings.network,
-            settings.id,
-            self._instance,
-            settings.roster,
-            version=version("swarmd"),
-            body=body_of(settings.platform),
+            NetworkRobot(
+                name=settings.id,
+                instance=self._instance,
+                roster=settings.roster,
+                version=version("swarmd"),
+                body=body_of(settings.platform),
+            ),
             drops=self._drops,
             identity=settings.identity,
             stop_counters=self._latches.path.with_name("stops"),
@@ -197,7 +199,13 @@ class Daemon:
             settings.id,
             self._on_request,
             self._audit,
-            *(self._recording, self._rosters, self._behaviours, code_pull, self._tools),
+            Services(
+                recording=self._recording,
+                rosters=self._rosters,
+                pushes=self._behaviours,
+                pushed=code_pull,
+                tools=self._tools,
+            ),
             drops=self._drops,
             is_secured=settings.identity is not None,
         )
