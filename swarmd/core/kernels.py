@@ -42,7 +42,12 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
     "swarmd.protection._openings": ("swarmd.protection.openings",),
     "swarmd.protection._tracks": ("swarmd.protection.tracks",),
     "swarmd.protection._velocity_obstacles": ("swarmd.protection.velocity_obstacles",),
-    "swarmd.robot._tick": ("swarmd.robot.tick",),
+    "swarmd.robot._ticker": (
+        "swarmd.robot.effects",
+        "swarmd.robot.pattern_run",
+        "swarmd.robot.input_ages",
+        "swarmd.robot.ticker",
+    ),
     "swarmd.sensing._scans": (
         "swarmd.sensing.angles",
         "swarmd.sensing.buffers",

@@ -375,7 +375,7 @@ OPTION_INPUTS = ("detections",)
 """Inputs of patterns that a driver gives if it has an option of that name.
 
 Each is the kind of an input of core/events.py, a field of `Inputs`, and an attribute of
-`InputTimes` (robot/tick.py), None without a fresh value.
+`InputAges` (robot/input_ages.py), None without a fresh value.
 """
 _INPUTS = (
     "scan",

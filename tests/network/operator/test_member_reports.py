@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from swarmd.core.messages import Presence
 from swarmd.network.datagram import MemberReport
 from swarmd.network.operator.member_reports import reported_address
-from tests.network.discovery_rig import ALIVE, FAILED, LEFT, Rig, heard
+from tests.network.operator.discovery_rig import ALIVE, FAILED, LEFT, Rig, heard
 
 
 @pytest.fixture

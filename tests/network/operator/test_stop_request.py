@@ -9,9 +9,9 @@ import pytest
 
 from swarmd.core.messages import Code, Presence, Refusal
 from swarmd.network.datagram import Ack, Flag, Stop, pack, tag_of
-from swarmd.network.exit_codes import PARTIAL, TIMEOUT
-from swarmd.network.stops.stop_request import STOP_CAP, STOP_WAIT, PendingStop
-from tests.network.discovery_rig import Rig, heard, life
+from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
+from swarmd.network.operator.stop_request import STOP_CAP, STOP_WAIT, PendingStop
+from tests.network.operator.discovery_rig import Rig, heard, life
 
 REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")
 

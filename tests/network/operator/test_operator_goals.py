@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import MAX_UNSIGNED, GoalState, GoalStatus, signed_part
 from swarmd.network.operator.members_view import MembersView
-from swarmd.network.spread.operator_goals import MAX_GENERATION, next_goal, resigned, signed_goals
+from swarmd.network.operator.operator_goals import MAX_GENERATION, next_goal, resigned, signed_goals
 from swarmd.security.authority import Authority
 from swarmd.security.content_signature import Purpose, is_signed_by
 from swarmd.security.identity import load_identity

@@ -6,7 +6,7 @@ import pytest
 
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
-from swarmd.network.exit_codes import FAILED, NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
+from swarmd.network.operator.exit_codes import FAILED, NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
 from swarmd.network.operator.outcome import Acks
 
 

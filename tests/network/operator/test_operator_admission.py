@@ -20,11 +20,11 @@ from swarmd.network.datagram import (
     pack,
     tag_of,
 )
+from swarmd.network.operator import roster_update
 from swarmd.network.operator.operator_admission import OperatorAdmission
+from swarmd.network.operator.roster_follower import RosterFollower
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author, Previous, Trust
-from swarmd.network.spread import roster_update
-from swarmd.network.spread.roster_follower import RosterFollower
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from tests.network.keyring import Keyring

@@ -11,8 +11,8 @@ from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.operator_datagrams import OperatorDatagrams
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
-from swarmd.network.spread.roster_follower import RosterFollower
-from swarmd.network.stops.stop_request import STOP_WAIT, PendingStop
+from swarmd.network.operator.roster_follower import RosterFollower
+from swarmd.network.operator.stop_request import STOP_WAIT, PendingStop
 
 STOP_PACE = ((1.0, 0.1), (float("inf"), 0.25))  # steps of a RepeatTimer
 PROGRESS_PERIOD = 3.0

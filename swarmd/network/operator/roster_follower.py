@@ -96,7 +96,7 @@ class RosterFollower:
         identity, settings = self._operator.identity, self._operator.settings
         if not (shown or missing) or identity is None or not self._is_on:
             return
-        from swarmd.network.spread.roster_update import pulled_keys, pulled_roster
+        from swarmd.network.operator.roster_update import pulled_keys, pulled_roster
 
         if shown is not None:
             taken, text = pulled_roster(settings, identity, *shown)

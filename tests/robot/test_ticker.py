@@ -20,7 +20,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Outputs, Pose, Twist
 from swarmd.core.verbs import RunRequest
 from swarmd.robot.actions import Actions
-from swarmd.robot.pattern_run import Loading, Wish
+from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.settings.platforms import load_platform
@@ -29,11 +29,11 @@ from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.robot_harness import acted
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import PatternRun
+    from swarmd.robot.pattern_run import PatternRun
 
 PLATFORM = load_platform("waffle_pi")
 AXES = ("linear", "angular", "lateral")
-FORMS = both_forms("swarmd.robot.tick")
+FORMS = both_forms("swarmd.robot.ticker")
 
 
 def said(run: PatternRun, now: float) -> tuple[object, ...]:
@@ -77,7 +77,7 @@ def test_a_run_is_the_same_compiled_and_interpreted() -> None:
 @compares_forms
 def test_attributes_begin_as_the_same_values_compiled_and_interpreted() -> None:
     """A host reads a bool of the wire where it expects one, and no number."""
-    for name in ("PatternRun", "InputTimes", "DutyCycle"):
+    for name in ("PatternRun", "InputAges", "DutyCycle"):
         one, other = (getattr(kernel, name)() for kernel in FORMS)
         words = [word for word in dir(one) if not word.startswith("__")]
         words = [word for word in words if not callable(getattr(other, word, print))]
@@ -87,7 +87,7 @@ def test_attributes_begin_as_the_same_values_compiled_and_interpreted() -> None:
 
 @compares_forms
 def test_the_holds_of_inputs_are_the_same_compiled_and_interpreted() -> None:
-    times, found = [kernel.InputTimes() for kernel in FORMS], set[Reason | None]()
+    times, found = [kernel.InputAges() for kernel in FORMS], set[Reason | None]()
     chance = Random(1)
     for _ in range(4000):
         values: dict[str, Any] = {

@@ -11,11 +11,11 @@ import pytest
 
 from swarmd.core.messages import Code, Presence
 from swarmd.network.datagram import Address, Stop, tag_of, unpack
-from swarmd.network.exit_codes import PARTIAL
 from swarmd.network.operator import operator as operator_module
+from swarmd.network.operator import stop_sender
+from swarmd.network.operator.exit_codes import PARTIAL
 from swarmd.network.operator.operator import Operator, StopVerb
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.stops import stop_sender
 from tests.network.conftest import Robots
 
 

@@ -1,15 +1,32 @@
-"""The exit codes of swarmctl; `swarmctl --help` explains them.
-
-`Outcome.exit_code` derives the code of a request from the replies.
-"""
+"""The exit codes of swarmctl, and the rules that decide the code of a command."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 from swarmd.core.messages import Refusal
 
+if TYPE_CHECKING:
+    from swarmd.network.operator.outcome import Outcome
+
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
+
+
+def code_of_outcome(outcome: Outcome) -> int:
+    """The code of a request, from the replies of the targeted robots."""
+    if not outcome.targeted:
+        return NO_TARGET
+    if outcome.mistake:
+        return USAGE
+    is_whole = not outcome.unlisted and not outcome.unlabelled
+    if len(outcome.applied) == outcome.targeted and is_whole:
+        return APPLIED
+    if outcome.applied:
+        return PARTIAL
+    if outcome.failed:
+        return FAILED
+    return TIMEOUT if outcome.missing else REFUSED
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.network.operator.round_trips import QUIET_TIME
-from tests.network.discovery_rig import Rig, life
+from tests.network.operator.discovery_rig import Rig, life
 
 
 @pytest.fixture

@@ -20,7 +20,16 @@ from swarmd.network.operator.discovery import (
 )
 from swarmd.network.operator.round_trips import QUIET_TIME
 from swarmd.network.operator.seen_member import INDIRECT_TIME
-from tests.network.discovery_rig import ALIVE, FAILED, Rig, address, beacon, heard, life, word
+from tests.network.operator.discovery_rig import (
+    ALIVE,
+    FAILED,
+    Rig,
+    address,
+    beacon,
+    heard,
+    life,
+    word,
+)
 
 
 @pytest.fixture

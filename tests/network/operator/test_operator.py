@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.verbs import RunRequest
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots

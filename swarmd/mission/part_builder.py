@@ -1,4 +1,4 @@
-"""Builds the parts of a mission, and tries every value that its maps can give them."""
+"""Builds the parts of a mission and its setters, and tries every value that a setter can set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from swarmd.kit.combined import outer_name
 from swarmd.kit.conditions import simple_conditions
 from swarmd.kit.params import build, schema
 from swarmd.kit.voting_pattern import OPINION, VotingPattern
-from swarmd.mission.schema import Document, Map, Reference, conditions, report_of, split
+from swarmd.mission.document import Document
+from swarmd.mission.schema import Map, Reference, conditions, report_of, split
 from swarmd.settings.layered import Fault, Keys, fault_at
 
 Parts = Mapping[str, Pattern[Any]]

@@ -8,7 +8,7 @@ from swarmd.core import codec
 from swarmd.core.messages import Epoch, StatusHeader
 from swarmd.network.datagram import Flag
 from swarmd.network.operator.members_view import Contact
-from tests.network.discovery_rig import ALIVE, FAILED, LEFT, Rig, heard, life
+from tests.network.operator.discovery_rig import ALIVE, FAILED, LEFT, Rig, heard, life
 from tests.support.fake_daemon import light_status
 
 

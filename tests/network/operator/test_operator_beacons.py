@@ -8,7 +8,7 @@ from swarmd.core.messages import State
 from swarmd.network.datagram import STATES, Flag
 from swarmd.network.operator.members_view import Contact
 from swarmd.network.operator.round_trips import MAX_ROUND_TRIP
-from tests.network.discovery_rig import Rig, life
+from tests.network.operator.discovery_rig import Rig, life
 
 
 @pytest.fixture

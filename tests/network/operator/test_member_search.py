@@ -11,7 +11,7 @@ from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence
 from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import Beacon, Solicit, pack, tag_of, unpack
-from swarmd.network.exit_codes import PARTIAL
+from swarmd.network.operator.exit_codes import PARTIAL
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots

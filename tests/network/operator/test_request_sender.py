@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Code
 from swarmd.core.verbs import RunRequest
-from swarmd.network.exit_codes import PARTIAL
+from swarmd.network.operator.exit_codes import PARTIAL
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.request_sender import REPEAT_PERIOD
 from swarmd.network.settings import NetworkSettings
