@@ -1,16 +1,19 @@
 """The compiled kernels; pyproject.toml holds everything else.
 
 Each kernel is a Python file that Cython compiles (pure-Python mode): `barrier.py` becomes the
-library `_barrier.abi3.so`. Where there is no compiler the build goes on without libraries, and
-CPython runs the files. The stable ABI of Python 3.11 makes one wheel serve all later versions. Each
-library holds the digest of its source, which swarmd/core/kernels.py compares before it loads the
-library. Cython's code for views of memory is in one library that all kernels import: a copy in each
-took a quarter of the time of the build.
+library `_barrier.abi3.so`. A kernel with PARTS has several sources, which are joined to one file
+before Cython compiles them: a call between two libraries costs more than the arithmetic of most
+functions. Where there is no compiler the build goes on without libraries, and CPython runs the
+files. The stable ABI of Python 3.11 makes one wheel serve all later versions. Each library holds
+the digest of its sources, which swarmd/core/kernels.py compares before it loads the library.
+Cython's code for views of memory is in one library that all kernels import: a copy in each took a
+quarter of the time of the build.
 
 With SWARMD_COMPILED=0 nothing is compiled and Cython is not needed: `make demo` installs so first,
 and compiles the kernels while robots move.
 """
 
+import ast
 import hashlib
 import os
 import sys
@@ -44,8 +47,13 @@ KERNELS = {
     "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",
 }
+PARTS: dict[str, tuple[str, ...]] = {}
+"""By kernel, the files beside it that are joined in front of it, in this order.
+
+A part imports from the parts before it. No two sources of a library define the same name.
+"""
 VIEWS = "swarmd.core._views"  # the library of VIEWS in swarmd/core/kernels.py
-GENERATED = Path("build/cython")
+GENERATED, JOINED = Path("build/cython"), Path("build/joined")
 STABLE_ABI = "0x030B0000"
 DIRECTIVES = {
     "language_level": "3",
@@ -76,10 +84,41 @@ FLAGS = [
 ]
 
 
+def sources_of(kernel: str) -> list[Path]:
+    """The sources of a kernel's library in their order, the kernel's own file last."""
+    return [Path(path) for path in (*PARTS.get(kernel, ()), kernel)]
+
+
+def join_sources(kernel: str) -> str:
+    """The path of the file that Cython compiles; of a kernel with parts, all sources in one.
+
+    Imports of one source from another are left out, as what they name is in the same file.
+    """
+    if kernel not in PARTS:
+        return kernel
+    sources = sources_of(kernel)
+    modules = {".".join(source.with_suffix("").parts) for source in sources}
+    joined = "from __future__ import annotations\n"
+    for source in sources:
+        lines = source.read_text().splitlines()
+        for node in ast.parse("\n".join(lines)).body:
+            is_docstring = node.lineno == 1
+            if is_docstring or getattr(node, "module", "") in {"__future__", *modules}:
+                lines[node.lineno - 1 : node.end_lineno] = [""] * (
+                    node.end_lineno - node.lineno + 1
+                )
+        joined += "\n".join([*lines, ""])
+    file = JOINED / kernel
+    if not file.exists() or file.read_text() != joined:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(joined)
+    return str(file)
+
+
 def write_digests(source: str) -> str:
     """The path of a C file with the digests of a library, written if they changed.
 
-    The digests are of the kernel's source, and of Cython's version and directives. A kernel that
+    The digests are of the kernel's sources, and of Cython's version and directives. A kernel that
     uses the views of another Cython might end the process.
     """
     import Cython
@@ -88,12 +127,15 @@ def write_digests(source: str) -> str:
     views = hashlib.sha256(f"{Cython.__version__} {DIRECTIVES}".encode()).hexdigest()
     text = f'const char views_digest[] = "{views}";\n'
     if source in KERNELS.values():
-        digest = hashlib.sha256(Path(source).read_bytes()).hexdigest()
+        sources = sources_of(source)
+        digest = hashlib.sha256(b"".join(map(Path.read_bytes, sources))).hexdigest()
         text += f'const char source_digest[] = "{digest}";\n'
+        text += f'const char source_names[] = "{" ".join(part.name for part in sources)}";\n'
     if not file.exists() or file.read_text() != text:
         file.parent.mkdir(parents=True, exist_ok=True)
         # Times of files do not tell: an older version of a source may be newer than its C code.
-        (GENERATED / source).with_suffix(".c").unlink(missing_ok=True)
+        for generated in (GENERATED / source, GENERATED / JOINED / source):
+            generated.with_suffix(".c").unlink(missing_ok=True)
         file.write_text(text)
     return str(file)
 
@@ -127,6 +169,7 @@ def kernels() -> list[Extension]:
     sources = {library(name): path for name, path in KERNELS.items()}
     sources[VIEWS] = VIEWS.replace(".", "/") + ".c"
     digests = {name: write_digests(path) for name, path in sources.items()}
+    sources = {name: join_sources(path) for name, path in sources.items()}
     modules = cythonize(
         [
             Extension(

@@ -20,6 +20,7 @@ from studies import kernel_mutants
 from swarmd.core import kernels
 from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
+from tests.support.kernel_forms import kernel_sources
 
 ROOT = Path(__file__).resolve().parent.parent
 LINKED = ("patterns", "drivers", "sim", "config")
@@ -241,13 +242,20 @@ def test_every_kernel_is_built_looked_for_and_mutated() -> None:
         for path in sources("swarmd", "sim")
         if re.search(r"^ *import cython$", path.read_text(), re.MULTILINE)
     }
-    built = next(
-        ast.literal_eval(node.value)
-        for node in tree_of(ROOT / "setup.py").body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "KERNELS"
-    )
-    assert set(built.values()) == set(kernel_mutants.TESTS) == files
-    assert tuple(built) == kernels.KERNELS
+    built = [path for paths in kernel_sources().values() for path in paths]
+    assert sorted(built) == sorted(kernel_mutants.TESTS) == sorted(files)
+    assert tuple(kernel_sources()) == kernels.KERNELS
+
+
+def test_sources_of_a_library_define_different_names() -> None:
+    """setup.py joins them to one file, where a later constant would replace an earlier one."""
+    for paths in kernel_sources().values():
+        nodes = [node for path in paths for node in tree_of(ROOT / path).body]
+        defined = [node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)]
+        for node in nodes:
+            if isinstance(node, ast.Assign):
+                defined += map(ast.unparse, node.targets)
+        assert len(defined) == len(set(defined)), paths
 
 
 def test_kernels_are_loaded_and_not_imported() -> None:
@@ -264,16 +272,26 @@ def test_kernels_are_loaded_and_not_imported() -> None:
 
 
 def kernels_by_line(path: Path) -> dict[int, list[str]]:
-    """The lines that import a kernel, or a part of one that has two forms, and its name."""
+    """The lines that import a kernel, or a name of one that has two forms, and its name.
+
+    The sources of one library import each other.
+    """
+    libraries = [tuple(map(module_of, paths)) for paths in kernel_sources().values()]
+    modules = {
+        module
+        for library in libraries
+        for module in library
+        if module_of(name_of(path)) not in library
+    }
     by_line: dict[int, list[str]] = {}
     for line, name in imports(path):
         by_line.setdefault(line, []).append(name)
     found = {}
     for line, names in by_line.items():
         parts = [name.rpartition(".") for name in names]
-        parts = [part for part in parts if part[0] in kernels.KERNELS]
+        parts = [part for part in parts if part[0] in modules]
         forms = ["".join(p) for p in parts if not p[2].isupper() and p[2] not in ALIKE]
-        found[line] = forms if parts else [name for name in names if name in kernels.KERNELS]
+        found[line] = forms if parts else [name for name in names if name in modules]
     return {line: names for line, names in found.items() if names}
 
 
@@ -299,6 +317,12 @@ def test_python_uses_kernels_as_cython_permits() -> None:
                     for name in methods_of(node) & methods_of(classes.get(base), "cython.cfunc")
                 ]
     assert found == []
+
+
+def module_of(path: str) -> str:
+    """The import name of a file, by its path in the repository."""
+    inside = path if path.startswith(("swarmd/", "tests/")) else f"swarmd/{path}"
+    return inside.removesuffix(".py").replace("/", ".")
 
 
 def methods_of(node: ast.AST | None, decorator: str = "") -> set[str]:

@@ -1,11 +1,11 @@
 """The kernels: files with arithmetic on scans and near points, which Cython compiles.
 
 A kernel's file is the only source of its arithmetic. `setup.py` makes of `barrier.py` the library
-`_barrier.abi3.so` beside it. CPython runs the file itself where there is no library, where
-the environment has SWARMD_COMPILED=0, and where a library was compiled from another version of its
-source: the code around it may call what it lacks. All libraries import `_views.abi3.so`, which
-holds Cython's code for views of memory. Where `_views` is absent or was compiled by another version
-of Cython, CPython runs the file, too.
+`_barrier.abi3.so` beside it, together with the files that PARTS of setup.py names. CPython runs the
+files themselves where there is no library, where the environment has SWARMD_COMPILED=0, and where a
+library was compiled from another version of its sources: the code around it may call what it lacks.
+All libraries import `_views.abi3.so`, which holds Cython's code for views of memory. Where `_views`
+is absent or was compiled by another version of Cython, CPython runs the files, too.
 """
 
 from __future__ import annotations
@@ -86,11 +86,11 @@ def _fault_of(name: str) -> str:
     path, library, views = _library(name), _opened(name), _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED
-    source = path.with_name(f"{_short(name)}.py")
-    is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
-    if source.exists():
-        digest = hashlib.sha256(source.read_bytes()).hexdigest()
-        is_stale |= _digest_in(library, "source_digest") != digest
+    is_stale = _text_in(library, "views_digest") != _text_in(views, "views_digest")
+    if path.with_name(f"{_short(name)}.py").exists():
+        sources = [path.with_name(file) for file in _text_in(library, "source_names").split()]
+        content = b"".join(file.read_bytes() for file in sources if file.exists())
+        is_stale |= _text_in(library, "source_digest") != hashlib.sha256(content).hexdigest()
     if is_stale:
         import logging  # rarely needed, and swarmctl starts fast
 
@@ -108,10 +108,10 @@ def _opened(name: str) -> ctypes.CDLL | None:
         return None
 
 
-def _digest_in(library: ctypes.CDLL, name: str) -> str:
-    """The digest `name` that setup.py put into a library; empty without one."""
+def _text_in(library: ctypes.CDLL, name: str) -> str:
+    """The text `name` that setup.py put into a library; empty without one."""
     try:
-        return (ctypes.c_char * 64).in_dll(library, name).value.decode()
+        return ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(library, name))).decode()
     except ValueError:
         return ""
 

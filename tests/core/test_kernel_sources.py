@@ -13,9 +13,12 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator
 from functools import cache, cached_property
+from itertools import chain
 from pathlib import Path
 
 import pytest
+
+from tests.support.kernel_forms import kernel_sources, table_of_setup
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -31,19 +34,10 @@ DIRECTIVES = {
 """The directives that the rules know."""
 
 
-def table_of_setup(name: str) -> dict[str, str]:
-    table: dict[str, str] = next(
-        ast.literal_eval(node.value)
-        for node in ast.parse((ROOT / "setup.py").read_text()).body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name
-    )
-    return table
-
-
 @cache
 def kernels() -> dict[str, Kernel]:
-    """The kernels that setup.py compiles, by the name of their file."""
-    files = table_of_setup("KERNELS").values()
+    """The sources that setup.py compiles, by the name of their file."""
+    files = chain(*kernel_sources().values())
     return {Path(file).stem: Kernel((ROOT / file).read_text()) for file in files}
 
 
@@ -187,7 +181,7 @@ def divisors_that_may_be_zero(kernel: Kernel) -> Iterator[str]:
             text = ast.unparse(divisor).removeprefix("-")
             is_raised = (
                 isinstance(divisor, ast.Call)
-                and ast.unparse(divisor.func) in ("max", "_maximum")
+                and ast.unparse(divisor.func) in ("max", "maximum", "_maximum")
                 and kernel.is_constant(divisor.args[-1])
             )
             if not (is_raised or kernel.is_constant(divisor) or function.asks(text)):
@@ -264,7 +258,20 @@ def whole_numbers_in_doubles(kernel: Kernel) -> Iterator[str]:
                     if kind == "cython.double" and is_whole(value))  # fmt: skip
 
 
-MATHEMATICS = {"fabs", "sqrt", "cos", "sin", "atan2", "fmod", "floor", "max", "min", "copysign"}
+MATHEMATICS = {
+    "maximum",
+    "sign",
+    "fabs",
+    "sqrt",
+    "cos",
+    "sin",
+    "atan2",
+    "fmod",
+    "floor",
+    "max",
+    "min",
+    "copysign",
+}
 
 
 def functions_that_hide_errors(kernel: Kernel) -> Iterator[str]:
