@@ -47,7 +47,24 @@ KERNELS = {
     "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",
 }
-PARTS: dict[str, tuple[str, ...]] = {}
+PARTS: dict[str, tuple[str, ...]] = {
+    "swarmd/protection/barrier.py": (
+        "swarmd/protection/buffers.py",
+        "swarmd/protection/closing_speed.py",
+        "swarmd/protection/barrier_assumptions.py",
+        "swarmd/protection/outline.py",
+        "swarmd/protection/dead_reckoning.py",
+        "swarmd/protection/obstacles.py",
+        "swarmd/protection/touch_zone.py",
+        "swarmd/protection/constraints.py",
+        "swarmd/protection/envelope.py",
+        "swarmd/protection/projection.py",
+        "swarmd/protection/stopping.py",
+        "swarmd/protection/limiting_obstacles.py",
+        "swarmd/protection/passage.py",
+        "swarmd/protection/feasible_set.py",
+    ),
+}
 """By kernel, the files beside it that are joined in front of it, in this order.
 
 A part imports from the parts before it. No two sources of a library define the same name.
