@@ -29,12 +29,13 @@ JOBS ?= 5
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      seven simulated robots gather; the first time installs, for some 15 s"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
+	@echo "make test-robot  the tests of the robot wing: what runs on a robot, without swarmctl and the simulation"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
 	@echo "make archive   archives from which robots install without a network, in dist"
@@ -95,12 +96,18 @@ archive: wheels
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
 # slowest tests that are shown.
-test $(VENV)/collected: export PYTHONDONTWRITEBYTECODE =
+test test-robot $(VENV)/collected: export PYTHONDONTWRITEBYTECODE =
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
-test: export OPENBLAS_NUM_THREADS = 1
+test test-robot: export OPENBLAS_NUM_THREADS = 1
 test: kernels $(if $(ARGS),,$(VENV)/collected)
 	@$(COMPILE) tests
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --durations 50 $(ARGS)
+
+# The folders of the robot wing in tests/support/wings.py.
+test-robot: kernels
+	@$(COMPILE) tests
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder \
+	  $$($(BIN)/python -m tests.support.wings) $(ARGS)
 
 # Collected once after an edit of tests: else each worker compiles all files with their assertions (15 s
 # of CPU, and 7 s without).

@@ -37,7 +37,7 @@ _MAX_DURATION = 1e7  # s
 
 
 class Failure(click.ClickException):
-    """An error with its exit code (see `swarmd.network.exit_codes`)."""
+    """An error with its exit code (see `swarmd.network.operator.exit_codes`)."""
 
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)

@@ -82,7 +82,7 @@ class IdHeldError(NetworkError):
 class RequestError(SwarmError):
     """A request or a look that failed as a whole; what single robots answer is an `Outcome`.
 
-    `exit_code`: that of swarmctl, see `swarmd.network.exit_codes`.
+    `exit_code`: that of swarmctl, see `swarmd.network.operator.exit_codes`.
     """
 
     def __init__(self, text: str, exit_code: int) -> None:

@@ -590,14 +590,25 @@ def _push_line(request: PushRequest) -> str:
 
 
 class Handler(Enum):
-    """What answers a verb in a daemon, by its method `on_<verb>`."""
+    """What answers a verb in a daemon, by its method `on_<verb>`.
+
+    All but the first two are services of the daemon: fields of `Services` in daemon/requests.py.
+    """
 
     ROBOT = "robot"
     """`RequestHandler` in robot/requests.py; the reply is one of the robot's actions."""
-    DAEMON = "daemon"
-    """A service of the daemon, see `RequestServer` in daemon/requests.py."""
     NETWORK = "network"
     """`ZenohBus.serve_view`."""
+    RECORDING = "recording"
+    ROSTERS = "rosters"
+    PUSHES = "pushes"
+    PUSHED = "pushed"
+    TOOLS = "tools"
+
+    @property
+    def is_service(self) -> bool:
+        """True for a service of the daemon."""
+        return self not in (Handler.ROBOT, Handler.NETWORK)
 
 
 Asked = TypeVar("Asked", bound=Struct)
@@ -653,16 +664,16 @@ def _request(
     return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, audit)
 
 
-_ROBOT, _DAEMON = Handler.ROBOT, Handler.DAEMON
+_ROBOT, _TOOLS, _RECORDING = Handler.ROBOT, Handler.TOOLS, Handler.RECORDING
 
 MEMBERS = Verb("members", MembersQuery, PeerView, Handler.NETWORK)
-RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _DAEMON)
-FETCH = Verb("fetch", FetchQuery, FetchReply, _DAEMON)
-PLUGINS = Verb("plugins", Nothing, BehavioursReply, _DAEMON)
-LOGS = Verb("logs", LogsQuery, LogBatch, _DAEMON)
-AUDIT = Verb("audit", AuditQuery, AuditReply, _DAEMON, is_for_operators=True)
-LINKS = Verb("links", LinksQuery, LinksReply, _DAEMON)
-DOCTOR = Verb("doctor", Nothing, DoctorReply, _DAEMON)
+RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _RECORDING)
+FETCH = Verb("fetch", FetchQuery, FetchReply, _RECORDING)
+PLUGINS = Verb("plugins", Nothing, BehavioursReply, Handler.PUSHED)
+LOGS = Verb("logs", LogsQuery, LogBatch, _TOOLS)
+AUDIT = Verb("audit", AuditQuery, AuditReply, _TOOLS, is_for_operators=True)
+LINKS = Verb("links", LinksQuery, LinksReply, _TOOLS)
+DOCTOR = Verb("doctor", Nothing, DoctorReply, _TOOLS)
 _ROWS: tuple[Verb[Any, Any], ...] = (
     MEMBERS,
     _request(RunRequest, _ROBOT, _run_line),
@@ -674,10 +685,10 @@ _ROWS: tuple[Verb[Any, Any], ...] = (
     _request(ResetRequest, _ROBOT, _reset_line),
     _request(ParamRequest, _ROBOT, _param_line),
     _request(ReloadRequest, _ROBOT, lambda request: request.pattern),
-    _request(PushRequest, _DAEMON, _push_line),
-    _request(ForgetRequest, _DAEMON, lambda request: request.name),
-    _request(RecordRequest, _DAEMON, _record_line),
-    _request(RosterRequest, _DAEMON),
+    _request(PushRequest, Handler.PUSHES, _push_line),
+    _request(ForgetRequest, _TOOLS, lambda request: request.name),
+    _request(RecordRequest, _RECORDING, _record_line),
+    _request(RosterRequest, Handler.ROSTERS),
     *(RECORDINGS, FETCH, PLUGINS, LOGS, AUDIT, LINKS, DOCTOR),
 )
 VERBS: Mapping[str, Verb[Any, Any]] = {row.name: row for row in _ROWS}

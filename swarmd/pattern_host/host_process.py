@@ -3,7 +3,7 @@
 A trial loads a pattern in a host of its own beside the one in use. That host is then fresh and
 warm, and may take the other's place.
 
-The deadlines of a load and a step are in `robot/tick.py`.
+The deadlines of a load and a step are in `robot/pattern_run.py`.
 
 - A host starts by exec, before Zenoh opens (a fork beside an open session hung each time), and from
   the main thread, whose end the kernel takes for the parent's. The first host of a simulated swarm

@@ -40,15 +40,16 @@ from swarmd.kit.factory import Find, assemble, check_scan_delay
 from swarmd.kit.params import Params, schema
 from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
+from swarmd.mission.document import Document, fault_lines, read_document
 from swarmd.mission.mission import Mission, mission_class, pattern_classes
-from swarmd.mission.schema import Document, conditions, fault_lines, read_document
-from swarmd.mission.validate import (
+from swarmd.mission.part_builder import (
     PartBuilder,
     build_parts,
     build_setters,
     check_reports,
     error_text,
 )
+from swarmd.mission.schema import conditions
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
 from swarmd.plugins import (

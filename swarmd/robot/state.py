@@ -72,7 +72,7 @@ from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.message_limits import Outbox
-from swarmd.robot.pattern_run import Loading, PatternRun, Trial, Wish
+from swarmd.robot.pattern_load import Loading, Trial, Wish
 from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
@@ -83,9 +83,12 @@ from swarmd.robot.timeouts import (
 )
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import Effects, StateField
+    from swarmd.robot.effects import Effects
+    from swarmd.robot.pattern_run import PatternRun
+    from swarmd.robot.ticker import StateField
 else:
-    StateField = load_kernel("swarmd.robot.tick").StateField
+    PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
+    StateField = load_kernel("swarmd.robot.ticker").StateField
 
 
 class Trigger(StrEnum):
