@@ -158,7 +158,7 @@ def perform(
         world_page(fleet, page) as shown,
         _screen(is_live, shown.addresses if shown is not None else ()) as on_scene,
     ):
-        run = DemoRun(settings, fleet, operator, world, on_scene)
+        run = DemoRun(settings, fleet, operator, world, on_scene, warn)
         summary = run.perform(spec.trace, started_at())
         if shown is not None:
             shown.reason = (

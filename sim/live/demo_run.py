@@ -162,7 +162,7 @@ class WorldWatcher:
 
 
 class DemoRun:
-    """One demo. `on_scene` is called about twice a second."""
+    """One demo. `on_scene` is called about twice a second, `tell` with lines while robots start."""
 
     def __init__(
         self,
@@ -171,7 +171,9 @@ class DemoRun:
         operator: Operator,
         world: WorldView,
         on_scene: Callable[[Scene], None],
+        tell: Callable[[str], object] | None = None,
     ) -> None:
+        self._tell = tell
         self._settings, self._fleet, self._operator = settings, fleet, operator
         self._world, self._on_scene = world, on_scene
         self._watcher = WorldWatcher(world)
@@ -180,7 +182,7 @@ class DemoRun:
 
     def perform(self, trace: Path, began: float) -> Summary:
         """Run all events from start to end; `began` is when the command did (boot time)."""
-        view = starting.await_robots(self._operator, self._fleet)
+        view = starting.await_robots(self._operator, self._fleet, self._tell)
         wall_start = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)

@@ -27,6 +27,7 @@ from swarmd.network.exit_codes import FAILED, REFUSED, TIMEOUT
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
 LONGEST = 600.0
@@ -76,7 +77,8 @@ def calibrate(
     The robot stands in the middle of a free floor. It looks whether the floor is free, then drives
     to and fro, to both sides if its base moves sideways, and turns on the spot, for one to three
     minutes, under protection. Its figures are printed beside the values of its platform file, with
-    the platform file that follows from them. Ctrl-C stops the robot.
+    the platform file that follows from them. Other robots within the range of the lidar must stand:
+    figures from scans of moving objects are less exact. Ctrl-C stops the robot.
     """
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
@@ -92,10 +94,22 @@ def calibrate(
             does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
             raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
         side = _floor(status) if floor is None else floor
+        if others := running_beside(view, robot):
+            names = ", ".join(others)
+            warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side, yes)
         report, status = _measure(operator, robot, {"floor": side, "repeats": repeats})
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
+
+
+def running_beside(view: MembersView, robot: str) -> list[str]:
+    """The other robots that run a pattern."""
+    return [
+        name
+        for name, member in view.members.items()
+        if name != robot and member.status is not None and member.status.state is State.RUNNING
+    ]
 
 
 def _check_file(write: Path | None) -> None:
