@@ -158,8 +158,8 @@ def perform(
         world_page(fleet, page) as shown,
         _screen(is_live, shown.addresses if shown is not None else ()) as on_scene,
     ):
-        run = DemoRun(settings, fleet, operator, world, on_scene, warn)
-        summary = run.perform(spec.trace, started_at())
+        run = DemoRun(settings, fleet, operator, world, on_scene)
+        summary = run.perform(spec.trace, started_at(), warn)
         if shown is not None:
             shown.reason = (
                 f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"

@@ -310,12 +310,14 @@ def table_of(
     ranked: Table = {}
     for (row, task), cell in cells.items():
         sign = 1.0 if better[task] == "less" else -1.0
-        others = [one.summary for (name, of), one in cells.items() if of == task and name != row]
+        rivals = [
+            rival.summary for (name, of), rival in cells.items() if of == task and name != row
+        ]
         own = cell.summary.median
         if own is not None:
-            medians = (one.median for one in others)
-            place = 1 + sum(sign * one < sign * own for one in medians if one is not None)
-            rank = place if all(_is_apart(cell.summary, one) for one in others) else None
+            medians = [rival.median for rival in rivals if rival.median is not None]
+            place = 1 + sum(sign * median < sign * own for median in medians)
+            rank = place if all(_is_apart(cell.summary, rival) for rival in rivals) else None
             cell = Cell(cell.values, cell.summary, rank, place)
         ranked.setdefault(row, {})[task] = cell
     return dict(sorted(ranked.items(), key=_order))
@@ -325,8 +327,10 @@ def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:
     """Whether the intervals of two medians do not overlap; True if `b` has no median."""
     if b.median is None:
         return True
-    one, other = a.median_interval, b.median_interval
-    return one is not None and other is not None and (one.high < other.low or other.high < one.low)
+    left, right = a.median_interval, b.median_interval
+    if left is None or right is None:
+        return False
+    return left.high < right.low or right.high < left.low
 
 
 def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:

@@ -162,7 +162,7 @@ class WorldWatcher:
 
 
 class DemoRun:
-    """One demo. `on_scene` is called about twice a second, `tell` with lines while robots start."""
+    """One demo. `on_scene` is called about twice a second."""
 
     def __init__(
         self,
@@ -171,18 +171,21 @@ class DemoRun:
         operator: Operator,
         world: WorldView,
         on_scene: Callable[[Scene], None],
-        tell: Callable[[str], object] | None = None,
     ) -> None:
-        self._tell = tell
         self._settings, self._fleet, self._operator = settings, fleet, operator
         self._world, self._on_scene = world, on_scene
         self._watcher = WorldWatcher(world)
         self._robots = tuple(fleet.spec.robots)
         self._log = StatusLog()
 
-    def perform(self, trace: Path, began: float) -> Summary:
-        """Run all events from start to end; `began` is when the command did (boot time)."""
-        view = starting.await_robots(self._operator, self._fleet, self._tell)
+    def perform(
+        self, trace: Path, began: float, tell: Callable[[str], object] | None = None
+    ) -> Summary:
+        """Run all events from start to end; `began` is when the command did (boot time).
+
+        `tell` gets lines while robots start.
+        """
+        view = starting.await_robots(self._operator, self._fleet, tell)
         wall_start = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)

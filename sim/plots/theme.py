@@ -71,11 +71,10 @@ def variant_style(index: int) -> tuple[str, str]:
 
 def in_order(names: Iterable[str]) -> list[str]:
     """The names of variants as given; numbers, the values of one swept key, in rising order."""
-    found = list(names)
-    values = {name: finite_number(name) for name in found}
+    values = {name: finite_number(name) for name in names}
     if any(map(math.isnan, values.values())):
-        return found
-    return sorted(found, key=values.__getitem__)
+        return list(values)
+    return sorted(values, key=values.__getitem__)
 
 
 def variant_styles(names: Sequence[str]) -> list[tuple[str, str]]:

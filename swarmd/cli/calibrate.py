@@ -27,7 +27,6 @@ from swarmd.network.exit_codes import FAILED, REFUSED, TIMEOUT
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
 LONGEST = 600.0
@@ -94,8 +93,9 @@ def calibrate(
             does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
             raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
         side = _floor(status) if floor is None else floor
-        if others := running_beside(view, robot):
-            names = ", ".join(others)
+        statuses = {name: seen.status for name, seen in view.members.items()}
+        if moving := running_beside(statuses, robot):
+            names = ", ".join(moving)
             warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side, yes)
         report, status = _measure(operator, robot, {"floor": side, "repeats": repeats})
@@ -103,12 +103,12 @@ def calibrate(
         _show(options, robot, status, report, write)
 
 
-def running_beside(view: MembersView, robot: str) -> list[str]:
-    """The other robots that run a pattern."""
+def running_beside(statuses: Mapping[str, Status | None], robot: str) -> list[str]:
+    """The robots other than `robot` that run a pattern."""
     return [
         name
-        for name, member in view.members.items()
-        if name != robot and member.status is not None and member.status.state is State.RUNNING
+        for name, status in statuses.items()
+        if name != robot and status is not None and status.state is State.RUNNING
     ]
 
 

@@ -134,13 +134,13 @@ def rows_of(
             where_of.setdefault(finding, []).append(where)
     everywhere = len({where for where, _ in lines} - {HERE})
     rows = []
-    for one, places in sorted(where_of.items(), key=lambda item: _ORDER.index(item[0].level)):
+    for finding, places in sorted(where_of.items(), key=lambda item: _ORDER.index(item[0].level)):
         robots = [place for place in places if place != HERE]
         is_all = len(robots) == everywhere > 1
         names = [f"all {everywhere} robots"] if is_all else robots
         where = ", ".join([*([HERE] if HERE in places else []), *names])
-        text = one.text + (f"; {one.remedy}" if one.remedy else "")
-        rows.append((one.level.value, where, one.subject, text))
+        text = finding.text + (f"; {finding.remedy}" if finding.remedy else "")
+        rows.append((finding.level.value, where, finding.subject, text))
     return rows
 
 

@@ -54,7 +54,7 @@ def check_daemon(settings: DaemonSettings) -> int:
 def print_findings(findings: Sequence[Finding]) -> int:
     """Print a line for each finding, faults first, then a count; 0 without a fault, else 1."""
     width = max(len(finding.subject) for finding in findings)
-    for finding in sorted(findings, key=lambda one: (one.is_well, one.is_measured)):
+    for finding in sorted(findings, key=lambda finding: (finding.is_well, finding.is_measured)):
         mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "
         click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
     bad = sum(not finding.is_well for finding in findings)

@@ -23,7 +23,6 @@ from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
 from tests.support.fake_daemon import FakeDaemon, FakeSwarm, light_status
-from tests.support.goals import view_of
 from tests.support.processes import CAP, unique_swarm, wait_until
 from tests.support.statuses import ESTOPPED, make_member
 from tests.support.statuses import status as make_status
@@ -208,5 +207,6 @@ def test_late_scans_need_a_larger_floor() -> None:
 
 
 def test_robots_that_run_beside_it_are_named() -> None:
-    view = view_of(make_member(ROBOT), make_member("r02"), ESTOPPED)
-    assert running_beside(view, ROBOT) == ["r02"]
+    members = (make_member(ROBOT), make_member("r02"), ESTOPPED)
+    statuses = {member.robot: member.status for member in members} | {"r09": None}
+    assert running_beside(statuses, ROBOT) == ["r02"]
