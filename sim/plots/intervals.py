@@ -225,8 +225,9 @@ def _paint_differences(axes: Axes, panel: DifferencePanel, rows: Sequence[str]) 
     prepare_rows(axes, rows)
     axes.axvline(0.0, color=GUIDE_COLOUR, linewidth=1.0, zorder=1.8)
     # Of the variant that is compared, as in the other figures; the first variant has no row.
-    compared, _, first = zip(*(name.partition(" - ") for name in rows), strict=True)
-    colours = [colour for colour, _ in variant_styles([first[0], *compared])][1:]
+    pairs = [name.split(" - ", 1) for name in rows]
+    variants = [pairs[0][-1], *(pair[0] for pair in pairs)]
+    colours = [colour for colour, _ in variant_styles(variants)][1:]
     for row, name in enumerate(rows):
         one = panel.of.get(name)
         if one is None or one.difference is None:
