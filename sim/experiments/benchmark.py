@@ -330,8 +330,10 @@ def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:
     """Whether the intervals of two medians do not overlap; True if `b` has no median."""
     if b.median is None:
         return True
-    one, other = a.median_interval, b.median_interval
-    return one is not None and other is not None and (one.high < other.low or other.high < one.low)
+    left, right = a.median_interval, b.median_interval
+    if left is None or right is None:
+        return False
+    return left.high < right.low or right.high < left.low
 
 
 def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:

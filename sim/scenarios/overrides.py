@@ -26,10 +26,10 @@ def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[s
         raise ConfigError(f"{source} {text!r}: expected key=value")
     key = key.strip()
     try:
-        found = read_value(form.format(value))
+        data = read_value(form.format(value))
         if key == DURATION:
-            found = [*map(_seconds, found)] if isinstance(found, list) else _seconds(found)
-        return key, found
+            data = [*map(_seconds, data)] if isinstance(data, list) else _seconds(data)
+        return key, data
     except ConfigError as error:
         raise ConfigError(f"{source} {key}: {error}") from error
 
