@@ -29,12 +29,13 @@ JOBS ?= 5
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      seven simulated robots gather; the first time installs, for some 15 s"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
+	@echo "make test-robot  the tests of the robot wing: what runs on a robot, without swarmctl and the simulation"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
 	@echo "make archive   archives from which robots install without a network, in dist"
@@ -62,7 +63,7 @@ help:
 	@echo "make kernel-mutants  the same for the kernels; ARGS=40 draws so many; 2 min each if no test notices"
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make zenohd    a Zenoh router with the REST and storage plugins, and the example in Rust, for tests; needs cargo"
-	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros.md; six minutes"
+	@echo "make ros-study    faults of three robots on DDS behind that router, for studies/ros/faults.md; six minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -95,12 +96,18 @@ archive: wheels
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else). 50: the
 # slowest tests that are shown.
-test $(VENV)/collected: export PYTHONDONTWRITEBYTECODE =
+test test-robot $(VENV)/collected: export PYTHONDONTWRITEBYTECODE =
 # Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
-test: export OPENBLAS_NUM_THREADS = 1
+test test-robot: export OPENBLAS_NUM_THREADS = 1
 test: kernels $(if $(ARGS),,$(VENV)/collected)
 	@$(COMPILE) tests
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder --durations 50 $(ARGS)
+
+# The folders of the robot wing in tests/support/wings.py.
+test-robot: kernels
+	@$(COMPILE) tests
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder \
+	  $$($(BIN)/python -m tests.support.wings) $(ARGS)
 
 # Collected once after an edit of tests: else each worker compiles all files with their assertions (15 s
 # of CPU, and 7 s without).
@@ -198,7 +205,7 @@ voting: $(VENV)/tools
 films: $(VENV)/tools
 	@$(BIN)/python -m studies.films $(ARGS)
 
-# The page in Chromium: light and dark, 3 to 200 robots, three widths, each panel. ARGS="--figure
+# The page in Chromium: light and dark, 3 to 200 robots, four widths, each panel. ARGS="--figure
 # docs/figures/page.png" makes the picture of docs/watching.md anew.
 screens: $(VENV)/tools
 	@$(BIN)/python -m studies.page_screens $(ARGS)
@@ -209,7 +216,7 @@ safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety hours $(ARGS)
 	@$(BIN)/python -m studies.safety progress
 
-# Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in docs/ros.md.
+# Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in studies/ros/faults.md.
 ros-study: $(VENV)/tools
 	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
 	@$(BIN)/python -m studies.ros $(ARGS)
@@ -238,12 +245,13 @@ $(VENV)/made:
 	@$(call timed,environment,$(PYTHON) -m venv $(VENV))
 	@touch $@
 
-# What a simulated swarm needs. CPython runs the kernels, and compiles what it imports.
+# What a simulated swarm needs. editable_mode=compat: the folder in a .pth; the finder of setuptools
+# takes 16 ms of each start. CPython runs the kernels, and compiles what it imports.
 $(VENV)/interpreted: $(VENV)/made pyproject.toml setup.py constraints.txt
 	@echo "Installing swarmd into $(VENV), with the packages that a simulated swarm needs."
 	@rm -rf swarmd.egg-info  # of an earlier wheel: its entry points would hide those of this checkout
 	@$(call install,packages,project.dependencies project.optional-dependencies.sim,setuptools)
-	@$(call timed,swarmd,SWARMD_COMPILED=0 $(PIP) install --no-compile --no-deps --no-build-isolation --editable .)
+	@$(call timed,swarmd,SWARMD_COMPILED=0 $(PIP) install --no-compile --no-deps --no-build-isolation --config-settings editable_mode=compat --editable .)
 	@touch $@
 
 $(VENV)/installed: $(VENV)/interpreted

@@ -1,19 +1,23 @@
 """The compiled kernels; pyproject.toml holds everything else.
 
 Each kernel is a Python file that Cython compiles (pure-Python mode): `barrier.py` becomes the
-library `_barrier.abi3.so`. Where there is no compiler the build goes on without libraries, and
-CPython runs the files. The stable ABI of Python 3.11 makes one wheel serve all later versions. Each
-library holds the digest of its source, which swarmd/core/kernels.py compares before it loads the
-library. Cython's code for views of memory is in one library that all kernels import: a copy in each
-took a quarter of the time of the build.
+library `_barrier.abi3.so`. Several files may become one library: they are joined first, without the
+imports of each other. Where there is no compiler the build goes on without libraries, and CPython
+runs the files. The stable ABI of Python 3.11 makes one wheel serve all later versions. Each library
+holds the digest of its sources, which swarmd/core/kernels.py compares before it loads the library;
+that file lists the libraries. Cython's code for views of memory is in one library that all kernels
+import: a copy in each took a quarter of the time of the build.
 
 With SWARMD_COMPILED=0 nothing is compiled and Cython is not needed: `make demo` installs so first,
 and compiles the kernels while robots move.
 """
 
+import ast
 import hashlib
 import os
+import runpy
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -29,23 +33,11 @@ if sys.version_info < (3, 11):  # noqa: UP036
         " own: docs/installation.md"
     )
 
-KERNELS = {
-    "swarmd.kit.points": "swarmd/kit/points.py",
-    "swarmd.protection.arbiter": "swarmd/protection/arbiter.py",
-    "swarmd.protection.assumption_monitor": "swarmd/protection/assumption_monitor.py",
-    "swarmd.protection.barrier": "swarmd/protection/barrier.py",
-    "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
-    "swarmd.protection.following": "swarmd/protection/following.py",
-    "swarmd.protection.openings": "swarmd/protection/openings.py",
-    "swarmd.protection.tracks": "swarmd/protection/tracks.py",
-    "swarmd.protection.velocity_obstacles": "swarmd/protection/velocity_obstacles.py",
-    "swarmd.robot.tick": "swarmd/robot/tick.py",
-    "swarmd.sensing.scans": "swarmd/sensing/scans.py",
-    "swarmd.sim.world.base": "sim/world/base.py",
-    "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",
-}
-VIEWS = "swarmd.core._views"  # the library of VIEWS in swarmd/core/kernels.py
+KERNELS = runpy.run_path("swarmd/core/kernels.py")
+LIBRARIES, VIEWS = KERNELS["LIBRARIES"], KERNELS["VIEWS"]
+source_of, digest_of = KERNELS["source_of"], KERNELS["digest_of"]
 GENERATED = Path("build/cython")
+JOINED = Path("build/joined")
 STABLE_ABI = "0x030B0000"
 DIRECTIVES = {
     "language_level": "3",
@@ -76,10 +68,61 @@ FLAGS = [
 ]
 
 
-def write_digests(source: str) -> str:
+def write(file: Path, text: str) -> bool:
+    """Write a file if its text changes; true if it did."""
+    if file.exists() and file.read_text() == text:
+        return False
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text)
+    return True
+
+
+def joined(library: str) -> str:
+    """The path of one source with all kernels of a library.
+
+    The lines that import from each other are empty. A name at the top of the files has one meaning.
+    CLASSES tells the kernel of each class.
+    """
+    kernels = LIBRARIES[library]
+    if len(kernels) == 1:
+        return source_of(*kernels)
+    text, classes = "from __future__ import annotations\n", {}
+    meanings: dict[str, str] = {}
+    for kernel in kernels:
+        content = Path(source_of(kernel)).read_text()
+        lines = content.splitlines(keepends=True)
+        for node in ast.parse(content).body:
+            for name, meaning in meanings_of(node, kernel):
+                if meanings.setdefault(name, meaning) != meaning:
+                    raise ValueError(f"{name} of {kernel} means {meanings[name]} in {library}")
+            if isinstance(node, ast.ClassDef):
+                classes[node.name] = kernel
+            if isinstance(node, ast.ImportFrom) and node.module in (*kernels, "__future__"):
+                first = node.lineno - 1
+                lines[first : node.end_lineno] = ["\n"] * (node.end_lineno - first)
+        text += "".join(lines)
+    file = JOINED / f"{library.replace('.', '/')}.py"
+    write(file, f"{text}\nCLASSES = {classes}\n")
+    return str(file)
+
+
+def meanings_of(node: ast.stmt, kernel: str) -> Iterator[tuple[str, str]]:
+    """The names that a statement at the top of a kernel sets, and where each is defined."""
+    if isinstance(node, ast.ClassDef | ast.FunctionDef):
+        yield node.name, f"{kernel}.{node.name}"
+    elif isinstance(node, ast.ImportFrom):
+        for alias in node.names:
+            yield alias.asname or alias.name, f"{node.module}.{alias.name}"
+    elif isinstance(node, ast.Assign | ast.AnnAssign):
+        for part in ast.walk(node):
+            if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store):
+                yield part.id, f"{kernel}.{part.id}"
+
+
+def write_digests(library: str, source: str) -> str:
     """The path of a C file with the digests of a library, written if they changed.
 
-    The digests are of the kernel's source, and of Cython's version and directives. A kernel that
+    The digests are of the kernels' sources, and of Cython's version and directives. A kernel that
     uses the views of another Cython might end the process.
     """
     import Cython
@@ -87,21 +130,13 @@ def write_digests(source: str) -> str:
     file = (GENERATED / source).with_suffix(".digest.c")
     views = hashlib.sha256(f"{Cython.__version__} {DIRECTIVES}".encode()).hexdigest()
     text = f'const char views_digest[] = "{views}";\n'
-    if source in KERNELS.values():
-        digest = hashlib.sha256(Path(source).read_bytes()).hexdigest()
+    if library in LIBRARIES:
+        digest = digest_of([Path(source_of(name)).read_bytes() for name in LIBRARIES[library]])
         text += f'const char source_digest[] = "{digest}";\n'
-    if not file.exists() or file.read_text() != text:
-        file.parent.mkdir(parents=True, exist_ok=True)
+    if write(file, text):
         # Times of files do not tell: an older version of a source may be newer than its C code.
         (GENERATED / source).with_suffix(".c").unlink(missing_ok=True)
-        file.write_text(text)
     return str(file)
-
-
-def library(name: str) -> str:
-    """The module name of a kernel's library."""
-    package, _, file = name.rpartition(".")
-    return f"{package}._{file}"
 
 
 class BuildKernels(build_ext):
@@ -124,9 +159,9 @@ def kernels() -> list[Extension]:
     """The libraries to build; their C code is written."""
     from Cython.Build import cythonize
 
-    sources = {library(name): path for name, path in KERNELS.items()}
+    sources = {library: joined(library) for library in LIBRARIES}
     sources[VIEWS] = VIEWS.replace(".", "/") + ".c"
-    digests = {name: write_digests(path) for name, path in sources.items()}
+    digests = {name: write_digests(name, path) for name, path in sources.items()}
     modules = cythonize(
         [
             Extension(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import re
 import statistics
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from swarmd.core.key_table import PUBLISHED
 from swarmd.core.verbs import VERBS
@@ -28,17 +28,9 @@ from tests.support.weight import (
     read_limits,
     texts,
 )
+from tests.support.wings import WINGS, wing_of
 
 TABLES = ("source", "tests", "markdown")
-WINGS: Mapping[str, tuple[str, ...]] = {
-    "operator": tuple(
-        f"swarmd/{name}"
-        for name in ("network/operator", "client", "texts", "cli", "view", "calibration", "replay")
-    ),
-    "laboratory": ("sim", "studies", "benchmarks"),
-    "robot": ("swarmd", "drivers", "patterns"),
-}
-"""Folders of each wing; the first wing that fits has the folder."""
 
 
 def main() -> None:
@@ -68,10 +60,8 @@ def print_weights(weights: Weights) -> None:
         print_row(table, *map(sum, zip(*weights[table].values(), strict=True)))
     wings = dict.fromkeys(WINGS, 0)
     for folder, (lines, _) in weights["source"].items():
-        for wing, folders in WINGS.items():
-            if any(f"{folder}/".startswith(f"{name}/") for name in folders):
-                wings[wing] += lines
-                break
+        if (wing := wing_of(folder)) is not None:
+            wings[wing] += lines
     for wing, lines in wings.items():
         print_row(f"source of {wing}", lines)
     for table in ("named", "counts"):

@@ -18,7 +18,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path[:0] = [str(DOCS / "site"), str(ROOT)]
 
-from contents import CONTENTS  # noqa: E402
+from contents import CONTENTS, INNER  # noqa: E402
 from reference import filled  # noqa: E402
 
 project = "swarmd"
@@ -27,10 +27,10 @@ project_copyright = "the authors of swarmd, Apache 2.0"
 release = version = metadata.version("swarmd")
 
 root_doc = "docs/README"
-include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md"]
+include_patterns = ["docs/**.md", "*.md", "benchmarks/README.md", "patterns/**.md", "studies/**.md"]
 # Only so that Sphinx does not walk them.
 exclude_patterns = [".*", "build", "dist", "mutants", "runs", "experiments", "*.egg-info"]
-exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests", "studies"]
+exclude_patterns += ["swarmd", "drivers", "sim", "config", "tests"]
 
 extensions = ["myst_parser"]
 myst_heading_anchors = 4
@@ -51,11 +51,12 @@ def _add_parts(app: Sphinx, page: str, source: list[str]) -> None:
 
 
 def _add_contents(app: Sphinx, page: str, source: list[str]) -> None:
-    """Put the table of contents on the start page, where a forge would show it as code."""
-    if page == root_doc:
-        for title, pages in CONTENTS.items():
-            listed = "\n".join(f"/{one}" for one in pages)
-            source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {title}\n{listed}\n```\n"
+    """Add the tables of contents of this page, which a forge would show as code."""
+    tables = CONTENTS if page == root_doc else {"": INNER[page]} if page in INNER else {}
+    for title, pages in tables.items():
+        listed = "\n".join(f"/{one}" for one in pages)
+        caption = f":caption: {title}\n" if title else ""
+        source[0] += f"\n```{{toctree}}\n:hidden:\n{caption}{listed}\n```\n"
 
 
 def _add_entrance(app: Sphinx, error: Exception | None) -> None:

@@ -7,7 +7,7 @@ from collections import deque
 import numpy as np
 
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.sensing.conditioning import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
+from swarmd.sensing.scan_pipeline import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
 
 ENOUGH_SCANS = MAX_REPEATS + 1
 """Scans after which a frozen sensor shows."""

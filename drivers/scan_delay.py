@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from swarmd.core.finding import Finding
 from swarmd.core.values import Scan, ScanSpec
-from swarmd.sensing.scan_delay import TOLERANCE, delay_by_stamps
+from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
 
 
 def scan_delay_finding(

@@ -129,7 +129,7 @@ class Trace:
         return self.footprints[self.platforms[robot]]
 
     def frame(self) -> Any:
-        """A pandas DataFrame with a row for each instant and robot; see docs/trace.md.
+        """A pandas DataFrame with a row for each instant and robot; see docs/figures.md.
 
         SwarmError if pandas is not installed.
         """

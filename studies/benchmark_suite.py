@@ -56,7 +56,7 @@ def table(files: Sequence[str]) -> str:
     rows = [["task", "rank", "pattern", "median", "95 %", "unit", "runs"]]
     for task in tasks:
         listed = [(row, of_row[task.name]) for row, of_row in cells.items() if task.name in of_row]
-        for row, cell in sorted(listed, key=lambda item: (item[1].rank or math.inf, item[0])):
+        for row, cell in sorted(listed, key=lambda item: (item[1].place, item[0])):
             summary = cell.summary
             between = summary.median_interval
             rows.append(

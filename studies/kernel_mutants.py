@@ -17,24 +17,16 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from swarmd.core.kernels import KERNELS, source_of
+
 ROOT = Path(__file__).resolve().parent.parent
 COPY = ROOT / "build" / "kernel-mutants"
 FOLDERS = ("swarmd", "patterns", "drivers", "sim", "config", "tests", "studies", "benchmarks")
 TESTS = {
-    "swarmd/kit/points.py": ("tests/kit",),
-    "swarmd/protection/arbiter.py": ("tests/protection",),
-    "swarmd/protection/assumption_monitor.py": ("tests/protection",),
-    "swarmd/protection/barrier.py": ("tests/protection",),
-    "swarmd/protection/blind_zone.py": ("tests/protection",),
-    "swarmd/protection/following.py": ("tests/protection",),
-    "swarmd/protection/openings.py": ("tests/protection",),
-    "swarmd/protection/tracks.py": ("tests/protection",),
-    "swarmd/protection/velocity_obstacles.py": ("tests/protection",),
-    "swarmd/robot/tick.py": ("tests/robot",),
-    "swarmd/sensing/scans.py": ("tests/sensing",),
-    "sim/world/base.py": ("tests/sim/world",),
-    "sim/world/ray_caster.py": ("tests/sim/world",),
+    path: f"tests/{Path(path).parent.as_posix().removeprefix('swarmd/')}"
+    for path in map(source_of, KERNELS)
 }
+"""By the file of a kernel, the folder of its tests."""
 OPERATORS: dict[type[ast.AST], tuple[type[ast.AST], str]] = {
     ast.Add: (ast.Sub, "+ to -"),
     ast.Sub: (ast.Add, "- to +"),
@@ -109,7 +101,7 @@ def run(path: str, number: int) -> tuple[bool, str]:
     (COPY / path).write_text(ast.unparse(tree))
     try:
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
-        command += ["-m", "not integration and not evidence", *TESTS[path]]
+        command += ["-m", "not integration and not evidence", TESTS[path]]
         try:
             done = subprocess.run(command, cwd=COPY, capture_output=True, timeout=TIMEOUT)
         except subprocess.TimeoutExpired:

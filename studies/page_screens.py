@@ -1,4 +1,4 @@
-"""Pictures of the page, to look at: light and dark, 3 to 200 robots, three widths, and each panel.
+"""Pictures of the page, to look at: light and dark, 3 to 200 robots, four widths, and each panel.
 
 `make screens` writes them to `build/screens`. The robots are fed, in all states. With `--figure
 FILE` it writes the picture of the docs instead, which shows a simulated world.
@@ -27,8 +27,13 @@ from swarmd.view.live import LiveSource
 from tests.support.chromium import Browser, Page, chromium
 from tests.support.fed_swarm import FedOperator, FedSwarm
 
-COUNTS = 3, 7, 30, 200
-WINDOWS = {"phone": (390, 844), "laptop": (1280, 720), "projector": (1920, 1080)}
+COUNTS = 3, 7, 40, 200
+WINDOWS = {
+    "small": (320, 640),
+    "phone": (390, 844),
+    "laptop": (1280, 720),
+    "projector": (1920, 1080),
+}
 SETTLE = 4.0
 """Seconds of a living swarm before its picture is taken, for trails and plots."""
 KINDS: Sequence[tuple[State, dict[str, Any]]] = (
@@ -74,7 +79,7 @@ def vary(swarm: FedSwarm) -> None:
 def begin(page: Page, address: str, window: str, theme: str, count: int) -> None:
     """Open a page of a size and theme, and wait for its robots."""
     width, height = WINDOWS[window]
-    page.resize(width, height, is_phone=window == "phone")
+    page.resize(width, height, is_phone=width < 900)
     page.open(address)
     page.evaluate(f"localStorage.setItem('dark', {str(theme == 'dark').lower()})")
     page.open(address)
@@ -141,6 +146,7 @@ def figure(browser: Browser, file: Path) -> None:
             lines = iter(process.stderr.readline, "")
             address = next(one for one in lines if one.startswith("page: ")).partition(": ")[2]
             page.open(address.strip())
+            page.evaluate("document.getElementById('overload').style.display = 'none'")
             page.until("swarm.model.plots.times.length > 45", "most of a minute", 300.0)
             page.evaluate("swarm.model.select(['tb3-03'])")
             page.until("document.getElementById('detail-why').textContent.length > 3", "details")

@@ -20,6 +20,7 @@ from studies import kernel_mutants
 from swarmd.core import kernels
 from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
+from tests.support.wings import ROOMS, WINGS, wing_of
 
 ROOT = Path(__file__).resolve().parent.parent
 LINKED = ("patterns", "drivers", "sim", "config")
@@ -164,6 +165,44 @@ def test_packages_of_swarmd_keep_their_layers() -> None:
     assert upward == []
 
 
+def test_wings_import_from_no_later_wing() -> None:
+    order = list(WINGS)
+    later, homeless = [], []
+    for path in sources(*CODE):
+        name = name_of(path)
+        own = wing_of(name)
+        if own is None:
+            homeless += [name] if path.name != "__init__.py" else []
+            continue
+        for line, module in imports(path):
+            wing = wing_of(place_of(module))
+            if wing is not None and order.index(wing) > order.index(own):
+                later.append(f"{name}:{line} imports {module}")
+    assert homeless == []
+    assert later == []
+
+
+def test_rooms_of_the_network_keep_their_layers() -> None:
+    height = {name: n for n, rooms in enumerate(ROOMS) for name in rooms}
+    upward = []
+    for path in sources("swarmd/network"):
+        room = path.relative_to(ROOT / "swarmd" / "network").parts[0].removesuffix(".py")
+        for line, module in imports(path):
+            parts = module.split(".")
+            if room == "__init__" or parts[:2] != ["swarmd", "network"] or len(parts) < 3:
+                continue
+            if parts[2] != room and height[parts[2]] >= height[room]:
+                upward.append(f"{name_of(path)}:{line} imports {module}")
+    assert upward == []
+
+
+def place_of(module: str) -> str:
+    """The place of a module in the tree: linked folders are beside `swarmd`."""
+    parts = module.split(".")
+    is_linked = len(parts) > 1 and parts[0] == "swarmd" and parts[1] in LINKED
+    return "/".join(parts[1:] if is_linked else parts)
+
+
 def test_one_file_has_one_import_name() -> None:
     everything = sources(*CODE, "tests", *_MEASURES, "examples")
     found = [line for path in everything for line in offences(path, (*LINKED, "examples"))]
@@ -235,19 +274,19 @@ def test_every_folder_with_code_is_packaged() -> None:
     assert {name: mapping.get(name, name.replace(".", "/")) for name in expected} == expected
 
 
-def test_every_kernel_is_built_looked_for_and_mutated() -> None:
+def test_every_kernel_is_in_a_library() -> None:
     files = {
         name_of(path)
         for path in sources("swarmd", "sim")
         if re.search(r"^ *import cython$", path.read_text(), re.MULTILINE)
     }
-    built = next(
-        ast.literal_eval(node.value)
-        for node in tree_of(ROOT / "setup.py").body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "KERNELS"
+    assert {*map(kernels.source_of, kernels.KERNELS)} == files
+    ignored = next(
+        override["module"]
+        for override in PROJECT["tool"]["mypy"]["overrides"]
+        if kernels.KERNELS[0] in override["module"]
     )
-    assert set(built.values()) == set(kernel_mutants.TESTS) == files
-    assert tuple(built) == kernels.KERNELS
+    assert ignored == [*kernels.KERNELS]
 
 
 def test_kernels_are_loaded_and_not_imported() -> None:
@@ -263,17 +302,27 @@ def test_kernels_are_loaded_and_not_imported() -> None:
     assert found == []
 
 
+def library_of(path: Path) -> tuple[str, ...]:
+    """The kernels of the library that a file is compiled into; they import each other."""
+    rows = kernels.LIBRARIES.values()
+    return next((row for row in rows if name_of(path) in map(kernels.source_of, row)), ())
+
+
 def kernels_by_line(path: Path) -> dict[int, list[str]]:
-    """The lines that import a kernel, or a part of one that has two forms, and its name."""
+    """The lines that import a kernel, or a part of one that has two forms, and its name.
+
+    A kernel may import those that are in one library with it.
+    """
     by_line: dict[int, list[str]] = {}
     for line, name in imports(path):
         by_line.setdefault(line, []).append(name)
     found = {}
+    wanted = {*kernels.KERNELS} - {*library_of(path)}
     for line, names in by_line.items():
         parts = [name.rpartition(".") for name in names]
-        parts = [part for part in parts if part[0] in kernels.KERNELS]
+        parts = [part for part in parts if part[0] in wanted]
         forms = ["".join(p) for p in parts if not p[2].isupper() and p[2] not in ALIKE]
-        found[line] = forms if parts else [name for name in names if name in kernels.KERNELS]
+        found[line] = forms if parts else [name for name in names if name in wanted]
     return {line: names for line, names in found.items() if names}
 
 

@@ -127,6 +127,34 @@ def test_a_verb_is_summed_up_without_importing_it(verb: str, summary: str) -> No
     assert not {name for name in sys.modules.keys() - before if "sim" in name or "outs" in name}
 
 
+def test_lines_of_verbs_are_kept_until_a_source_changes(
+    outsider: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    first = plugins.command_summaries()
+    assert first["deep"] == "Dives."
+    with monkeypatch.context() as patch:
+        patch.setattr(plugins, "command_names", lambda: pytest.fail("the metadata was read"))
+        assert plugins.command_summaries() == first
+    (source,) = (file for file in outsider.rglob("*.py") if "Dives." in file.read_text())
+    source.write_text(source.read_text().replace("Dives.", "Swims."))
+    os.utime(source, ns=(1, 1))
+    assert plugins.command_summaries()["deep"] == "Swims."
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{}", b"\xff", b'{"times": {}, "sources": [1]}'])
+def test_a_bad_file_of_lines_of_verbs_is_made_again(
+    content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = plugins.command_summaries()
+    (file,) = (tmp_path / "swarmd").iterdir()
+    good = file.read_bytes()
+    file.write_bytes(content)
+    assert plugins.command_summaries() == first
+    assert file.read_bytes() == good
+
+
 @pytest.mark.usefixtures("outsider")
 @pytest.mark.parametrize(
     ("name", "fault"),

@@ -2,92 +2,47 @@
 
 from pathlib import Path
 
-_PATTERNS = Path(__file__).resolve().parents[2] / "patterns"
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def _inside(folder: str, *pages: str) -> list[str]:
+    return [f"{folder}/{page}" for page in pages]
+
 
 CONTENTS = {
-    "Tutorial": [
-        "docs/tutorial/README",
-        "docs/tutorial/1-first-swarm",
-        "docs/tutorial/2-own-behaviour",
-        "docs/tutorial/3-statistics",
-        "docs/tutorial/4-votes",
-        "docs/tutorial/5-protection",
-        "docs/tutorial/6-decisions",
-        "docs/tutorial/7-foraging",
-        "docs/tutorial/teachers",
-    ],
-    "Patterns": [
-        "patterns/README",
-        *(f"patterns/{page.parent.name}/page" for page in sorted(_PATTERNS.glob("*/page.md"))),
-    ],
-    "How to": [
-        "docs/installation",
-        "docs/operating",
-        "docs/calibration",
-        "docs/daemon",
-        "docs/watching",
-        "docs/recording",
-        "docs/zenoh",
-        "docs/python",
-        "docs/experiments",
-        "docs/benchmark_suite",
-        "docs/clusters",
-        "docs/trace",
-        "docs/patterns",
-        "docs/learning",
-        "docs/behaviour_push",
-        "docs/missions",
-        "docs/configuration",
-        "docs/field",
-        "docs/field_tools",
-        "docs/security",
-        "docs/drivers",
-        "docs/ros",
-        "docs/trouble",
-        "docs/problems",
-    ],
+    "Begin": ["README", *_inside("docs", "problems", "tutorial/README", "glossary")],
+    "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
+    "Experiments": _inside("docs", "experiments", "tuning", "figures", "benchmark_suite", "paper"),
+    "Operating": _inside(
+        "docs", "operating", "watching", "recording", "python", "zenoh", "configuration", "trouble"
+    ),
     "Robots": [
-        "docs/robots/burger",
-        "docs/robots/waffle_pi",
-        "docs/robots/jackal",
-        "docs/robots/thymio",
-        "docs/robots/epuck2",
-        "docs/robots/turtlebot4",
-        "docs/robots/rosbot_xl",
-        "docs/robots/new_robot",
-        "docs/robots/last_word",
-        "docs/robots/trouble",
-    ],
-    "Reference": [
-        "docs/reference/commands",
-        "docs/reference/patterns",
-        "docs/reference/comparison",
-        "docs/reference/platforms",
-        "docs/reference/scenarios",
-        "docs/reference/metrics",
-        "docs/reference/python",
-        "docs/reference/api",
-        "docs/reference/testing",
-        "docs/reference/experiments",
-        "docs/glossary",
+        *_inside("docs", "installation", "field", "security", "ros", "ros_faults", "drivers"),
+        *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
+        *_inside("docs/robots", "thymio", "epuck2", "new_robot", "calibration", "last_word"),
     ],
     "Safety and evidence": [
         "docs/safety",
-        "docs/evidence/safety",
-        "docs/evidence/sensing",
-        "docs/evidence/barrier",
-        "docs/evidence/avoidance",
-        "docs/evidence/goals",
-        "docs/evidence/network",
-        "docs/evidence/security",
-        "docs/evidence/simulation",
+        *_inside("docs/evidence", "safety", "barrier", "avoidance", "sensing", "goals"),
+        *_inside("docs/evidence", "network", "security", "simulation"),
+        "studies/ros/faults",
     ],
-    "Background": [
-        "docs/paper",
-        "benchmarks/README",
-        "ARCHITECTURE",
-        "CONTRIBUTING",
-        "CHANGELOG",
-        "README",
+    "Reference": [
+        *_inside("docs/reference", "commands", "patterns", "comparison", "platforms", "scenarios"),
+        *_inside("docs/reference", "metrics", "python", "api", "testing", "experiments"),
     ],
+    "Changing swarmd": ["ARCHITECTURE", "CONTRIBUTING", "benchmarks/README", "CHANGELOG"],
 }
+"""The captions of the start page, with their pages."""
+
+INNER = {
+    "docs/tutorial/README": [
+        *(f"docs/tutorial/{page.stem}" for page in sorted(_ROOT.glob("docs/tutorial/[0-9]-*.md"))),
+        "docs/tutorial/teachers",
+    ],
+    "patterns/README": [
+        f"patterns/{page.parent.name}/page" for page in sorted(_ROOT.glob("patterns/*/page.md"))
+    ],
+    "ARCHITECTURE": _inside("docs/architecture", "robot", "operator", "laboratory"),
+}
+"""The pages that the contents show below another page, by that page."""

@@ -18,12 +18,14 @@ from pathlib import Path
 from typing import Any, get_args
 
 import click
+import driver_messages
 import msgspec
 import zenoh
 from docstrings import module, prose
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.plugin_check import describe_patterns
+from swarmd.cli.swarmctl import VERBS as COMMANDS
 from swarmd.cli.swarmctl import cli
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
@@ -312,7 +314,7 @@ def keys() -> Iterator[str]:
             f"`control/{row.name}/ASKER`",
             f"`{row.asked.__name__}`" if row.asked.__struct_fields__ else "nothing",
             f"`{row.answer.__name__}`",
-            row.help,
+            COMMANDS[row.name].text if row.name in COMMANDS else "",
             _roles(CONTROL, row.name, "query"),
         )
         for row in VERBS.values()
@@ -506,6 +508,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "testing": testing,
     "experiments": experiments,
     "python": python,
+    **driver_messages.PARTS,
 }
 """The parts by the name in their pages."""
 
@@ -661,6 +664,7 @@ if __name__ == "__main__":
             *ROOT.glob("*.md"),
             *ROOT.glob("docs/**/*.md"),
             *ROOT.glob("patterns/**/*.md"),
+            *ROOT.glob("studies/**/*.md"),
             ROOT / "benchmarks/README.md",
         ):
             copy = ROOT / "build/pages" / page.relative_to(ROOT)

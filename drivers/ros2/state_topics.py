@@ -20,6 +20,7 @@ from zenoh.handlers import Callback
 
 from swarmd.core.finding import Finding
 from swarmd.core.messages import Motion, ShownPose, State, Status
+from swarmd.core.state_colours import colour_of
 from swarmd.core.values import Array, Platform, Pose
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import messages as ros
@@ -27,7 +28,6 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.to_ros import header, pose_message
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import has_subscriber
-from swarmd.texts.state_colours import colour_of
 
 log = logging.getLogger(__name__)
 

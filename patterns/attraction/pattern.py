@@ -162,6 +162,7 @@ def _range(robot: tuple[float, float]) -> float:
 class Attraction(FieldPattern[AttractionParams]):
     """Drives to other robots and stands next to them; alone it searches."""
 
+    group = "gather"
     params_type = AttractionParams
     field_kind = "attraction"
     is_symmetric = True

@@ -102,6 +102,7 @@ class BestOfNParams(Params, frozen=True, kw_only=True):
 class BestOfN(Pattern[BestOfNParams]):
     """Explores, promotes its opinion for a time by its quality, and decides; it stands."""
 
+    group = "decide"
     params_type = BestOfNParams
     needs = frozenset({"reading:quality_0", "reading:quality_1"})
     channels = {_CHANNEL: int}  # noqa: RUF012 - a Mapping, as in the base

@@ -123,6 +123,7 @@ class ChainFormationParams(Params, frozen=True, kw_only=True):
 class ChainFormation(CombinedPattern[ChainFormationParams]):
     """Searches the nest or a chain, explores a chain to its tail and joins there for a while."""
 
+    group = "formation"
     params_type = ChainFormationParams
     needs = frozenset({"scan", "neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base

@@ -35,6 +35,7 @@ class CircleFormationParams(FormationParams, frozen=True, kw_only=True):
 class CircleFormation(FormationPattern[CircleFormationParams]):
     """Forms a circle with equal spacing from the sensed positions of the others."""
 
+    group = "formation"
     params_type = CircleFormationParams
 
     def place(self, others: Array) -> Array:

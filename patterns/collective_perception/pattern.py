@@ -101,6 +101,7 @@ class CollectivePerceptionParams(Params, frozen=True, kw_only=True):
 class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
     """Walks, measures the floor, tells its opinion and decides, in turns."""
 
+    group = "decide"
     params_type = CollectivePerceptionParams
     needs = frozenset({"scan", "reading:ground"})
     channels = {OPINION: list}  # noqa: RUF012 - a Mapping, as in the base

@@ -75,6 +75,7 @@ class CooperativeTransportParams(Params, frozen=True, kw_only=True):
 class CooperativeTransport(CombinedPattern[CooperativeTransportParams]):
     """Searches the box, goes around while the lamp is seen, and pushes where the lamp is hidden."""
 
+    group = "carry"
     params_type = CooperativeTransportParams
     needs = frozenset({"scan", "detections"})
     touches = TouchZone(bearing=0.0, half_width=math.radians(60.0), speed=0.1)

@@ -39,6 +39,7 @@ class CrossInhibitionParams(VotingParams, frozen=True, kw_only=True):
 class CrossInhibition(VotingPattern[CrossInhibitionParams]):
     """Draws one neighbour's opinion after each window; it does not move."""
 
+    group = "decide"
     params_type = CrossInhibitionParams
 
     def decide(self, votes: Mapping[str, int]) -> int:

@@ -100,6 +100,7 @@ class CueAggregationParams(Params, frozen=True, kw_only=True):
 class CueAggregation(TimedPattern[CueAggregationParams]):
     """Drives, waits at a meeting of two robots, the longer the warmer the place, and turns away."""
 
+    group = "gather"
     params_type = CueAggregationParams
     needs = frozenset({"scan", "reading:temperature"})
 

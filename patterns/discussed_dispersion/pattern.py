@@ -105,6 +105,7 @@ class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
     A later change of opinion changes the distance.
     """
 
+    group = "spread"
     params_type = DiscussedDispersionParams
 
     def __init__(self, params: DiscussedDispersionParams, context: Context) -> None:

@@ -77,6 +77,7 @@ class DispersionParams(FieldParams, frozen=True, kw_only=True):
 class Dispersion(FieldPattern[DispersionParams]):
     """Drives away from everything nearer than a distance, and rests where nothing is."""
 
+    group = "spread"
     params_type = DispersionParams
     field_kind = "repulsion"
     is_symmetric = True

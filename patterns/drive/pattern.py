@@ -52,6 +52,7 @@ class Drive(MovementPattern[DriveParams]):
     The pattern uses no sensor: only protection stops the robot before obstacles.
     """
 
+    group = "move together"
     params_type = DriveParams
     needs = frozenset[str]()
     is_symmetric = True

@@ -97,6 +97,7 @@ class FireflySynchronizationParams(Params, frozen=True, kw_only=True):
 class FireflySynchronization(Pattern[FireflySynchronizationParams]):
     """Flashes in step with the neighbours, and names those that no longer flash; it stands."""
 
+    group = "decide"
     params_type = FireflySynchronizationParams
     needs = frozenset[str]()
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base

@@ -204,6 +204,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
 class Flocking(MovementPattern[FlockingParams]):
     """Drives with the robots around it, at a distance from them."""
 
+    group = "move together"
     params_type = FlockingParams
 
     def __init__(self, params: FlockingParams, context: Context) -> None:

@@ -75,6 +75,7 @@ class FollowWallParams(Params, frozen=True, kw_only=True):
 class FollowWall(TimedPattern[FollowWallParams]):
     """Drives along the nearest surface on its side, around its end, and else straight ahead."""
 
+    group = "search"
     params_type = FollowWallParams
     needs = frozenset({"scan"})
     default_state = "search"

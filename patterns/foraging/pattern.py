@@ -71,6 +71,7 @@ class ForagingParams(Params, frozen=True, kw_only=True):
 class Foraging(CombinedPattern[ForagingParams]):
     """Searches, picks up, homes and drops. The item's kind is `food`, the floor's name `ground`."""
 
+    group = "carry"
     params_type = ForagingParams
     needs = frozenset({"scan", "gripper", *(f"reading:{name}" for name in _READ | _EYES)})
 

@@ -108,6 +108,7 @@ class HexagonalLatticeParams(Params, frozen=True, kw_only=True):
 class HexagonalLattice(MovementPattern[HexagonalLatticeParams]):
     """Drives along the sum of the forces, forward or backward."""
 
+    group = "formation"
     params_type = HexagonalLatticeParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
 

@@ -81,6 +81,7 @@ class HopGradientParams(Params, frozen=True, kw_only=True):
 class HopGradient(Pattern[HopGradientParams]):
     """Sends its leader, its hops to the leader and the leader's count; stands."""
 
+    group = "decide"
     params_type = HopGradientParams
     needs = frozenset[str]()
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base

@@ -99,6 +99,7 @@ class LeaderFollowingParams(Params, frozen=True, kw_only=True):
 class LeaderFollowing(Pattern[LeaderFollowingParams]):
     """Follows the last sensed robot before it in the chain; leads if there is none."""
 
+    group = "move together"
     params_type = LeaderFollowingParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base

@@ -74,6 +74,7 @@ class LevyWalkParams(Params, frozen=True, kw_only=True):
 class LevyWalk(MovementPattern[LevyWalkParams]):
     """Alternates between a flight of random length and a turn in place to a random heading."""
 
+    group = "search"
     params_type = LevyWalkParams
 
     def __init__(self, params: LevyWalkParams, context: Context) -> None:

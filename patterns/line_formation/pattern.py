@@ -22,6 +22,7 @@ class LineFormationParams(FormationParams, frozen=True, kw_only=True):
 class LineFormation(FormationPattern[LineFormationParams]):
     """Forms a straight line with equal spacing from the sensed positions of the others."""
 
+    group = "formation"
     params_type = LineFormationParams
 
     def place(self, others: Array) -> Array:

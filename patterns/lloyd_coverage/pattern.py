@@ -82,6 +82,7 @@ class LloydCoverageParams(Params, frozen=True, kw_only=True):
 class LloydCoverage(MovementPattern[LloydCoverageParams]):
     """Drives to the centroid of the places that are nearer to it than to another robot."""
 
+    group = "spread"
     params_type = LloydCoverageParams
     needs = frozenset({"scan", "neighbors.distance", "neighbors.bearing"})
 

@@ -20,6 +20,7 @@ class MajorityRuleParams(VotingParams, frozen=True):
 class MajorityRule(VotingPattern[MajorityRuleParams]):
     """Sends its opinion and adopts the majority's at the end of each window; it does not move."""
 
+    group = "decide"
     params_type = MajorityRuleParams
 
     def decide(self, votes: Mapping[str, int]) -> int:

@@ -98,6 +98,7 @@ class OneBitAggregationParams(Params, frozen=True, kw_only=True):
 class OneBitAggregation(MovementPattern[OneBitAggregationParams]):
     """Backs along a circle while no robot is ahead, and turns on the spot while one is."""
 
+    group = "gather"
     params_type = OneBitAggregationParams
 
     def __init__(self, params: OneBitAggregationParams, context: Context) -> None:

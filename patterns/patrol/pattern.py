@@ -72,6 +72,7 @@ class PatrolParams(Params, frozen=True, kw_only=True):
 class Patrol(Pattern[PatrolParams]):
     """Drives to the adjacent place that was left alone for longest."""
 
+    group = "spread"
     params_type = PatrolParams
     needs = frozenset({"pose"})
     channels = {_CHANNEL: list}  # noqa: RUF012 - a Mapping, as in the base

@@ -86,6 +86,7 @@ class PhototaxisParams(Params, frozen=True, kw_only=True):
 class Phototaxis(TimedPattern[PhototaxisParams]):
     """Steers by the difference of two eyes, `light_1` on the left and `light_2` on the right."""
 
+    group = "search"
     params_type = PhototaxisParams
     needs = frozenset({"scan", "reading:light_1", "reading:light_2"})
     default_state = "steer"

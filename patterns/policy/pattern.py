@@ -13,6 +13,7 @@ from swarmd.api import PolicyPattern
 class Policy(PolicyPattern):
     """Requests what its network gives for six sectors of robots and six of obstacles."""
 
+    group = "gather"
     network = """
 UEsDBC0AAAAIAAAAIQB90Klx//////////8IABQAc3BlYy5ucHkBABAA+gAAAAAAAACbAAAAAAAAAJvsF+obEMnIUMZQrZ6S
 WpxcpG6loF5Taqiuo6Cell9UUpSYF59flJIKEndLzClOBYoXZyQWpAL5GoZGRjqaOgq1CmQDrmqlgsSikmIlq2gIS8lKqSg/

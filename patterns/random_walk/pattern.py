@@ -93,6 +93,7 @@ class RandomWalkParams(Params, frozen=True, kw_only=True):
 class RandomWalk(MovementPattern[RandomWalkParams]):
     """Alternates between a straight of random time and a turn of random rate and time."""
 
+    group = "search"
     params_type = RandomWalkParams
 
     def __init__(self, params: RandomWalkParams, context: Context) -> None:

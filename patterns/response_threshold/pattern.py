@@ -57,6 +57,7 @@ class ResponseThresholdParams(Params, frozen=True, kw_only=True):
 class ResponseThreshold(Pattern[ResponseThresholdParams]):
     """Reports whether the robot works, and decides anew once a period; the robot stands."""
 
+    group = "decide"
     params_type = ResponseThresholdParams
     needs = frozenset({"reading:stimulus"})
 

@@ -117,6 +117,7 @@ class ShelterChoiceParams(Params, frozen=True, kw_only=True):
 class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
     """Walks, rests under a shelter, and leaves the sooner the fewer rest there."""
 
+    group = "gather"
     params_type = ShelterChoiceParams
     needs = frozenset({"scan", "reading:ground", "neighbors.distance"})
     channels = {_CHANNEL: bool}  # noqa: RUF012 - a Mapping, as in the base

@@ -108,6 +108,7 @@ class ShepherdingParams(Params, frozen=True, kw_only=True):
 class Shepherding(Pattern[ShepherdingParams]):
     """Flees, drives or stands, by its role."""
 
+    group = "move together"
     params_type = ShepherdingParams
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base

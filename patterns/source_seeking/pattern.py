@@ -90,6 +90,7 @@ class SourceSeekingParams(Params, frozen=True, kw_only=True):
 class SourceSeeking(TimedPattern[SourceSeekingParams]):
     """Runs straight while `concentration` rises, and tumbles where it has fallen."""
 
+    group = "search"
     params_type = SourceSeekingParams
     needs = frozenset({"scan", "reading:concentration"})
     default_state = "run"

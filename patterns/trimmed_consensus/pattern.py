@@ -74,6 +74,7 @@ class TrimmedConsensusParams(Params, frozen=True, kw_only=True):
 class TrimmedConsensus(Pattern[TrimmedConsensusParams]):
     """Sends its value, moves the value to the trimmed mean of the neighbours', and stands."""
 
+    group = "decide"
     params_type = TrimmedConsensusParams
     needs = frozenset[str]()
     channels = {_CHANNEL: float}  # noqa: RUF012 - a Mapping, as in the base

@@ -70,6 +70,7 @@ class VicsekAlignmentParams(Params, frozen=True, kw_only=True):
 class VicsekAlignment(MovementPattern[VicsekAlignmentParams]):
     """Drives at constant speed and turns to the mean heading of the robots near it."""
 
+    group = "move together"
     params_type = VicsekAlignmentParams
     needs = frozenset({"neighbors.distance", "neighbors.heading"})
 

@@ -21,6 +21,7 @@ class VoterModelParams(VotingParams, frozen=True):
 class VoterModel(VotingPattern[VoterModelParams]):
     """Sends its opinion and adopts a random neighbour's after each window; it does not move."""
 
+    group = "decide"
     params_type = VoterModelParams
 
     def decide(self, votes: Mapping[str, int]) -> int:

@@ -84,6 +84,10 @@ def demo(
     if world["scenario"] is None:
         find_pattern(pattern, world["plugin_dir"])
     values = read_assignments(params)
+    if values and world["scenario"] is None:  # before a world is there, and once for all robots
+        from swarmd.cli.plugin_check import check_parameters
+
+        check_parameters(pattern, values, world["plugin_dir"], world["platform"])
     fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
     if fleet.scenario is not None:
         fleet = replace(fleet, absent=fleet.scenario.scenario.absent)

@@ -6,7 +6,7 @@ import itertools
 import math
 import shlex
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -20,7 +20,7 @@ from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_bench import bench
-from swarmd.sim.cli.exp_results import check, export, plot, report, view
+from swarmd.sim.cli.exp_results import check, exit_if_incomplete, export, plot, report, view
 from swarmd.sim.cli.exp_tune import tune
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
@@ -33,6 +33,7 @@ from swarmd.sim.cli.options import (
     scenarios,
     set_option,
     trust_option,
+    warn_of_few,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 
@@ -145,7 +146,7 @@ def run(
         from swarmd.sim.experiments.cluster import connect
 
     names = chosen_metrics(metrics)
-    own = beyond_catalog(names or ())
+    own, shown = beyond_catalog(names or ()), [one.name for one in names or ()]
     plan = plan_of(
         scenario,
         parse_seeds(seeds),
@@ -173,7 +174,7 @@ def run(
     if own:
         command += ["--metrics", ",".join(one.origin or one.name for one in own)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
-    manifest = manifest_of(plan, traces=not no_traces, command=command, metrics=own)
+    manifest = manifest_of(plan, traces=not no_traces, command=command, metrics=own, shown=shown)
     limit = STEP_TIMEOUT if timeout is None else timeout
     begin = time.monotonic()
     try:
@@ -298,6 +299,8 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
 
     A alone, the folder of a sweep: its variants in one table, and for two swept keys the mean for
     each value and the interaction.
+
+    Exit code 1 if planned runs of either are missing.
     """
     from swarmd.sim.experiments import compare as comparing
 
@@ -310,9 +313,10 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     if is_json:
         documents = [comparing.document(*one) for one in found]
         print_json("Comparison", {"comparisons": documents})
-        return
-    for left, right, differences in found:
-        _print_differences(left, right, differences)
+    else:
+        for left, right, differences in found:
+            _print_differences(left, right, differences)
+    exit_if_incomplete(*(side.results for side in pairs[0]))
 
 
 @exp.command()
@@ -434,7 +438,7 @@ def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bo
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
     else:
         click.echo(results.text(names))
-    _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
+    warn_of_few(len(results.seeds(variant)) for variant in results.variants)
     if "failed_patterns" in results.metrics:
         count = int((results.metric("failed_patterns") > 0.0).sum())
         if count:
@@ -470,7 +474,7 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
     by_chance = 0.05 * sum(one.interval is not None for one in differences)
     click.echo(f"; {by_chance:.2g} would by chance if nothing did", nl=False)
     click.echo(f"; {sum(one.holds for one in differences)} with Holm's correction\n")
-    _warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
+    warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
 
 
 def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_json: bool) -> None:
@@ -489,6 +493,7 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
     if is_json:
         document = {"variants": sweep.variants_document(results, shown)}
         print_json("Variants", {**document, "factors": [asdict(one) for one in found]})
+        exit_if_incomplete(results)
         return
     print_table(*sweep.variants_table(results, shown))
     click.echo(f"\n{sweep.READING}\n")
@@ -498,17 +503,8 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
         )
         click.echo()
         print_table(sweep.INTERACTION_HEADER, [sweep.interaction_row(one) for one in found])
-    _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
-
-
-def _warn_of_few(counts: Iterable[int]) -> None:
-    from swarmd.sim.experiments.statistics import FEW
-
-    fewest = min((n for n in counts if n), default=FEW)
-    if fewest == 1:
-        warn("only 1 run: run more seeds, such as 20, before you draw conclusions")
-    elif fewest < FEW:
-        warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
+    warn_of_few(len(results.seeds(variant)) for variant in results.variants)
+    exit_if_incomplete(results)
 
 
 exp.add_command(bench)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import time
 from collections.abc import Sequence
@@ -17,13 +18,13 @@ import click
 from swarmd.cli import completion
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError
-from swarmd.sim.cli.options import need, new_folder, out_option, output_option
+from swarmd.sim.cli.options import need, new_folder, out_option, output_option, warn_of_few
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from swarmd.sim.experiments.benchmark import Task
+    from swarmd.sim.experiments.benchmark import Entry, Task
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
 _LIST = "list"
@@ -65,7 +66,7 @@ def _tasks(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     metavar="FILE.csv",
     help="Results of another program beside ours: columns task, seed, value, and name if wanted.",
 )
-@out_option("Folder of the results; interrupted runs in it resume [experiments/bench-N].")
+@out_option("Folder of the results; interrupted runs in it resume [runs/bench-N].")
 @click.option("--traces", is_flag=True, help="Keep traces, for `exp view` and `exp plot`.")
 @output_option
 @click.pass_context
@@ -83,8 +84,9 @@ def bench(
     """Run patterns in the tasks of the benchmark suite, and print one table of all.
 
     TASK is a name of `exp bench list`, or a file of that format; without one, all ten are run. A
-    cell has the median of the seeds, its 95 % interval, and the rank within the task. A pattern
-    whose needs the robots of a task do not meet is not run there; a line names the missing needs.
+    cell has the median of the seeds, its 95 % interval, and the rank within the task where that
+    interval overlaps no other. A pattern whose needs the robots of a task do not meet is not run
+    there; a line names the missing needs. The first line estimates the time.
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
@@ -111,12 +113,13 @@ def bench(
         warn(f"{one.pattern} does not fit {one.task}: {one.why}")
     if not entries:
         raise ConfigError(f"{', '.join(names)}: fits none of the tasks; see exp bench list")
-    folder = out or new_folder(Path("experiments"), (f"bench-{n}" for n in count(1)))
+    folder = out or new_folder(Path("runs"), (f"bench-{n}" for n in count(1)))
     command = ["swarmctl", "exp", "bench", *tasks]
     command += [word for one in patterns for word in ("--pattern", one)]
     command += ["--seeds", seeds] if seeds else []
     command += [word for one in others for word in ("--with", str(one))]
     command += ["--out", str(folder), *(["--traces"] * traces)]
+    _tell_the_time(entries, given, jobs or usable_cores())
     begin, planned, finished = time.monotonic(), 0, 0
     try:
         for number, entry in enumerate(entries, start=1):
@@ -154,9 +157,25 @@ def bench(
                 for row, cells in table.items()
             ],
         )
+    warn_of_few(sum(value == value for value in found.values()) for found in values.values())
     took = time_span(time.monotonic() - begin)
     warn(f"{finished} of {planned} runs are there after {took}; results: {folder}/TASK/PATTERN/")
     ctx.exit(0 if finished == planned else PARTIAL if finished else FAILED)
+
+
+def _tell_the_time(entries: Sequence[Entry], seeds: Sequence[int] | None, processes: int) -> None:
+    """Print how many runs there are, and an estimate of the time that all of them take."""
+    from swarmd.sim.cli.progress import time_span
+    from swarmd.sim.experiments.cost import measured_cost
+
+    cost, seconds, runs = measured_cost(Path("experiments")), 0.0, 0
+    for entry in entries:
+        number = entry.task.file.seeds if seeds is None else len(seeds)
+        duration = entry.task.file.scenario["duration"]
+        one = cost.run_seconds(entry.task.name, entry.task.robots, duration)
+        seconds, runs = seconds + one * math.ceil(number / processes), runs + number
+    text = f"{runs} runs, about {time_span(seconds)} with {processes} at a time"
+    warn(f"{text}; an estimate, from {cost.basis}")
 
 
 def _named(patterns: Sequence[str]) -> tuple[list[str], Path | None]:

@@ -26,6 +26,8 @@ from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
+    from swarmd.sim.experiments.results import Results
+    from swarmd.sim.metrics.metric import Metric
 
 _MODULES = {
     "csv": ("sim,table", "pandas", "scipy"),
@@ -89,7 +91,7 @@ def check(
     wanted = [checking.parse_requirement(text) for text in requirements]
     sides = sides_of(experiment)
     found = [checking.check(one, side) for side in sides for one in wanted]
-    lacking = checking.missing_runs(sides)
+    lacking = sides[0].results.lacking
     is_passed = not lacking and all(one.is_met for one in found)
     if is_json:
         rows = [one.document() for one in found]
@@ -131,9 +133,13 @@ def report(
 
     Of a recording, one robot's or that of `record merge`: states, gaps, stops, paths by odometry.
     The file needs no network and no other file, and prints well.
+
+    Exit code 1 if planned runs are missing.
     """
     need("mujoco", "matplotlib")
     from swarmd.sim.experiments.manifest import NAME, write_whole
+
+    experiments: list[Results] = []
 
     is_recording = place.suffix == ".mcap"
     path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
@@ -155,13 +161,16 @@ def report(
         from swarmd.sim.experiments.results import load_results
         from swarmd.sim.report.html import report_of
 
-        about = load_results(place, is_trusted=is_trusted).asked
-        text = report_of(place, chosen_metrics(metrics, about), seed, variant)
+        results = load_results(place, is_trusted=is_trusted)
+        experiments.append(results)
+        warn(f"measuring, drawing and writing {len(results.runs)} runs ...")
+        text = report_of(place, _metrics_of(results, metrics), seed, variant)
     try:
         write_whole(path, text)
     except OSError as error:
         raise SwarmError(f"{path}: cannot be written: {error.strerror or error}") from error
     click.echo(f"{path}: {megabytes(path.stat().st_size, 2)}")
+    exit_if_incomplete(*experiments)
 
 
 @click.command()
@@ -246,7 +255,11 @@ def plot(
     width: str | None,
     is_trusted: bool,
 ) -> None:
-    """Draw the experiment in DIR: metrics by run and over time, differences; also trajectories."""
+    """Draw the experiment in DIR: metrics by run and over time, differences; also trajectories.
+
+    Without --metrics these are the metrics of the run, if `exp run` was given some. Exit code 1 if
+    planned runs are missing.
+    """
     need("matplotlib")
     from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.results import load_results
@@ -257,8 +270,8 @@ def plot(
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     chosen = None if one_or_more is None else parse_seeds(one_or_more)
     inches = None if width is None else parse_width(width)
-    about = load_results(folder, is_trusted=is_trusted).asked
-    names = chosen_metrics(metrics, about)
+    results = load_results(folder, is_trusted=is_trusted)
+    about, names = results.asked, _metrics_of(results, metrics)
     bounds = {about(name).name: value for name, value in parse_targets(targets).items()}
     look = Look(
         suffix=f".{form}",
@@ -273,6 +286,25 @@ def plot(
         click.echo(str(path))
     if not made:
         warn("nothing differs between runs; for paths from above: --only runs,trajectories")
+    exit_if_incomplete(results)
+
+
+def _metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:
+    """The metrics of `--metrics`, else those that the runs were asked for; None if neither is."""
+    from swarmd.sim.experiments.manifest import read_manifest
+
+    if text is None and (shown := read_manifest(results.folder).shown):
+        return [*map(results.asked, shown)]
+    return chosen_metrics(text, results.asked)
+
+
+def exit_if_incomplete(*experiments: Results) -> None:
+    """End the verb with the exit code of `exp check` if planned runs are missing."""
+    lacking = {one.folder: one.lacking for one in experiments if one.lacking}
+    for folder, text in lacking.items():
+        warn(f"{folder}: not complete: {text}")
+    if lacking:
+        click.get_current_context().exit(MISSED)
 
 
 def parse_width(text: str) -> float:

@@ -49,7 +49,8 @@ _MAX_METRIC, _BORDERS = 16, 13  # characters of a metric's name, and around four
     type=click.IntRange(min=2),
     default=500,
     show_default=True,
-    help="Runs of all races together; held-out runs are besides.",
+    help="Runs of all races together, at least two for each seed of the races: 40 for 20 seeds;"
+    " held-out runs are besides.",
 )
 @click.option(
     "--seeds", default="20", show_default=True, metavar="SEEDS", help="Seeds of the races."

@@ -220,6 +220,17 @@ def chosen_metrics(
     return tuple(map(about or metric_of, names))
 
 
+def warn_of_few(counts: Iterable[int]) -> None:
+    """A warning if a variant or a row has fewer runs than its intervals need."""
+    from swarmd.sim.experiments.statistics import FEW
+
+    fewest = min((n for n in counts if n), default=FEW)
+    if fewest == 1:
+        warn("only 1 run: run more seeds, such as 20, before you draw conclusions")
+    elif fewest < FEW:
+        warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
+
+
 def new_folder(base: Path, names: Iterable[str]) -> Path:
     """A new folder of `base`, with the first free name; ConfigError if none can be made.
 

@@ -283,14 +283,17 @@ def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """The results of one row in one task: values by seed, NaN without one; `rank` from 1 on.
+    """The results of one row in one task: values by seed, NaN without one.
 
-    None without a median. Rows of equal median share the better rank.
+    `rank` from 1 on; None where the interval of the median overlaps that of another row, so that
+    other seeds may change the order, and where either has none. `place`: the order of the medians
+    alone, infinite without a median; rows of equal median share the better one.
     """
 
     values: Mapping[int, float]
     summary: statistics.Summary
     rank: int | None = None
+    place: float = math.inf
 
 
 Table = dict[str, dict[str, Cell]]
@@ -302,27 +305,38 @@ def table_of(
 ) -> Table:
     """The table of values by (row, task) and seed; `better` by task.
 
-    Rows in the order of their best rank, then of their number of tasks, then of their name.
+    Rows in the order of their best place, then of their number of tasks, then of their name.
     """
     cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
     ranked: Table = {}
     for (row, task), cell in cells.items():
         sign = 1.0 if better[task] == "less" else -1.0
-        medians = [
-            rival.summary.median for (_, rival_task), rival in cells.items() if rival_task == task
+        rivals = [
+            rival.summary
+            for (name, rival_task), rival in cells.items()
+            if rival_task == task and name != row
         ]
         own = cell.summary.median
-        rank = None
         if own is not None:
-            rank = 1 + sum(sign * median < sign * own for median in medians if median is not None)
-        ranked.setdefault(row, {})[task] = Cell(cell.values, cell.summary, rank)
+            medians = [rival.median for rival in rivals if rival.median is not None]
+            place = 1 + sum(sign * median < sign * own for median in medians)
+            rank = place if all(_is_apart(cell.summary, rival) for rival in rivals) else None
+            cell = Cell(cell.values, cell.summary, rank, place)
+        ranked.setdefault(row, {})[task] = cell
     return dict(sorted(ranked.items(), key=_order))
+
+
+def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:
+    """Whether the intervals of two medians do not overlap; True if `b` has no median."""
+    if b.median is None:
+        return True
+    one, other = a.median_interval, b.median_interval
+    return one is not None and other is not None and (one.high < other.low or other.high < one.low)
 
 
 def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:
     row, cells = item
-    ranks = [math.inf if cell.rank is None else cell.rank for cell in cells.values()]
-    return (min(ranks, default=math.inf), -len(cells), row)
+    return (min((cell.place for cell in cells.values()), default=math.inf), -len(cells), row)
 
 
 def _summary(values: Mapping[int, float]) -> statistics.Summary:
@@ -330,7 +344,7 @@ def _summary(values: Mapping[int, float]) -> statistics.Summary:
 
 
 def cell_text(cell: Cell | None) -> str:
-    """Median, its 95 % interval and the rank, such as `0.71 (0.6 to 0.8) #2`.
+    """Median, its 95 % interval and the rank, if there is one, such as `0.71 (0.6 to 0.8) #2`.
 
     `0.71 (0.6 to 0.8) #2 of 3/20`: only three of twenty runs have a value.
     """
@@ -341,8 +355,8 @@ def cell_text(cell: Cell | None) -> str:
     if median is None:
         return statistics.NOTHING
     between = "" if interval is None else f" ({interval.low:.3g} to {interval.high:.3g})"
-    text = f"{median:.3g}{between} #{cell.rank}"
-    return f"{text} of {n}/{runs}" if n < runs else text
+    rank = "" if cell.rank is None else f" #{cell.rank}"
+    return f"{median:.3g}{between}{rank}" + (f" of {n}/{runs}" if n < runs else "")
 
 
 def read_results(

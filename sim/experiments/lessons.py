@@ -26,7 +26,6 @@ from swarmd.sim.experiments.requirements import (
     RUNS,
     Finding,
     check,
-    missing_runs,
     parse_requirement,
 )
 from swarmd.sim.experiments.results import Results
@@ -91,7 +90,7 @@ def mark_results(lesson: Lesson, folder: Path) -> Mark:
             sides = sides_of(str(folder / where))
             _check_measured(sides[0].results, texts)
             findings += _findings(sides, texts)
-            if lacking := missing_runs(sides):
+            if lacking := sides[0].results.lacking:
                 faults.append(f"{where}: {lacking}")
         except (SwarmError, OSError) as error:
             faults.append(str(error).replace(f"{folder}/", ""))

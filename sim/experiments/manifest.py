@@ -57,6 +57,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     variants: list[Variant]  # with the complete scenarios
     shard: Shard | None = None  # the part of the runs that the folder holds, None for all
     metrics: list[OwnMetric] = []  # those measured besides the catalog's
+    shown: list[str] = []  # names of the metrics that the user asked for
 
     @property
     def plan(self) -> Plan:
@@ -72,7 +73,12 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def manifest_of(
-    plan: Plan, *, traces: bool, command: list[str], metrics: Iterable[Metric] = ()
+    plan: Plan,
+    *,
+    traces: bool,
+    command: list[str],
+    metrics: Iterable[Metric] = (),
+    shown: Iterable[str] = (),
 ) -> Manifest:
     """The manifest of a plan, with the present software; `metrics` are those beyond the catalog.
 
@@ -105,6 +111,7 @@ def manifest_of(
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
         metrics=measured,
+        shown=[*shown],
     )
     try:
         msgspec.json.encode(manifest)

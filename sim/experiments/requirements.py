@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,16 +105,6 @@ def check(requirement: Requirement, side: Side) -> Finding:
             interval = summary.median_interval
     is_met = value is not None and _COMPARISONS[requirement.comparison](value, requirement.value)
     return Finding(requirement, side.variant, value, interval, remark, is_met)
-
-
-def missing_runs(sides: Sequence[Side]) -> str:
-    """Why the experiment is not complete; empty if every planned run is there."""
-    results = sides[0].results
-    planned, finished = len(results.plan.runs), len(results.runs)
-    if planned == finished:
-        return ""
-    failed = f", {len(results.failures)} failed" if results.failures else ""
-    return f"{finished} of {planned} runs are there{failed}"
 
 
 def _remark(summary: Summary, statistic: str, value: float | None) -> str:

@@ -117,6 +117,15 @@ class Results:
         return tuple(row.run for row in self._rows)
 
     @property
+    def lacking(self) -> str:
+        """How many of the planned runs are there, and how many failed; empty if all are there."""
+        planned, finished = len(self.plan.runs), len(self._rows)
+        if planned == finished:
+            return ""
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"{finished} of {planned} runs are there{failed}"
+
+    @property
     def traces(self) -> Traces:
         """The traces of the finished runs, in the order of `rows`."""
         return Traces(self)

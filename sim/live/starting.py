@@ -146,9 +146,14 @@ def _texts(outcome: Outcome) -> dict[str, str]:
 
 
 def why_not(verb: str, outcome: Outcome) -> str:
-    """The outcome in one line, with each text once."""
+    """The outcome in one line, with each text once; a text of all robots names no robot."""
     by_text: dict[str, list[str]] = {}
     for name, text in sorted(_texts(outcome).items()):
         by_text.setdefault(text, []).append(name)
+    if len(by_text) == 1 and not outcome.applied:
+        return f"{verb}: all {outcome.targeted} robots: {next(iter(by_text))}"
     reasons = [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
-    return "; ".join([f"{verb}: {outcome.line}", *reasons])
+    counts = {"applied": len(outcome.applied), "refused": len(outcome.refused),
+              "failed": len(outcome.failed), "no answer": len(outcome.missing)}  # fmt: skip
+    parts = [f"{outcome.targeted} targeted", *(f"{n} {what}" for what, n in counts.items() if n)]
+    return "; ".join([f"{verb}: {', '.join(parts)}", *reasons])

@@ -55,7 +55,7 @@ from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.sensors import SENSORS, SensorTimes, sensors_due
 
-_core = load_kernel("swarmd.robot.tick")
+_core = load_kernel("swarmd.robot.ticker")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""

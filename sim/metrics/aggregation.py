@@ -180,7 +180,7 @@ METRICS = (
            late_mean(_linked(is_one_cluster)), _linked(is_one_cluster)),
     Metric("gather_time", "s",
            "until all are in one cluster and half as far from the centroid as at the start", "ours",
-           _linked(gather_time), is_time_to_event=True),
+           _linked(gather_time), is_time_to_event=True, event="gathering"),
     Metric("nearest_neighbor_median_late", "m",
            "median distance to the nearest other robot in the last 60 s",
            "Clark and Evans 1954, Ecology 35", nearest_neighbor_median, nearest_neighbor_medians),

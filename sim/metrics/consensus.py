@@ -68,7 +68,7 @@ _VALENTINI = "Valentini et al. 2017, Front. Robot. AI 4:9"
 
 METRICS = (
     Metric("consensus_time", "s", "until all robots hold one opinion, and keep it to the end",
-           _VALENTINI, consensus_time, better="less", is_time_to_event=True),
+           _VALENTINI, consensus_time, better="less", is_time_to_event=True, event="consensus"),
     Metric("consensus_share", "share", "robots that hold the most common opinion at the end",
            _VALENTINI, consensus_share, consensus_shares, "more"),
     Metric("consensus_opinion", "", "the opinion that all robots hold at the end", _VALENTINI,

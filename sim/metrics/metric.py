@@ -35,6 +35,8 @@ class Metric:
     """The direction that is good for every task, else None."""
     is_time_to_event: bool = False
     """The value is a duration in s, None where the event never happened."""
+    event: str = ""
+    """The name of that event in a figure."""
     origin: str = ""
     """The name that `metric_of` takes from any folder, where `name` is not."""
     digest: str = ""

@@ -238,9 +238,11 @@ class _Gallery:
                 for times in some.values()
             )
             if one.is_time_to_event and has_event:
+                name = self._quantity(one).name
+                is_renamed = one.name in self._look.labels
                 figure = survival_figure(
                     facets,
-                    label=self._quantity(one).name,
+                    event=name if is_renamed else one.event or f"the event of {name}",
                     title=self._scenario,
                     width=self._look.width,
                     axis=self._axis,

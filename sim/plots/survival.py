@@ -76,16 +76,17 @@ def survival_curve(found: Times) -> Curve:
 def survival_figure(
     facets: Mapping[str, Mapping[str, Times]],
     *,
-    label: str,
+    event: str,
     title: str = "",
     width: float | None = None,
     axis: str = "",
 ) -> Figure:
-    """A picture of the share of runs that have not had an event yet, over time.
+    """A picture of the share of runs without an event so far, over time.
 
     A panel for each facet, with one line a variant and a small stroke where a run ended without the
-    event; up to three variants have bands of the 95 % interval. `width`: in inches, for a paper.
-    `axis` names the legend.
+    event; up to three variants have bands of the 95 % interval. The axis of time ends with the
+    last event, or with the last run without the event. `event`: a noun. `width`: in inches, for a
+    paper. `axis` names the legend.
     SwarmError without a run.
     """
     kept = {
@@ -94,32 +95,34 @@ def survival_figure(
     }
     kept = {panel: groups for panel, groups in kept.items() if groups}
     if not kept:
-        raise SwarmError(f"{label}: no run: nothing to draw")
+        raise SwarmError(f"{event}: no run: nothing to draw")
     legend = Legend.of({p: {n: [*f.times] for n, f in one.items()} for p, one in kept.items()})
     has_band = len(legend.counts) <= _MAX_BANDS
     figure, panels = new_series_figure(list(kept), legend, width)
+    end = 0.0
     for axes, groups in zip(panels, kept.values(), strict=True):
         for name, found in groups.items():
-            text = legend.text(name)
-            _paint(axes, survival_curve(found), legend.index(name), text, has_band=has_band)
-    ends = [found.ends.max() for groups in kept.values() for found in groups.values()]
+            curve = survival_curve(found)
+            _paint(axes, curve, legend.index(name), legend.text(name), has_band=has_band)
+            end = max(end, float(curve.t[-1]))
     panels[0].set_ylim(-0.03, 1.03)
-    panels[0].set_xlim(0.0, float(max(ends)))
+    panels[0].set_xlim(0.0, end)
     band = ", band: its 95 % interval" if has_band else ""
     reading = f"Kaplan-Meier{band}; stroke: a run ended without it"
-    return finish_series(
-        figure, panels, f"{label}: share not yet", title, reading, legend, width, axis
-    )
+    text = f"share of runs without {event}"
+    return finish_series(figure, panels, text, title, reading, legend, width, axis)
 
 
 def _paint(axes: Axes, curve: Curve, index: int, label: str, *, has_band: bool) -> None:
     colour, style = variant_style(index)
     if has_band:
-        axes.fill_between(
-            curve.t, curve.low, curve.high, step="post", color=colour, alpha=0.16, linewidth=0.0
-        )
+        # By corners: `step="post"` leaves out the segment before a bound that does not exist, such
+        # as the last before the share is 0.
+        corners = np.repeat(curve.t, 2)[1:-1]
+        low, high = (np.repeat(bound, 2)[:-2] for bound in (curve.low, curve.high))
+        axes.fill_between(corners, low, high, color=colour, alpha=0.16, linewidth=0.0)
     axes.step(curve.t, curve.share, where="post", color=colour, linestyle=style, linewidth=1.8,
-              zorder=3.0, label=label)  # fmt: skip
+              zorder=3.0, label=label, clip_on=False)  # fmt: skip
     if not len(curve.censored):  # an empty line outside of the axes has no extent for the layout
         return
     at = np.searchsorted(curve.t, curve.censored, side="right") - 1

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
-from swarmd.recording.merge import clock_cells
 from swarmd.recording.messages import twist_of
 from swarmd.sim.film.colours import STATES, UNKNOWN
 from swarmd.sim.plots.scene import robot_colour, robot_style
@@ -26,6 +25,7 @@ from swarmd.sim.report.html import page, player_section
 from swarmd.sim.report.player import player_of
 from swarmd.sim.report.tables import table
 from swarmd.sim.trace import NAMED, Trace, blank_decisions, enter_named
+from swarmd.texts.values import clock_cells
 from swarmd.view.recording_source import RecordingSource
 from swarmd.view.timeline import APART, Timeline, Track
 

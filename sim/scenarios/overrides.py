@@ -7,24 +7,37 @@ from copy import deepcopy
 from typing import Any
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.numbers import read_duration
 from swarmd.settings.yamlfile import brief, read_value
 
 SOURCE = "--set"
 SWEEP_SOURCE = "--sweep"
+DURATION = "duration"
 
 
 def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[str, Any]:
     """Key and value of `key=value`, the value read as YAML; ConfigError if malformed.
 
     `null`, or nothing after the =, removes a value. With `form` "[{}]" it is the items of a list.
+    The key `duration` takes a unit, such as `3min`.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
         raise ConfigError(f"{source} {text!r}: expected key=value")
+    key = key.strip()
     try:
-        return key.strip(), read_value(form.format(value))
+        found = read_value(form.format(value))
+        if key == DURATION:
+            found = [*map(_seconds, found)] if isinstance(found, list) else _seconds(found)
+        return key, found
     except ConfigError as error:
-        raise ConfigError(f"{source} {key.strip()}: {error}") from error
+        raise ConfigError(f"{source} {key}: {error}") from error
+
+
+def _seconds(value: Any) -> Any:
+    """The seconds of a text such as `3min`; any other value as given."""
+    seconds = read_duration(value) if isinstance(value, str) else None
+    return value if seconds is None else seconds
 
 
 def nested(

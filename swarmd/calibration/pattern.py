@@ -17,7 +17,7 @@ from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan,
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.sensing.scan_delay import TOLERANCE, delay_by_stamps
+from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
 
 _SLOW = 0.35  # share of the top speed of the slower drives
 _CLEAR = 0.3  # s for which a steady drive goes on, until the cruise has nothing of its start

@@ -17,14 +17,14 @@ from swarmd.cli.send import known_members, show
 from swarmd.client.goals import resume_on
 from swarmd.client.runs import send_goal
 from swarmd.core.verbs import LabelRequest, ParamRequest
-from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
+from swarmd.network.operator.exit_codes import APPLIED, NO_TARGET, PARTIAL
+from swarmd.network.operator.operator_goals import next_goal, signed_goals
 from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.operator_goals import next_goal, signed_goals
 
 if TYPE_CHECKING:
+    from swarmd.client.apply_plan import Plan
     from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
-    from swarmd.settings.apply_plan import Plan
     from swarmd.settings.swarmfile import SwarmFile
 
 _file = click.argument("file", type=FILE)
@@ -79,7 +79,7 @@ def apply(options: CommonOptions, file: Path, yes: bool) -> None:
 
 
 def _plan(operator: Operator, view: MembersView) -> Plan:
-    from swarmd.settings.apply_plan import plan_of
+    from swarmd.client.apply_plan import plan_of
 
     plan = plan_of(cast("SwarmFile", operator.settings), signed_goals(view, operator.identity))
     if plan.goal is not None and not plan.targets:

@@ -11,7 +11,7 @@ from msgspec import Struct
 from swarmd.cli.output import warn
 from swarmd.cli.send import session_of
 from swarmd.client import ask_robots as client
-from swarmd.network.exit_codes import code_of_answers
+from swarmd.network.operator.exit_codes import code_of_answers
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions

@@ -22,7 +22,7 @@ from swarmd.cli.send import known_members
 from swarmd.client.targets import check_known
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.exit_codes import FAILED, REFUSED, TIMEOUT
+from swarmd.network.operator.exit_codes import FAILED, REFUSED, TIMEOUT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

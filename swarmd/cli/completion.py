@@ -62,7 +62,7 @@ def labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
 
 def swarms(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The swarms that were looked at on this machine."""
-    from swarmd.client.known_robots import cache_folder
+    from swarmd.core.files import cache_folder
 
     files = cache_folder().glob("members-*.json")
     names = {path.stem.split("-", 2)[2] for path in files}

@@ -7,6 +7,11 @@ import sys  # nothing more: an interrupt during imports of this file is not caug
 INTERRUPTED = 130
 
 
+def _exit_interrupted() -> None:
+    print("error: interrupted", file=sys.stderr)
+    sys.exit(INTERRUPTED)
+
+
 def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
@@ -17,7 +22,7 @@ def swarmctl() -> None:
 
         main()
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        _exit_interrupted()
 
 
 def swarmd() -> None:
@@ -32,4 +37,4 @@ def swarmd() -> None:
 
         main()
     except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
+        _exit_interrupted()

@@ -14,8 +14,8 @@ from swarmd.cli.targets import takes_targets
 from swarmd.client.goals import resume_on
 from swarmd.client.goals import undo as set_before
 from swarmd.client.targets import Targets, robots_of
-from swarmd.network.exit_codes import APPLIED, PARTIAL, TIMEOUT
-from swarmd.network.spread.operator_goals import signed_goals
+from swarmd.network.operator.exit_codes import APPLIED, PARTIAL, TIMEOUT
+from swarmd.network.operator.operator_goals import signed_goals
 from swarmd.texts.goal import Difference, describe_goal, differences, goals_of
 from swarmd.texts.values import NOTHING, printable, seconds
 

@@ -17,7 +17,7 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.messages import Reply
 from swarmd.core.names import expand_names, select_names
 from swarmd.core.verbs import RosterRequest
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.outcome import Outcome
 from swarmd.security.identity import RosterFile, as_of, find_identity, load_identity, write_roster
 from swarmd.security.roster import Role

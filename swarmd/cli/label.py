@@ -12,7 +12,7 @@ from swarmd.client.changes import change_labels
 from swarmd.client.targets import Targets, labels_of
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest
-from swarmd.network.exit_codes import TIMEOUT
+from swarmd.network.operator.exit_codes import TIMEOUT
 from swarmd.network.operator.outcome import joined
 from swarmd.texts.labels import read_changes
 

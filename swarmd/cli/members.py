@@ -11,7 +11,7 @@ from msgspec import to_builtins
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import print_json, print_section, print_table, terminal_width
+from swarmd.cli.output import line_width, print_json, print_section, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, session_of
 from swarmd.client.targets import check_known
 from swarmd.core.clock import FIRST_WALL
@@ -53,7 +53,7 @@ def members(options: CommonOptions, wide: bool) -> None:
                 rows = [(*row(one)[:-1], *wide_cells(one), row(one)[-1]) for one in seen]
                 print_table((*HEADER[:-1], *WIDE, HEADER[-1]), rows)
             else:
-                print_table(HEADER, [*map(row, seen)], width=terminal_width())
+                print_table(HEADER, [*map(row, seen)], width=line_width())
             for note in notes:
                 click.echo(printable(f"# {note}"))
         click.get_current_context().exit(exit_code_of(view, view.expected))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -17,6 +16,7 @@ import click
 from swarmd.cli import completion
 from swarmd.client.network_options import NetworkOptions
 from swarmd.core.errors import unknown
+from swarmd.core.numbers import read_duration
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -33,13 +33,11 @@ EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
 PROFILES = click.Choice(["dev", "field", "routed"])
 FORMS = click.Choice(["table", "json"])
 
-_DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
-_UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_DURATION = 1e7  # s
 
 
 class Failure(click.ClickException):
-    """An error with its exit code (see `swarmd.network.exit_codes`)."""
+    """An error with its exit code (see `swarmd.network.operator.exit_codes`)."""
 
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)
@@ -47,7 +45,7 @@ class Failure(click.ClickException):
 
 
 class Duration(click.ParamType[float]):
-    """Seconds from `60`, `60s`, `1.5m`, `500ms`, `2h`."""
+    """Seconds from `60`, `60s`, `1.5m`, `3min`, `500ms`, `2h`."""
 
     name = "duration"
 
@@ -57,8 +55,7 @@ class Duration(click.ParamType[float]):
         """The duration in s, above 0."""
         if isinstance(value, int | float):
             return float(value)
-        match = _DURATION.fullmatch(str(value).strip().lower())
-        seconds = float(match[1]) * _UNITS[match[2]] if match else 0.0
+        seconds = read_duration(str(value)) or 0.0
         if not 0.0 < seconds <= _MAX_DURATION:
             self.fail(
                 f"{value!r} is no duration; expected a value such as 60s, 2m or 500ms", param, ctx

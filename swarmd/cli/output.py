@@ -54,18 +54,23 @@ def print_table(
 ) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set.
 
-    The last column is cut so that a line has at most `width` characters, as far as that is enough.
+    The last column is cut so that a line has at most `width` characters, as far as that is enough,
+    and between words.
     """
     is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
     if width is not None:
         used = [max(map(len, column)) + 2 for column in zip(header, *rows, strict=True)][:-1]
         room = max(width - sum(used), len(header[-1]))
-        rows = [
-            row if len(row[-1]) <= room else (*row[:-1], f"{row[-1][: room - 3]}...")
-            for row in rows
-        ]
+        from swarmd.core.verbs import shortened  # `--help` reads no message
+
+        rows = [(*row[:-1], shortened(row[-1], room)) for row in rows]
     for line in table_lines(header, rows, is_coloured=is_coloured):
         click.echo(line, color=is_coloured)
+
+
+def line_width() -> int | None:
+    """The columns of the terminal; None for a file or a pipe, whose lines are not cut."""
+    return terminal_width() if sys.stdout.isatty() else None
 
 
 def terminal_width() -> int:

@@ -15,13 +15,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any, Literal
 
-from swarmd.core.errors import PluginError
+from swarmd.core.errors import ConfigError, PluginError, unknown
 from swarmd.core.processes import how_it_ended
 from swarmd.plugins import pattern_names
 from swarmd.security.identity import SYSTEM_FOLDER, user_folder
@@ -81,6 +81,38 @@ def describe_patterns(
             raise PluginError("the process that describes patterns ended without an answer")
         left = left[len(rows) - count :]
     return rows
+
+
+def parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str:
+    """What is wrong with a parameter by its name, type and bounds; empty if nothing."""
+    if key not in specs:
+        return unknown("parameter", key, specs)
+    spec = specs[key]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if is_number != (spec["type"] in ("int", "float")) and not isinstance(value, str | None):
+        return f"{key} is {value!r}; expected {spec['wanted']}"
+    low, high = spec["ge"], spec["le"]
+    if isinstance(value, int | float) and not (
+        (low is None or value >= low) and (high is None or value <= high)
+    ):
+        return f"{key} is {value!r}; expected {spec['wanted']}"
+    return ""
+
+
+def check_parameters(
+    pattern: str, values: Mapping[str, object], plugin_dir: Path | None, platform: str
+) -> None:
+    """ConfigError for a parameter that the pattern does not take, or a value out of its bounds.
+
+    A rule between parameters is checked by robots only. PluginError if the pattern does not load.
+    """
+    (row,) = describe_patterns((pattern,), plugin_dir, platform)
+    if "error" in row:
+        raise PluginError(row["error"])
+    specs = {spec["name"]: spec for spec in row["params"]}
+    for key, value in values.items():
+        if fault := parameter_fault(specs, key, value):
+            raise ConfigError(f"{pattern}: {fault} (see swarmctl patterns show {pattern})")
 
 
 def check_mission(

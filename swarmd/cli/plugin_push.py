@@ -28,7 +28,7 @@ from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import Code
 from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply, PushRequest
-from swarmd.network.exit_codes import PARTIAL, TIMEOUT, code_of_answers
+from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT, code_of_answers
 from swarmd.plugins import pattern_name
 from swarmd.texts.values import NOTHING
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from swarmd.cli.plugin_check import Record, describe_patterns
+from swarmd.cli.plugin_check import Record, describe_patterns, parameter_fault
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.files import write_fault
 from swarmd.core.finding import Finding
@@ -190,7 +190,7 @@ def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> I
         specs = {spec["name"]: spec for spec in row.get("params", ())}
         for source, values in settings.pattern_layers(name) if specs else ():
             for key, value in values.items():
-                fault = _parameter_fault(specs, key, value)
+                fault = parameter_fault(specs, key, value)
                 if fault:
                     yield Finding("parameters", False, f"{source}: {name}: {fault}")
 
@@ -203,22 +203,6 @@ def _check_touch(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterat
             continue
         asked = rows[name].get("touches") or "nothing"
         yield Finding("touch", True, f"{name}: granted {describe_zone(zone)}; it asks for {asked}")
-
-
-def _parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str:
-    """What is wrong with a parameter by its name, type and bounds; empty if nothing."""
-    if key not in specs:
-        return unknown("parameter", key, specs)
-    spec = specs[key]
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if is_number != (spec["type"] in ("int", "float")) and not isinstance(value, str | None):
-        return f"{key} is {value!r}; expected {spec['wanted']}"
-    low, high = spec["ge"], spec["le"]
-    if isinstance(value, int | float) and not (
-        (low is None or value >= low) and (high is None or value <= high)
-    ):
-        return f"{key} is {value!r}; expected {spec['wanted']}"
-    return ""
 
 
 def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding]:

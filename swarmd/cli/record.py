@@ -18,7 +18,7 @@ from swarmd.client.ask_robots import ASK_TIME
 from swarmd.client.targets import Targets, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import RecordRequest
-from swarmd.network.exit_codes import PARTIAL, TIMEOUT
+from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:

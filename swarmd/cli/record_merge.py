@@ -9,6 +9,7 @@ import click
 from swarmd.cli.options import CommonOptions, recordings_argument
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.plugins import need
+from swarmd.texts.values import clock_cells
 
 
 @click.command()
@@ -40,7 +41,7 @@ def merge(
     /tb3-01/scan.
     """
     need("mcap", "rosbags", extra="record")
-    from swarmd.recording.merge import clock_cells, place, rows, survey, write_merged
+    from swarmd.recording.merge import place, rows, survey, write_merged
 
     above = click.get_current_context().find_object(CommonOptions) or CommonOptions()
     is_json = "json" in outputs or above.is_json

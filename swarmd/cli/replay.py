@@ -13,7 +13,7 @@ from swarmd.cli.options import FOLDER, CommonOptions, local_options, recordings_
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
-from swarmd.network.exit_codes import FAILED
+from swarmd.network.operator.exit_codes import FAILED
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:

@@ -17,7 +17,6 @@ import click
 
 from swarmd.cli.options import CommonOptions, LazyGroup, LazyVerb, common_options, output_option
 from swarmd.cli.output import print_json, warn
-from swarmd.core import verbs
 from swarmd.core.errors import (
     ConfigError,
     NetworkError,
@@ -26,52 +25,66 @@ from swarmd.core.errors import (
     SwarmError,
 )
 from swarmd.core.files import as_text
-from swarmd.network.exit_codes import EXIT_CODES_HELP
 
 LOOK, MOVE, FILES = "Look at robots", "Command robots", "A swarm file"
 OWN, RECORD, HERE = "Patterns of your own", "Measure and record", "This machine"
 PLUGINS = "Simulate, and verbs of other plugins"
+EXIT_CODES_HELP = """\b
+Exit codes:
+  0  all targeted robots applied it
+  1  none applied it, and at least one failed
+  2  usage, or all that answered know no such pattern or parameter: none moved
+  3  partial: some robots applied it, some did not; of a look: some did not answer
+  4  no robot was targeted
+  5  none applied it or failed, and at least one did not answer in time
+  6  no daemon could be reached
+  7  all robots refused
+  130  interrupted
+  141  the reader of the output has ended, such as head"""
+CLOSED_PIPE = 141
+"""As of a program that SIGPIPE ends."""
 
 
-def _verb(
-    name: str, section: str, example: str = "", text: str = "", file: str = ""
-) -> tuple[str, LazyVerb]:
-    """A verb by its name. `text`: if not of the table of verbs; `file`: if not that of its name."""
-    place, example = f"swarmd.cli.{file or name}:{name}", f"swarmctl {name} {example}".rstrip()
-    return name, LazyVerb(place, text or verbs.VERBS[name].help, section, example)
+def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
+    """A verb by its name; `text`: its line of --help; `file`: if not that of its name."""
+    place = f"swarmd.cli.{file or name}:{name}"
+    return name, LazyVerb(place, text, section, f"swarmctl {name} {example}".rstrip())
 
 
 # fmt: off
 VERBS = dict((
-    _verb("members", LOOK, "--wide"),
+    _verb("members", LOOK, "--wide", "List the robots of the swarm and their states."),
     _verb("describe", LOOK, "tb3-03",
           "Show one robot in detail, and why it does not move.", "members"),
-    _verb("goal", LOOK),
+    _verb("goal", LOOK, "", "Show what robots are to do beside what they do."),
     _verb("events", LOOK, "-f", "Print what happened to robots, and follow it."),
     _verb("view", LOOK, "--web", "Show a living swarm: map, list, details and commands."),
     _verb("top", LOOK, "", "Show the robots by load."),
-    _verb("doctor", LOOK, "--all"),
-    _verb("links", LOOK),
-    _verb("logs", LOOK, "tb3-03 -f"),
-    _verb("audit", LOOK, "--since 1h"),
+    _verb("doctor", LOOK, "--all", "Check this machine and robots; print what to do."),
+    _verb("links", LOOK, "", "Show which robots hear which, and how well."),
+    _verb("logs", LOOK, "tb3-03 -f", "Print the logs of robots and what patterns print."),
+    _verb("audit", LOOK, "--since 1h", "Print the requests that robots had, and their answers."),
     _verb("zenoh", LOOK, "--out meadow.json5",
           "Print the configuration with which any Zenoh program reads the swarm."),
-    _verb("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s"),
-    _verb("stop", MOVE, file="stop_and_reset"),
-    _verb("estop", MOVE, "--reason 'a person in the arena'", file="stop_and_reset"),
-    _verb("reset", MOVE, "--all", file="stop_and_reset"),
-    _verb("param", MOVE, "set --all speed=0.2"),
-    _verb("resume", MOVE, "tb3-07", file="goal"),
+    _verb("run", MOVE, "attraction 'tb3-[01-04]' -p speed=0.1 --for 60s",
+          "Start a pattern on robots."),
+    _verb("stop", MOVE, "", "Stop robots, or all robots.", "stop_and_reset"),
+    _verb("estop", MOVE, "--reason 'a person in the arena'",
+          "Emergency-stop robots, or all robots; latched.", "stop_and_reset"),
+    _verb("reset", MOVE, "--all",
+          "Clear emergency stops and faults; moves nothing.", "stop_and_reset"),
+    _verb("param", MOVE, "set --all speed=0.2", "Get or set parameters of running patterns."),
+    _verb("resume", MOVE, "tb3-07", "Let robots take up the goal that they were offered.", "goal"),
     _verb("undo", MOVE, "", "Set the goal before the present one again.", "goal"),
     _verb("wait", MOVE, "--all --for state=running", "Wait until robots are as they are wanted."),
-    _verb("label", MOVE, "tb3-01 tb3-02 +red"),
+    _verb("label", MOVE, "tb3-01 tb3-02 +red", "Give labels to robots, and take them away."),
     _verb("diff", FILES, "swarm.yaml", "Show what a swarm file would change.", "apply"),
     _verb("apply", FILES, "swarm.yaml", "Set labels, goal and parameters of a swarm file."),
     _verb("patterns", OWN, "show attraction", "List patterns and their parameters."),
     _verb("plugin", OWN, "new swirl",
           "Write, check and reload patterns of your own, and push them to robots."),
     _verb("mission", OWN, "check patrol.yaml", "Check a mission before robots run it.", "patterns"),
-    _verb("record", RECORD, "start --all"),
+    _verb("record", RECORD, "start --all", "Record robots, and fetch their recordings."),
     _verb("replay", RECORD, "tb3-01.mcap",
           "Repeat a recorded run without a robot, and compare its commands."),
     _verb("calibrate", RECORD, "tb3-01 --floor 2.5",
@@ -90,12 +103,12 @@ class Verbs(LazyGroup):
     """The verbs: first those of the core, then those of plugins."""
 
     def all_verbs(self) -> Mapping[str, LazyVerb]:
-        """All verbs by name; reads the metadata of installed packages."""
+        """All verbs by name."""
         from swarmd import plugins
 
-        points = plugins.command_names().items()
-        found = {name: LazyVerb("", plugins.command_summary(one), PLUGINS) for name, one in points}
-        return {**VERBS, **{name: one for name, one in found.items() if name not in VERBS}}
+        lines = plugins.command_summaries().items()
+        added = {name: LazyVerb("", text, PLUGINS) for name, text in lines if name not in VERBS}
+        return {**VERBS, **added}
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name, imported; None if it is unknown."""
@@ -118,8 +131,7 @@ class Verbs(LazyGroup):
         try:
             return super().invoke(ctx)
         except click.UsageError as error:
-            row = verbs.VERBS.get(ctx.invoked_subcommand or "")
-            if row is None or not row.is_datagram:
+            if not _is_stop(ctx.invoked_subcommand or ""):
                 raise
             text = f"nothing was sent and no robot stops: {error.format_message()}"
             raise click.UsageError(text, error.ctx) from error
@@ -158,8 +170,7 @@ def main(args: list[str] | None = None) -> NoReturn:
         code = run_cli(cli, args, "swarmctl", exit_code_of)
     except SystemExit as end:  # by a signal
         code = end.code if isinstance(end.code, int) else 1
-    if not _is_flushed():
-        code = code or 1
+    code = code or _flushed()
     if "zenoh" in sys.modules:
         # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
         # into an interpreter which ends aborts the process. The answer is out.
@@ -169,21 +180,21 @@ def main(args: list[str] | None = None) -> NoReturn:
     sys.exit(code)
 
 
-def _is_flushed() -> bool:
-    """Write what is buffered; False if that fails, as on a full disk.
+def _flushed() -> int:
+    """Write what is buffered; the exit code if that fails: a closed pipe, or a full disk.
 
     What cannot be written goes nowhere then: else Python fails at its end, with exit code 120.
     """
-    is_flushed = True
+    code = 0
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
         except AttributeError:  # it was closed before the start
             continue
-        except OSError:
-            is_flushed = False
+        except OSError as error:
+            code = CLOSED_PIPE if isinstance(error, BrokenPipeError) else 1
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    return is_flushed
+    return code
 
 
 def run_cli(
@@ -195,6 +206,7 @@ def run_cli(
     completes a line, nothing is written on stderr: it would be drawn into that line.
     """
     words = sys.argv[1:] if args is None else args
+    stdout = sys.stdout
     if os.environ.get(f"_{name.upper()}_COMPLETE"):
         os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     elif fault := _not_text(words):
@@ -213,9 +225,13 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
-    except BrokenPipeError:  # the reader, such as `head`, has ended
+    except SystemExit:
+        # Click makes exit code 1 of a closed pipe, as of a failure, and replaces the stream.
+        if sys.stdout is stdout:
+            raise
+        sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return CLOSED_PIPE
     except UnicodeEncodeError as error:  # such as a file below a folder
         try:
             as_text(error.object)
@@ -238,10 +254,17 @@ def _not_text(words: Sequence[str]) -> str:
     No answer, manifest or message to a process can hold the name of such a file. A stop reads no
     file that it names to robots: it checks their names, and cleans its reason.
     """
-    if any(word in verbs.VERBS and verbs.VERBS[word].is_datagram for word in words):
-        return ""
     bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)
-    return "" if bad is None else f"{bad!r} is not UTF-8; rename the file, or type the word again"
+    if bad is None or any(map(_is_stop, words)):
+        return ""
+    return f"{bad!r} is not UTF-8; rename the file, or type the word again"
+
+
+def _is_stop(word: str) -> bool:
+    """Whether a datagram carries the request of the verb `word`."""
+    from swarmd.core.verbs import VERBS as requests  # not for `--help`: msgspec takes 15 ms
+
+    return word in requests and requests[word].is_datagram
 
 
 def exit_code_of(error: SwarmError) -> int:

@@ -10,7 +10,7 @@ from swarmd.cli.send import session_of
 from swarmd.cli.targets import takes_targets
 from swarmd.client.targets import Targets
 from swarmd.client.waits import wait_for
-from swarmd.network.exit_codes import APPLIED, TIMEOUT
+from swarmd.network.operator.exit_codes import APPLIED, TIMEOUT
 from swarmd.texts.awaited import read_awaited
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, RequestError
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
 
 if TYPE_CHECKING:
     from swarmd.client.session import Session

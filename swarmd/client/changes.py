@@ -10,7 +10,7 @@ from swarmd.client.targets import labels_of
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Member, Param, Presence
 from swarmd.core.verbs import ForgetRequest, LabelRequest, ParamRequest, ResetRequest
-from swarmd.network.exit_codes import REFUSED
+from swarmd.network.operator.exit_codes import REFUSED
 from swarmd.network.operator.outcome import Outcome, joined
 from swarmd.texts.labels import changed
 

@@ -9,9 +9,9 @@ from swarmd.client.runs import send_goal
 from swarmd.client.stops import stop_names
 from swarmd.core.errors import RequestError
 from swarmd.core.verbs import ResumeRequest
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
+from swarmd.network.operator.operator_goals import next_goal, signed_goals
 from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.operator_goals import next_goal, signed_goals
 from swarmd.texts.goal import content_of, describe_goal, present_goals, set_apart
 
 if TYPE_CHECKING:

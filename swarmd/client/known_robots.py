@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from swarmd.core.files import cache_folder
 from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
@@ -26,12 +27,6 @@ EMPTY_AGE = 5.0
 """The same, in s, after a look that found no robot."""
 LOOK_TIME = 0.25
 """How long such a look takes at most, in s: the shell waits for it."""
-
-
-def cache_folder() -> Path:
-    """The folder of the cache; RuntimeError without a home."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "swarmd"
 
 
 def remember(settings: NetworkSettings, view: MembersView) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from swarmd.client.states import Pose
 from swarmd.client.targets import check_known
-from swarmd.network.exit_codes import code_of_answers
+from swarmd.network.operator.exit_codes import code_of_answers
 from swarmd.network.operator.members_view import MembersView, SeenMember
 from swarmd.texts.members import HEADER, health, row
 from swarmd.texts.status import sections

@@ -16,9 +16,9 @@ from swarmd.core.errors import ConfigError, RequestError, SwarmError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, GoalRequest, RunRequest
-from swarmd.network.exit_codes import FAILED, PARTIAL
+from swarmd.network.operator.exit_codes import FAILED, PARTIAL
+from swarmd.network.operator.operator_goals import next_generation, next_goal, resigned
 from swarmd.network.operator.request_sender import REQUEST_WAIT
-from swarmd.network.spread.operator_goals import next_generation, next_goal, resigned
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:

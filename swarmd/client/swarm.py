@@ -14,7 +14,7 @@ from swarmd.client.session import Session
 from swarmd.client.states import Pose, RobotState, read_poses
 from swarmd.client.targets import Targets, make_targets, no_target, robots_of
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
-from swarmd.network.exit_codes import TIMEOUT
+from swarmd.network.operator.exit_codes import TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.client.event_feed import EventLine
@@ -104,7 +104,7 @@ class Swarm:
         timeout: float | None = None,
     ) -> tuple[Difference, ...]:
         """What each robot is to do beside what it does; `is_as_desired` tells whether it does."""
-        from swarmd.network.spread.operator_goals import signed_goals
+        from swarmd.network.operator.operator_goals import signed_goals
         from swarmd.texts.goal import differences
 
         targets = _targets(robots, labels, exclude)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from swarmd.core.errors import ConfigError, RequestError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.names import expand_globs
-from swarmd.network.exit_codes import NO_TARGET, USAGE
+from swarmd.network.operator.exit_codes import NO_TARGET, USAGE
 
 if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from swarmd.client.session import Session, unreachable
 from swarmd.client.targets import Targets, labels_of
 from swarmd.core.clock import boottime
-from swarmd.network.spread.operator_goals import signed_goals
+from swarmd.network.operator.operator_goals import signed_goals
 from swarmd.texts.awaited import Awaited, meeting, unmet
 
 if TYPE_CHECKING:

@@ -82,7 +82,7 @@ class IdHeldError(NetworkError):
 class RequestError(SwarmError):
     """A request or a look that failed as a whole; what single robots answer is an `Outcome`.
 
-    `exit_code`: that of swarmctl, see `swarmd.network.exit_codes`.
+    `exit_code`: that of swarmctl, see `swarmd.network.operator.exit_codes`.
     """
 
     def __init__(self, text: str, exit_code: int) -> None:
@@ -107,15 +107,26 @@ def fail_stop(function: Callable[P, R]) -> Callable[P, R]:
     return run
 
 
+_MAX_HINTS = 4
+
+
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """One line for an unknown name, with the nearest valid one or all of them."""
+    """One line for an unknown name, with those that it is a word of, the nearest one, or all."""
+    names = sorted(known)
+    having = [one for one in names if name in one.split("_")]
+    if 0 < len(having) <= _MAX_HINTS:
+        text = " or ".join(filter(None, [", ".join(map(repr, having[:-1])), repr(having[-1])]))
+        return f"no {what} {name!r}; did you mean {text}?"
+    if close := nearest(name, names):
+        return f"no {what} {name!r}; did you mean {close!r}?"
+    return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known name that is most like an unknown one; empty if none is."""
     from difflib import get_close_matches  # 1 ms of each start of swarmctl
 
-    names = sorted(known)
-    close = get_close_matches(name, names, n=1, cutoff=0.6)
-    if close:
-        return f"no {what} {name!r}; did you mean {close[0]!r}?"
-    return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"
+    return next(iter(get_close_matches(name, sorted(known), n=1, cutoff=0.6)), "")
 
 
 def named(value: object) -> str:

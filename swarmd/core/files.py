@@ -26,6 +26,12 @@ def user_path(text: str) -> Path:
     return Path(os.path.expanduser(text))  # Path.expanduser raises RuntimeError
 
 
+def cache_folder() -> Path:
+    """The user's folder of what can be made again; RuntimeError without a home."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "swarmd"
+
+
 def partial_path(path: Path) -> Path:
     """Where a file is written, until it is whole and gets its name."""
     return path.with_name(f".{path.name}.partial")

@@ -16,7 +16,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib import import_module
-from multiprocessing import forkserver
+from multiprocessing import forkserver, resource_tracker
 from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from types import ModuleType
@@ -77,10 +77,20 @@ class ForkedProcess:
 
 
 def start_server(modules: Iterable[str]) -> None:
-    """Start the server, which imports these modules; it is not waited for."""
+    """Start the server, which imports these modules; it is not waited for.
+
+    The server and its forks begin with SIGINT blocked. They belong to the process group of this
+    process until a fork has a session of its own, and a Ctrl-C of the terminal reaches the whole
+    group: an import of the server that it interrupts prints a traceback.
+    """
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
-    with _environment(_ENVIRON):
-        forkserver.ensure_running()
+    resource_tracker.ensure_running()  # before SIGINT is blocked: its start unblocks SIGINT
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        with _environment(_ENVIRON):
+            forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # a SIGINT of meanwhile arrives here
 
 
 def remove_folder() -> None:
@@ -125,6 +135,9 @@ def _run(
     # The server ends once this pipe has no writer any more: the first process alone is one.
     os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
     os.setsid()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # discards a SIGINT from before the session
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     Path("/proc/self/comm").write_text(name)  # of which the kernel takes 15 characters
     os.chdir(folder)
     for number, path in enumerate((os.devnull, out, err)):

@@ -10,6 +10,8 @@ FLOAT = re.compile(
     r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?\Z"
     r"|[-+]?\.(?:inf|Inf|INF)\Z|\.(?:nan|NaN|NAN)\Z"
 )
+_DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|min|h)?")
+_UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, None: 1.0}
 _BASES = {"0o": 8, "0x": 16}
 _MAX_BITS = 14000  # str() refuses more than 4300 digits
 _MAX_EXACT = 2**53  # JSON's readers keep integers up to here
@@ -50,3 +52,9 @@ def finite_number(text: str) -> float:
     except OverflowError:
         return math.nan
     return value if math.isfinite(value) else math.nan
+
+
+def read_duration(text: str) -> float | None:
+    """The seconds of `60`, `60s`, `1.5m`, `3min`, `500ms`, `2h`; None for any other text."""
+    match = _DURATION.fullmatch(text.strip().lower())
+    return float(match[1]) * _UNITS[match[2]] if match else None

@@ -289,7 +289,7 @@ class ScanSpec:
     `bearings`: (n,) nominal directions in rad. `rate` in Hz, ranges in m. `offset`: the sensor's
     (x, y) in the base frame in m. `max_gap`: the widest unknown sector in rad that conditioning
     may bridge. `zero`: the meaning of a range of exactly 0, which is no_return, too_close, unknown
-    or lds (the rule of the LDS family in `sensing/conditioning.py`). `is_noisy`: identical scans
+    or lds (the rule of the LDS family in `sensing/ray_memory.py`). `is_noisy`: identical scans
     reveal a frozen sensor. `near`: whether the sensor reports returns nearer than `range_min`, or
     loses them as if there were none. `latency`: mean age of the rays in s when a scan arrives.
     `sweep`: None if all rays are measured at once, and if the robot `measures_sweep`: the ages of
@@ -375,7 +375,7 @@ OPTION_INPUTS = ("detections",)
 """Inputs of patterns that a driver gives if it has an option of that name.
 
 Each is the kind of an input of core/events.py, a field of `Inputs`, and an attribute of
-`InputTimes` (robot/tick.py), None without a fresh value.
+`InputAges` (robot/input_ages.py), None without a fresh value.
 """
 _INPUTS = (
     "scan",

@@ -1,7 +1,7 @@
 """The verbs of the plane `control`: what operators ask of robots, and a row for each verb.
 
 The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether
-the robot compares its epoch, the line of the audit log and the line of `swarmctl --help`. A new
+the robot compares its epoch, and the line of the audit log. A new
 verb is a struct and a row here, a method `on_<verb>` of its handler, a file of `cli/`, and a line
 in `VERBS` of `cli/swarmctl.py`.
 
@@ -524,8 +524,13 @@ MAX_PART = 60
 
 
 def shortened(text: str, length: int = MAX_PART) -> str:
-    """The text, cut with an ellipsis beyond `length` characters."""
-    return text if len(text) <= length else f"{text[: length - 3]}..."
+    """The text, cut between words, with an ellipsis, to at most `length` characters."""
+    if len(text) <= length:
+        return text
+    kept = text[: length - 3]
+    words, blank, _ = kept.rpartition(" ")
+    is_whole = text[len(kept)] == " " or not blank
+    return f"{kept if is_whole else words.rstrip(' ,;:')}..."
 
 
 def _assignments(values: Mapping[str, object]) -> str:
@@ -585,14 +590,25 @@ def _push_line(request: PushRequest) -> str:
 
 
 class Handler(Enum):
-    """What answers a verb in a daemon, by its method `on_<verb>`."""
+    """What answers a verb in a daemon, by its method `on_<verb>`.
+
+    All but the first two are services of the daemon: fields of `Services` in daemon/requests.py.
+    """
 
     ROBOT = "robot"
     """`RequestHandler` in robot/requests.py; the reply is one of the robot's actions."""
-    DAEMON = "daemon"
-    """A service of the daemon, see `RequestServer` in daemon/requests.py."""
     NETWORK = "network"
     """`ZenohBus.serve_view`."""
+    RECORDING = "recording"
+    ROSTERS = "rosters"
+    PUSHES = "pushes"
+    PUSHED = "pushed"
+    TOOLS = "tools"
+
+    @property
+    def is_service(self) -> bool:
+        """True for a service of the daemon."""
+        return self not in (Handler.ROBOT, Handler.NETWORK)
 
 
 Asked = TypeVar("Asked", bound=Struct)
@@ -603,8 +619,8 @@ Answer = TypeVar("Answer")
 class Verb(Generic[Asked, Answer]):
     """A row of the table. `name`: the chunk of the key after `control/`.
 
-    `asked`: the payload; `Nothing`: the payload is empty. `help`: the line of the verb of that name
-    in `swarmctl --help`. `audit`: the request in the audit log, between verb and targets.
+    `asked`: the payload; `Nothing`: the payload is empty. `audit`: the request in the audit log,
+    between verb and targets.
     `is_for_operators`: viewers may not ask the question.
     """
 
@@ -612,7 +628,6 @@ class Verb(Generic[Asked, Answer]):
     asked: type[Asked]
     answer: type[Answer]
     handler: Handler
-    help: str = ""
     audit: Callable[[Asked], str] = lambda request: ""
     is_for_operators: bool = False
 
@@ -643,51 +658,37 @@ class Verb(Generic[Asked, Answer]):
 def _request(
     asked: type[Asked],
     handler: Handler,
-    help: str = "",
     audit: Callable[[Asked], str] = lambda request: "",
 ) -> Verb[Asked, Reply]:
     """The row of a request, which has the name of its tag on the wire."""
-    return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, help, audit)
+    return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, audit)
 
 
-_ROBOT, _DAEMON = Handler.ROBOT, Handler.DAEMON
+_ROBOT, _TOOLS, _RECORDING = Handler.ROBOT, Handler.TOOLS, Handler.RECORDING
 
-MEMBERS = Verb(
-    "members",
-    MembersQuery,
-    PeerView,
-    Handler.NETWORK,
-    "List the robots of the swarm and their states.",
-)
-RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _DAEMON)
-FETCH = Verb("fetch", FetchQuery, FetchReply, _DAEMON)
-PLUGINS = Verb("plugins", Nothing, BehavioursReply, _DAEMON)
-LOGS = Verb(
-    "logs", LogsQuery, LogBatch, _DAEMON, "Print the logs of robots and what patterns print."
-)
-_AUDIT_HELP = "Print the requests that robots had, and their answers."
-AUDIT = Verb("audit", AuditQuery, AuditReply, _DAEMON, _AUDIT_HELP, is_for_operators=True)
-LINKS = Verb(
-    "links", LinksQuery, LinksReply, _DAEMON, "Show which robots hear which, and how well."
-)
-DOCTOR = Verb(
-    "doctor", Nothing, DoctorReply, _DAEMON, "Check this machine and robots; print what to do."
-)
+MEMBERS = Verb("members", MembersQuery, PeerView, Handler.NETWORK)
+RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _RECORDING)
+FETCH = Verb("fetch", FetchQuery, FetchReply, _RECORDING)
+PLUGINS = Verb("plugins", Nothing, BehavioursReply, Handler.PUSHED)
+LOGS = Verb("logs", LogsQuery, LogBatch, _TOOLS)
+AUDIT = Verb("audit", AuditQuery, AuditReply, _TOOLS, is_for_operators=True)
+LINKS = Verb("links", LinksQuery, LinksReply, _TOOLS)
+DOCTOR = Verb("doctor", Nothing, DoctorReply, _TOOLS)
 _ROWS: tuple[Verb[Any, Any], ...] = (
     MEMBERS,
-    _request(RunRequest, _ROBOT, "Start a pattern on robots.", _run_line),
-    _request(ResumeRequest, _ROBOT, "Let robots take up the goal that they were offered."),
-    _request(GoalRequest, _ROBOT, "Show what robots are to do beside what they do.", _goal_line),
-    _request(LabelRequest, _ROBOT, "Give labels to robots, and take them away.", _label_line),
-    _request(StopRequest, _ROBOT, "Stop robots, or all robots."),
-    _request(EstopRequest, _ROBOT, "Emergency-stop robots, or all robots; latched.", _reason_line),
-    _request(ResetRequest, _ROBOT, "Clear emergency stops and faults; moves nothing.", _reset_line),
-    _request(ParamRequest, _ROBOT, "Get or set parameters of running patterns.", _param_line),
-    _request(ReloadRequest, _ROBOT, "", lambda request: request.pattern),
-    _request(PushRequest, _DAEMON, "", _push_line),
-    _request(ForgetRequest, _DAEMON, "", lambda request: request.name),
-    _request(RecordRequest, _DAEMON, "Record robots, and fetch their recordings.", _record_line),
-    _request(RosterRequest, _DAEMON),
+    _request(RunRequest, _ROBOT, _run_line),
+    _request(ResumeRequest, _ROBOT),
+    _request(GoalRequest, _ROBOT, _goal_line),
+    _request(LabelRequest, _ROBOT, _label_line),
+    _request(StopRequest, _ROBOT),
+    _request(EstopRequest, _ROBOT, _reason_line),
+    _request(ResetRequest, _ROBOT, _reset_line),
+    _request(ParamRequest, _ROBOT, _param_line),
+    _request(ReloadRequest, _ROBOT, lambda request: request.pattern),
+    _request(PushRequest, Handler.PUSHES, _push_line),
+    _request(ForgetRequest, _TOOLS, lambda request: request.name),
+    _request(RecordRequest, _RECORDING, _record_line),
+    _request(RosterRequest, Handler.ROSTERS),
     *(RECORDINGS, FETCH, PLUGINS, LOGS, AUDIT, LINKS, DOCTOR),
 )
 VERBS: Mapping[str, Verb[Any, Any]] = {row.name: row for row in _ROWS}

@@ -11,6 +11,7 @@ import logging
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from typing import Protocol
 
 import zenoh
 from msgspec.structs import replace
@@ -29,7 +30,7 @@ from swarmd.network.carriers.link_gate import LinkFlood, LinkGate, open_files, w
 from swarmd.network.carriers.routed import RoutedCarrier
 from swarmd.network.carriers.session import default_listen, open_in_thread, open_session
 from swarmd.network.carriers.udp import UdpCarrier
-from swarmd.network.datagram import Address, OnDatagram
+from swarmd.network.datagram import Address
 from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import is_revoked
@@ -43,12 +44,26 @@ ANSWER_TIME = 0.1
 """How long an answer has, in s, to be sent before the session closes; the asker repeats."""
 
 
+class ConnectionOwner(Protocol):
+    """The network of a connection; all methods are called on the loop."""
+
+    def on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
+        """A datagram; see `OnDatagram`."""
+
+    def on_interface(self, change: InterfaceChange) -> None:
+        """The interface has changed; nothing is opened again yet."""
+
+    def on_reopened(self) -> None:
+        """Carrier and session are open again."""
+
+    def on_event(self, text: str) -> None:
+        """A line for the events."""
+
+
 class NetworkConnection:
     """Carrier and session of the daemon `robot`; both are None while they are closed.
 
-    `tag` begins each datagram. With an `identity` the session is mTLS. All callbacks come on the
-    loop: `on_datagram` for each datagram, `on_interface` for a change of the interface, before
-    anything is opened again, `on_reopened` when both are open again, `on_event` with a line.
+    `tag` begins each datagram. With an `identity` the session is mTLS.
     """
 
     def __init__(
@@ -58,20 +73,14 @@ class NetworkConnection:
         tag: bytes,
         identity: Identity | None,
         drops: DropCounter,
-        *,
-        on_datagram: OnDatagram,
-        on_interface: Callable[[InterfaceChange], None],
-        on_reopened: Callable[[], None],
-        on_event: Callable[[str], None],
+        owner: ConnectionOwner,
     ) -> None:
         self._settings = settings
         self._robot = robot
         self._tag = tag
         self._identity = identity
         self._drops = drops
-        self._on_datagram = on_datagram
-        self._on_interface, self._on_reopened = on_interface, on_reopened
-        self._on_event = on_event
+        self._owner = owner
         self._loop = asyncio.get_running_loop()
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
@@ -127,7 +136,7 @@ class NetworkConnection:
         if flood is None or session is None or not flood.is_due(now):
             return
         if flood.look(open_files(), lambda: len(session.info.links()), now):
-            self._on_event(
+            self._owner.on_event(
                 f"{flood.waiting} connections wait at the port for links: for"
                 f" {flood.closed_until - now:.0f} s it takes those of hosts that sent a signed"
                 " datagram"
@@ -180,7 +189,7 @@ class NetworkConnection:
 
     def _on_interface_change(self, change: InterfaceChange) -> None:
         """The interface changed; the robot stands before anything is opened again."""
-        self._on_interface(change)
+        self._owner.on_interface(change)
         if change.must_reopen:
             self._begin_reopening()
         elif change.must_rejoin and self.carrier is not None:
@@ -223,7 +232,7 @@ class NetworkConnection:
                 log.error("no longer on the roster: the network stays closed")
                 return
             await self._open_again()
-        self._on_reopened()
+        self._owner.on_reopened()
         log.info("the network is open again")
 
     async def _renew_session(self) -> None:
@@ -238,7 +247,7 @@ class NetworkConnection:
         while not self._is_stale:
             try:
                 self._use(await open_in_thread(self._opening(self._opened)))
-                self._on_reopened()
+                self._owner.on_reopened()
                 break
             except (NetworkError, zenoh.ZError, OSError) as error:
                 log.warning("the session cannot be opened yet: %s", error)
@@ -276,7 +285,7 @@ class NetworkConnection:
         else:
             self.carrier, session = await self._open_udp()
         self._use(session)
-        self.carrier.attach(self._loop, self._on_datagram)
+        self.carrier.attach(self._loop, self._owner.on_datagram)
 
     def _use(self, session: zenoh.Session) -> None:
         """Take a new session, and watch its links."""
@@ -285,7 +294,7 @@ class NetworkConnection:
         self.bus = ZenohBus(session, swarm=swarm, robot=self._robot, drops=self._drops)
         if self._identity is None or self._settings.profile == "routed":
             return
-        watch_links(session, self._identity.roster, self._loop, self._on_event)
+        watch_links(session, self._identity.roster, self._loop, self._owner.on_event)
         self._gate = LinkGate({parse_endpoint(one).port for one in self._opened.listen})
         if self._flood is None:
             self._flood = LinkFlood(open_files(), now)

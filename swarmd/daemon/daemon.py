@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from msgspec.structs import replace
@@ -41,9 +42,9 @@ from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
-from swarmd.daemon.network import Network
+from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.daemon.recorder import RecordingService
-from swarmd.daemon.requests import RequestServer
+from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.store import CodeFiles, LatchFile
@@ -126,29 +127,51 @@ class Daemon:
             platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
             settings = dataclasses.replace(settings, platform=platform)
         self._settings = settings
-        self._carrier = message_carrier(driver)
-        self._display = state_display(driver)
-        self._shown_status: Status | None = None  # for the display, with the next motion
-        base = base_options(settings.driver_options, f"driver {settings.driver}")
-        self._may_rest = may_rest(base, driver)
         self._active_until = -math.inf
-        self._output = DriverOutput(
-            driver, settings.driver, base.idle_output, self._on_driver_crash
-        )
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None
         self._crashed = asyncio.Event()
+        self._begin_driver(driver)
         self._instance = secrets.token_hex(6)
         self._seed = secrets.randbits(48)
         self._notify = Notifier()
-        folder = settings.state_dir / settings.network.swarm / settings.id
-        self._latches = LatchFile(folder)
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
+        self._has_joined = False
+        self._periods = 0  # `periods` of the timer at the last tick
+        self._provisional: tuple[int, ...] = ()  # as the robot knows them
+        self._shown_scan = -1  # sequence of the last scan for viewers
+        folder = settings.state_dir / settings.network.swarm / settings.id
+        self._begin_records(folder)
+        self._begin_code(folder)
+        self._begin_network()
+        self._begin_requests()
+        self._begin_robot()
+
+    def _begin_driver(self, driver: Driver) -> None:
+        """What goes to the base and to the displays of its driver."""
+        settings = self._settings
+        base = base_options(settings.driver_options, f"driver {settings.driver}")
+        self._carrier = message_carrier(driver)
+        self._display = state_display(driver)
+        self._shown_status: Status | None = None  # for the display, with the next motion
+        self._may_rest = may_rest(base, driver)
+        self._output = DriverOutput(
+            driver, settings.driver, base.idle_output, self._on_driver_crash
+        )
+
+    def _begin_records(self, folder: Path) -> None:
+        """Latches, rosters and goals, which outlive the daemon."""
+        settings = self._settings
+        self._latches = LatchFile(folder)
         self._drops = DropCounter()
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster, self._drops)
         self._goals = GoalService(folder, lambda: self._rosters.identity, self.on_event)
         self._puller = Puller(settings.network, settings.id, settings.identity, drops=self._drops)
+
+    def _begin_code(self, folder: Path) -> None:
+        """Pushed patterns, and the pattern host that runs them."""
+        settings = self._settings
         behaviours = CodeFiles(folder / "behaviours")
         with suppress(OSError):  # a sandbox permits only what exists when it begins
             behaviours.folder.mkdir(parents=True, exist_ok=True)
@@ -157,8 +180,8 @@ class Daemon:
         self._behaviours = CodeIntake(self._behaviour_state, self._drops)
         self._code_runs = CodeRuns(self._behaviour_state)
         state, intake = self._behaviour_state, self._behaviours
-        code_pull = CodePull(state, intake, self._puller, self._on_pulled_code, self._drops)
-        self._pulled = {RecordKind.BEHAVIOUR: code_pull}
+        self._code_pull = CodePull(state, intake, self._puller, self._on_pulled_code, self._drops)
+        self._pulled = {RecordKind.BEHAVIOUR: self._code_pull}
         identity = settings.identity
         self._runner = ProcessRunner(
             self._loop,
@@ -168,19 +191,27 @@ class Daemon:
             code=[behaviours.folder],
             secret=[settings.state_dir, *([] if identity is None else [identity.folder])],
         )
+
+    def _begin_network(self) -> None:
+        settings = self._settings
         self._network = Network(
             settings.network,
-            settings.id,
-            self._instance,
-            settings.roster,
-            version=version("swarmd"),
-            body=body_of(settings.platform),
+            NetworkRobot(
+                name=settings.id,
+                instance=self._instance,
+                roster=settings.roster,
+                version=version("swarmd"),
+                body=body_of(settings.platform),
+            ),
             drops=self._drops,
             identity=settings.identity,
             stop_counters=self._latches.path.with_name("stops"),
             hears_programs=settings.neighbors.programs,
         )
-        self._has_joined = False
+
+    def _begin_requests(self) -> None:
+        """The services of the daemon, and the server that hands requests to them."""
+        settings = self._settings
         self._recording = RecordingService(
             settings.id, settings.recording, self._head, self.on_event
         )
@@ -197,13 +228,20 @@ class Daemon:
             settings.id,
             self._on_request,
             self._audit,
-            *(self._recording, self._rosters, self._behaviours, code_pull, self._tools),
+            Services(
+                recording=self._recording,
+                rosters=self._rosters,
+                pushes=self._behaviours,
+                pushed=self._code_pull,
+                tools=self._tools,
+            ),
             drops=self._drops,
             is_secured=settings.identity is not None,
         )
-        self._periods = 0  # `periods` of the timer at the last tick
-        self._provisional: tuple[int, ...] = ()  # as the robot knows them
-        self._shown_scan = -1  # sequence of the last scan for viewers
+
+    def _begin_robot(self) -> None:
+        """The robot and what feeds it: driver, neighbours and ticks."""
+        settings = self._settings
         self._robot = make_robot(
             settings,
             self._instance,

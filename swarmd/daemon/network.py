@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -56,7 +57,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.members.link_quality import LinkQuality
 from swarmd.network.members.membership import MAX_MEMBERS
-from swarmd.network.peer import Peer, PeerActions, Summary
+from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
 from swarmd.security.identity import Identity, authority_of
@@ -104,10 +105,22 @@ class NetworkOwner(Protocol):
         """Answer operators on a bus that was opened, the first one or a later one."""
 
 
-class Network:
-    """The network of the daemon `robot`; `instance` is that of this life of the daemon, in hex.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetworkRobot:
+    """The robot of a network, as its beacons show it."""
 
-    `drops` counts what could not be read, handled or sent.
+    name: str
+    instance: str
+    """Of this life of the daemon, in hex"""
+    roster: tuple[str, ...]
+    """The robots that the swarm expects"""
+    version: str
+    body: Body | None = None
+
+
+class Network:
+    """The network of one daemon. `drops` counts what could not be read, handled or sent.
+
     With an `identity` the swarm is secured, and the daemon keeps its counters of stops in the file
     `stop_counters`, which is then required.
     """
@@ -115,23 +128,17 @@ class Network:
     def __init__(
         self,
         settings: NetworkSettings,
-        robot: str,
-        instance: str,
-        roster: tuple[str, ...],
+        robot: NetworkRobot,
         *,
-        version: str,
-        body: Body | None = None,
         drops: DropCounter,
         identity: Identity | None = None,
         stop_counters: Path | None,
         hears_programs: bool = True,
     ) -> None:
-        self._version = version
-        self._hears_programs = hears_programs
-        self._body = body
         self._settings = settings
-        self._robot = robot
-        self._instance = bytes.fromhex(instance)
+        self._own, self._roster = robot, robot.roster
+        self._robot, self._instance = robot.name, bytes.fromhex(robot.instance)
+        self._hears_programs = hears_programs
         self._identity = identity
         self._stop_counters = stop_counters
         self._owner: NetworkOwner  # from `join` on
@@ -140,21 +147,10 @@ class Network:
         self.drops = drops
         self._guard: DatagramGuard | None = None
         self._lost = 0
-        self._connection = NetworkConnection(
-            settings,
-            robot,
-            self._tag,
-            identity,
-            self.drops,
-            on_datagram=self._on_datagram,
-            on_interface=lambda change: self._owner.on_interface(change),
-            on_reopened=self._serve,
-            on_event=lambda text: self._owner.on_event(text),
-        )
+        self._connection = NetworkConnection(settings, robot.name, self._tag, identity, drops, self)
         self._is_settled = False  # the id is owned, and the latches of the others are known
         self._is_duplicate = False
         self._is_full = False
-        self._roster = roster
         self._peer: Peer | None = None
 
     # State
@@ -255,18 +251,20 @@ class Network:
             )
         await self._connection.open()
         self._peer = Peer(
-            robot=self._robot,
-            instance=self._instance,
-            swarm=settings.swarm,
-            profile=settings.profile,
-            lease=settings.lease_seconds,
-            settle=settings.settle,
-            wire=codec.VERSION,
-            version=self._version,
+            PeerSettings(
+                robot=self._robot,
+                instance=self._instance,
+                swarm=settings.swarm,
+                profile=settings.profile,
+                lease=settings.lease_seconds,
+                settle=settings.settle,
+                wire=codec.VERSION,
+                version=self._own.version,
+                body=self._own.body,
+                clock=clock_id(),
+            ),
             roster=self._roster,
             now=boottime(),
-            body=self._body,
-            clock=clock_id(),
             admission=None if self._guard is None else self._guard.admission,
             check_goal=self._owner.check_goal,
         )
@@ -377,7 +375,22 @@ class Network:
     def _carrier(self) -> UdpCarrier | RoutedCarrier | None:
         return self._connection.carrier
 
-    def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
+    # Of the connection
+
+    def on_interface(self, change: InterfaceChange) -> None:
+        """The interface has changed; nothing is opened again yet."""
+        self._owner.on_interface(change)
+
+    def on_reopened(self) -> None:
+        """Carrier and session are open again."""
+        self._serve()
+
+    def on_event(self, text: str) -> None:
+        """A line for the events."""
+        self._owner.on_event(text)
+
+    def on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
+        """A datagram, which waited for so many seconds."""
         with self.drops.refusing("datagram"):
             self._take(payload, source, waited)
 

@@ -12,7 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
 
@@ -27,6 +27,12 @@ from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
+
+if TYPE_CHECKING:
+    from swarmd.daemon.code_transfer import CodeIntake, CodePull
+    from swarmd.daemon.recorder import RecordingService
+    from swarmd.daemon.roster_service import RosterService
+    from swarmd.daemon.tools import FieldTools
 
 MAX_PENDING = 64
 MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out before those
@@ -60,12 +66,29 @@ class SendReply(Protocol):
         """See `RequestServer.reply`."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Services:
+    """What answers the verbs of a daemon: each field is named by a `Handler` of core/verbs.py.
+
+    A service has a method `on_<verb>` for each of its verbs: `on_<verb>(request, answer)` carries a
+    request out, and `on_<verb>(question)` returns the answer, or a function that makes the answer
+    in a thread.
+    """
+
+    recording: RecordingService
+    rosters: RosterService
+    pushes: CodeIntake
+    pushed: CodePull
+    tools: FieldTools
+
+    def handler(self, row: verbs.Verb[Any, Any]) -> Callable[..., Any]:
+        """The method that answers a verb. AttributeError if its service has none."""
+        handler: Callable[..., Any] = getattr(getattr(self, row.handler.value), f"on_{row.name}")
+        return handler
+
+
 class RequestServer:
     """Answers what is asked of one robot. `on_request` hands a request to the robot.
-
-    A service in `services` has a method `on_<verb>` for each verb of the daemon that it answers:
-    `on_<verb>(request, answer)` carries a request out, and `on_<verb>(question)` returns the
-    answer, or a function that makes the answer in a thread. LookupError if a verb has no service.
 
     An operator repeats a request until it has the reply. A repeat is not carried out again: it gets
     the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
@@ -80,7 +103,8 @@ class RequestServer:
         robot: str,
         on_request: Callable[[verbs.Request], None],
         audit: Audit,
-        *services: object,
+        services: Services,
+        *,
         drops: DropCounter,
         is_secured: bool = False,
     ) -> None:
@@ -89,8 +113,8 @@ class RequestServer:
         self._robot = robot
         self._on_request = on_request
         self._handlers: dict[str, Callable[..., Any]] = {
-            row.name: _handler(f"on_{row.name}", services)
-            if row.handler is verbs.Handler.DAEMON
+            row.name: services.handler(row)
+            if row.handler.is_service
             else lambda request, answer: on_request(request)
             for row in verbs.VERBS.values()
             if row.handler is not verbs.Handler.NETWORK
@@ -256,7 +280,13 @@ class RequestServer:
         if version != codec.VERSION:
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
-        reply = Reply(id=id, robot=self._robot, code=code, refusal=refusal, text=text[:MAX_TEXT])
+        reply = Reply(
+            id=id,
+            robot=self._robot,
+            code=code,
+            refusal=refusal,
+            text=verbs.shortened(text, MAX_TEXT),
+        )
         is_repeat = is_readable and id in self._replies
         if is_readable and not is_repeat and pending is None:
             self._keep(reply)
@@ -265,12 +295,3 @@ class RequestServer:
         if not is_repeat:
             count = 0 if targets is None else len(names)
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
-
-
-def _handler(name: str, services: tuple[object, ...]) -> Callable[..., Any]:
-    """The method of that name of the one service that has such a method. LookupError."""
-    found = [getattr(service, name) for service in services if hasattr(service, name)]
-    if len(found) != 1:
-        raise LookupError(f"{len(found)} services have {name}; expected 1")
-    handler: Callable[..., Any] = found[0]
-    return handler

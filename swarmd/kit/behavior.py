@@ -69,6 +69,7 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
+    - `group`: the heading under which lists of patterns have it, such as gather or search.
     - `needs`: what the robot must have, of scan, ranges, odometry, detections, pose, neighbors,
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
@@ -83,6 +84,7 @@ class Pattern(ABC, Generic[P]):
     """
 
     params_type: ClassVar[type[Params]] = Params
+    group: ClassVar[str] = ""
     needs: frozenset[str] = frozenset({"scan"})
     channels: Mapping[str, type] = {}
     rate: ClassVar[float] = 10.0

@@ -1,7 +1,7 @@
 """Conditions as values: what can end a run, an element of a mission, or choose a branch.
 
-The structs are read from a mission's file by `swarmd.mission.schema`, where the key that names the
-kind is also the tag; `parse_condition` reads the short forms of the command line.
+`swarmd.mission.document` reads the structs from a mission's file, where the key that names the kind
+is also the tag; `parse_condition` reads the short forms of the command line.
 `swarmd.kit.condition_state` evaluates them. Imports no numpy, for the command line.
 """
 

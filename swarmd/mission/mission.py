@@ -20,7 +20,8 @@ from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find
 from swarmd.kit.params import Params, Recovery
 from swarmd.kit.voting_pattern import VotingPattern
-from swarmd.mission import schema, validate
+from swarmd.mission import part_builder, schema
+from swarmd.mission.document import Document, fault_error, read_document
 from swarmd.settings.layered import fault_at
 
 PatternClasses: TypeAlias = dict[str, type[Pattern[Any]]]
@@ -29,7 +30,7 @@ PatternClasses: TypeAlias = dict[str, type[Pattern[Any]]]
 class Mission(CombinedPattern[Params]):
     """A pattern that a file composes of others; each file has a class of its own."""
 
-    document: ClassVar[schema.Document]
+    document: ClassVar[Document]
     classes: ClassVar[PatternClasses]
 
     def __init__(self, params: Params, context: Context) -> None:
@@ -56,9 +57,9 @@ class Mission(CombinedPattern[Params]):
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """All parts, with every value of every map tried; ConfigError for the first fault."""
         builder = self._builder(self.params)
-        parts = validate.build_parts(builder)
-        self._setters = validate.build_setters(builder, parts)
-        validate.check_reports(builder, parts)
+        parts = part_builder.build_parts(builder)
+        self._setters = part_builder.build_setters(builder, parts)
+        part_builder.check_reports(builder, parts)
         self._raise_first(builder)
         return parts
 
@@ -70,13 +71,13 @@ class Mission(CombinedPattern[Params]):
             for name, values in builder.exposed.items()
         }
         changed = {
-            name: validate.with_values(self.parts[name], values, "update")
+            name: part_builder.with_values(self.parts[name], values, "update")
             for name, values in changes.items()
             if values
         }
         opinions = {n: values["opinions"] for n, values in changes.items() if "opinions" in values}
         if opinions or any(setter.target[0] in changed for setter in self._setters):
-            setters = validate.build_setters(builder, self.parts, opinions)
+            setters = part_builder.build_setters(builder, self.parts, opinions)
             self._raise_first(builder)
             self._setters = setters
         for name, values in changed.items():
@@ -125,15 +126,15 @@ class Mission(CombinedPattern[Params]):
             del self._reports[key]
         self._done.difference_update(parts)
 
-    def _builder(self, params: Params) -> validate.PartBuilder:
+    def _builder(self, params: Params) -> part_builder.PartBuilder:
         exposed: dict[str, dict[str, Any]] = {}
         for own, (name, param) in self.document.parameters.items():
             exposed.setdefault(name, {})[param] = getattr(params, own)
-        return validate.PartBuilder(self.document, self.context.make, exposed, [])
+        return part_builder.PartBuilder(self.document, self.context.make, exposed, [])
 
-    def _raise_first(self, builder: validate.PartBuilder) -> None:
+    def _raise_first(self, builder: part_builder.PartBuilder) -> None:
         if builder.faults:
-            raise schema.fault_error(self.document.path, builder.faults)
+            raise fault_error(self.document.path, builder.faults)
 
     def _set(self, name: str, param: str, value: Scalar | None) -> None:
         part = self.parts[name]
@@ -157,11 +158,11 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
 
     ConfigError for its first fault, with file and line.
     """
-    document = schema.read_document(path)
+    document = read_document(path)
     classes = pattern_classes(document, find)
     params_type = _params_type(document, classes)
     if document.faults or document.root is None:
-        raise schema.fault_error(path, document.faults)
+        raise fault_error(path, document.faults)
     needs = frozenset[str]().union(*(kind.needs for kind in classes.values()))
     for _, condition in schema.conditions(document.root):
         needs |= needs_of(condition)
@@ -178,7 +179,7 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
     return type(f"Mission_{path.stem}", (Mission,), members)
 
 
-def pattern_classes(document: schema.Document, find: Find) -> PatternClasses:
+def pattern_classes(document: Document, find: Find) -> PatternClasses:
     """The class of each part; a fault is added for a pattern that cannot be loaded."""
     classes: PatternClasses = {}
     for name, part in document.parts.items():
@@ -188,12 +189,12 @@ def pattern_classes(document: schema.Document, find: Find) -> PatternClasses:
             text = f"names {error}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
         except (Exception, SystemExit) as error:  # a plugin may raise anything
-            text = f"cannot be loaded: {validate.error_text(error)}"
+            text = f"cannot be loaded: {part_builder.error_text(error)}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
     return classes
 
 
-def _params_type(document: schema.Document, classes: PatternClasses) -> type[Params]:
+def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
     """The mission's own parameters, each with type, bounds and meaning of the part's parameter."""
     fields: list[Any] = []
     for own, (name, param) in document.parameters.items():
@@ -221,7 +222,7 @@ def _params_type(document: schema.Document, classes: PatternClasses) -> type[Par
     return cast("type[Params]", made)
 
 
-def _recovery(document: schema.Document, classes: PatternClasses) -> bool:
+def _recovery(document: Document, classes: PatternClasses) -> bool:
     """The file's `recovery`; without the key, true if all parts that drive have recovery on."""
     if document.recovery is not None or document.root is None:
         return bool(document.recovery)
@@ -237,7 +238,7 @@ def _default(kind: type[Pattern[Any]], name: str) -> Any:
     return next(f.default for f in msgspec.structs.fields(kind.params_type) if f.name == name)
 
 
-def _channels(document: schema.Document, classes: PatternClasses) -> dict[str, type]:
+def _channels(document: Document, classes: PatternClasses) -> dict[str, type]:
     """The channels as the classes declare them; those of a Mission object are exact."""
     channels: dict[str, type] = {}
     for name, part in document.parts.items():

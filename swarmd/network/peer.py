@@ -14,12 +14,10 @@ from functools import partial
 
 from msgspec.structs import replace
 
-from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.messages import Body, Latch, State
 from swarmd.core.record import RecordKind
-from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import (
     STATES,
@@ -43,7 +41,9 @@ from swarmd.network.datagram import (
     in_parts,
 )
 from swarmd.network.members.admission import Admission
-from swarmd.network.members.claim import CLAIM_PERIOD, Claim
+from swarmd.network.members.answer_budget import AnswerBudget
+from swarmd.network.members.beacon_times import BEACON_PERIOD, BeaconTimes
+from swarmd.network.members.claim import Claim
 from swarmd.network.members.link_quality import LinkQualities
 from swarmd.network.members.membership import Membership
 from swarmd.network.members.message_windows import MessageWindows
@@ -52,20 +52,10 @@ from swarmd.network.members.peer_places import PeerPlaces
 from swarmd.network.signature import Author, Flaw
 from swarmd.network.spread.goal_sync import FoundGoal, GoalSync
 from swarmd.network.spread.latch_sync import LatchSync, digest_of, latch_parts
-from swarmd.network.stops.stop_relay import REDUNDANCY, StopRelay
+from swarmd.network.stops.stop_relay import StopRelay
 from swarmd.security.roster import Role
 
-BEACON_PERIOD = 1.0  # s
-# While a latch is new, and at least between beacons of changes.
-FAST_BEACON_PERIOD = 0.1
-NEW_LATCH_TIME = 1.0
-LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
 LIST_PERIOD = 10.0  # between questions for words, each to another member
-# Datagrams a second that answer solicits, of all and of one host, and that answer a claimer.
-ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0
-SCOUT_ANSWER_RATE = 20.0  # to those that look for any swarm, who need no keys
-CLAIM_ANSWER_RATE = 40.0
-MAX_HOSTS = 128
 SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
 MEMBERS_PERIOD = 0.25  # between looks for members that are silent
 # A robot joins a run so long after it has heard the last new peer, in s: the others show their
@@ -136,73 +126,80 @@ class PeerActions:
     leases: list[RunLease] = field(default_factory=list)
 
 
-class Peer:
-    """One robot among the others; `instance` has 6 bytes, `clock` is that of `clock_id`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeerSettings:
+    """What a peer says of itself, and the times of its swarm."""
 
-    With an `admission` the swarm is secured.
-    `check_goal`: whether a goal of a peer counts, see `GoalCheck`.
+    robot: str
+    instance: bytes
+    """6 bytes"""
+    swarm: str
+    profile: str
+    lease: float
+    """s after which a member that is silent has failed"""
+    settle: float
+    """s that the claim of the id takes"""
+    wire: int
+    version: str
+    body: Body | None = None
+    clock: str = "000000000000"
+    """The id of the clock, which `now` reads"""
+
+
+class Peer:
+    """One robot among the others; with an `admission` the swarm is secured.
+
+    `roster`: the robots that the swarm expects. `check_goal`: whether a goal of a peer counts, see
+    `GoalCheck`.
     """
 
     def __init__(
         self,
+        settings: PeerSettings,
         *,
-        robot: str,
-        instance: bytes,
-        swarm: str,
-        profile: str,
-        lease: float,
-        settle: float,
-        wire: int,
-        version: str,
         roster: tuple[str, ...],
         now: float,
-        body: Body | None = None,
-        clock: str = "000000000000",
         admission: Admission | None = None,
         check_goal: CheckGoal = lambda goal, now: True,
     ) -> None:
-        self.robot = robot
-        self.membership = Membership(robot, lease)
-        self.links = LinkQualities(BEACON_PERIOD)
+        self.robot, self._instance = settings.robot, settings.instance
+        self._settings = settings
         self._admission = admission
-        self._instance = instance
-        self._lease = lease
-        self._swarm = Swarm(swarm=swarm, profile=profile, robot=robot)
-        self._wire = wire
-        self._version = version
         self._roster = roster
-        self._body = None if body is None else BodyReport.of(body)
-        self._random = random.Random(instance)
-        self._claim: Claim | None = Claim(robot, instance, settle, now)
-        self._settle = settle
+        self._check_goal = check_goal
+        self._random = random.Random(settings.instance)
+        self._begin_membership(settings, now)
+        self._begin_spread()
+        self._begin_datagrams(settings, now)
+
+    def _begin_membership(self, settings: PeerSettings, now: float) -> None:
+        """The claim of the id, and what is known of members."""
+        self.membership = Membership(settings.robot, settings.lease)
+        self.links = LinkQualities(BEACON_PERIOD)
+        self._claim: Claim | None = Claim(settings.robot, settings.instance, settings.settle, now)
+        self._began = self._members_at = now
+        self._news_at = now  # when a peer was heard for the first time, or again
+        self._duplicates: dict[bytes, float] = {}
+        self._windows = MessageWindows()
+        self._places = PeerPlaces(settings.robot, settings.instance)
+        self._clocks = PeerClocks(settings.robot, settings.clock)
+
+    def _begin_spread(self) -> None:
+        """Latches, goals and stops."""
         self._sync = LatchSync()
         self._goal_sync = GoalSync(self._random.getrandbits(32))
-        self._check_goal = check_goal
-        self._relay = StopRelay(robot, self._random.getrandbits(32))
-        self._sequence = 0
-        self._beacons = 0  # sent to all
-        self._message_sequence = 0
-        self._beacon_at = now
-        self._last_beacon = -math.inf
-        self._shown: tuple[object, ...] = ()
-        self._digest = b""
-        self._digest_since = -math.inf
-        self._latches_due: list[float] = []
-        self._latch_copies = 0  # how often others have sent the same latches to all
-        self._lists_at = now + self._random.uniform(0.0, 1.0)
-        self._began = now
-        self._windows = MessageWindows()
-        self._places = PeerPlaces(robot, instance)
-        self._clocks = PeerClocks(robot, clock)
-        self._duplicates: dict[bytes, float] = {}
-        self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
-        self._members_at = now
-        self._answers_by_host: dict[str, TokenBucket] = {}
-        self._news_at = now  # when a peer was heard for the first time, or again
         self._is_join_due = False  # a goal was found, and those of other peers may be greater
-        self._claim_answers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
-        self._scout_answers = TokenBucket(SCOUT_ANSWER_RATE, SCOUT_ANSWER_RATE)
+        self._relay = StopRelay(self.robot, self._random.getrandbits(32))
+
+    def _begin_datagrams(self, settings: PeerSettings, now: float) -> None:
+        """What the robot sends, when, and how much."""
+        self._swarm = Swarm(swarm=settings.swarm, profile=settings.profile, robot=settings.robot)
+        self._body = None if settings.body is None else BodyReport.of(settings.body)
+        self._sequence = self._message_sequence = 0
+        self._times = BeaconTimes(now)
+        self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._solicits_at = [now, now + 0.3]
+        self._answers = AnswerBudget()
 
     # State
 
@@ -233,7 +230,7 @@ class Peer:
         admission = self._admission
         is_open = self._sync.is_open
         is_open |= admission is not None and admission.freshness.awaits_latches(now)
-        return now - self._began >= self._settle + SYNC_TIMEOUT or not is_open
+        return now - self._began >= self._settings.settle + SYNC_TIMEOUT or not is_open
 
     # Inputs
 
@@ -266,7 +263,7 @@ class Peer:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)
             case Solicit() if is_any:
-                if self._scout_answers.take(1.0, now):
+                if self._answers.may_answer_scout(now):
                     effects.sends.append((self._swarm, source))
             case Solicit():
                 is_robot = author is not None and author.role is Role.ROBOT
@@ -284,7 +281,7 @@ class Peer:
             case Ack() if self.membership.knows(body.robot):
                 effects.sends.extend(self._relay.on_ack(body, source, now))
             case Latches() if body.instance != self._instance:
-                self._latch_copies += body.digest == self._digest
+                self._times.on_latches(body.digest)
                 self._sync.on_latches(body)
                 effects.latches = dict(body.held)
             case GoalReport() if body.instance != self._instance:
@@ -295,7 +292,7 @@ class Peer:
                 is_new, effects.lost = self._windows.take(body)
                 if is_new:
                     effects.messages.append(body)
-            case ClockQuery() if self._claim is None and self._may_answer(source, 1, now):
+            case ClockQuery() if self._claim is None and self._answers.may_answer(source, 1, now):
                 effects.sends.append((self._clocks.reply(body, now), source))
             case ClockReply():
                 self._on_clock(body, now, effects)
@@ -357,7 +354,7 @@ class Peer:
         effects = PeerActions()
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
-            self._beacon_at = now
+            self._times.send_now(now)
             effects.sends.append((self._solicit(now), None))
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
             # The answers show the latches of the others before the claim is won.
@@ -366,7 +363,7 @@ class Peer:
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
-        self._note_latches(now, summary)
+        self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, effects)  # first: others compare its digest
         self._send_latches_if_due(now, summary, effects)
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
@@ -392,13 +389,13 @@ class Peer:
             probe = self._solicit(now)
             effects.sends.extend((probe, address) for address in silent)
         for instance, heard in list(self._duplicates.items()):
-            if now - heard > self._lease:
+            if now - heard > self._settings.lease:
                 del self._duplicates[instance]
 
     def wake_at(self) -> float:
         """When `advance` is due next."""
         relay = self._relay.wake_at()
-        return min(self._beacon_at, *self._latches_due[:1], math.inf if relay is None else relay)
+        return min(self._times.wake_at(), math.inf if relay is None else relay)
 
     # Parts
 
@@ -471,7 +468,7 @@ class Peer:
         if self._claim is not None:
             self._claim.on_beacon(beacon, now)
         elif beacon.flags & Flag.JOINING:
-            if self._claim_answers.take(1.0, now):
+            if self._answers.may_answer_claimer(now):
                 effects.sends.append((self._beacon(summary), source))
         elif beacon.flags & Flag.LEFT:
             self._duplicates.pop(beacon.instance, None)
@@ -491,7 +488,7 @@ class Peer:
         is_robot: bool,
     ) -> None:
         is_for_this = solicit.robot in (None, self.robot)
-        if not is_for_this or not self._may_answer(source, 1, now):
+        if not is_for_this or not self._answers.may_answer(source, 1, now):
             return
         if self._claim is not None:
             if solicit.robot is not None and is_robot:  # a rival asks whether this one lives
@@ -499,14 +496,14 @@ class Peer:
                 effects.sends.append((rival, source))
             return
         beacon = replace(
-            self._beacon(summary, echo=solicit.echo, version=self._version),
+            self._beacon(summary, echo=solicit.echo, version=self._settings.version),
             said=self._message_sequence,
             clock=max(round(1000.0 * now), 0),
         )
         effects.sends.append((beacon, source))
         if solicit.wants_members:
             parts = in_parts(self.membership.reports(now), roster=self._roster)
-            if not self._may_answer(source, len(parts), now):
+            if not self._answers.may_answer(source, len(parts), now):
                 return
             for number, (members, roster) in enumerate(parts):
                 word = MemberList(
@@ -519,7 +516,11 @@ class Peer:
                     roster=roster,
                 )
                 effects.sends.append((word, source))
-        if solicit.wants_goal and summary.goal is not None and self._may_answer(source, 1, now):
+        if (
+            solicit.wants_goal
+            and summary.goal is not None
+            and self._answers.may_answer(source, 1, now)
+        ):
             effects.sends.append((self._goal_report(summary.goal, solicit.echo, now), source))
         if solicit.wants_latches:
             parts_ = latch_parts(self.robot, self._instance, summary.latches)
@@ -573,38 +574,17 @@ class Peer:
             self.links.on_round_trip(reply.robot, max(now - sample.sent, 0.0), now)
             effects.clocks.append(sample)
 
-    def _note_latches(self, now: float, summary: Summary) -> None:
-        digest = digest_of(summary.latches)
-        if digest != self._digest:
-            self._digest = digest
-            self._latch_copies = 0
-            self._latches_due = [now + delay for delay in LATCH_REPEATS] if digest else []
-            self._digest_since = now if digest else -math.inf
-            self._beacon_at = now
-
     def _send_latches_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
-        if self._latches_due and now >= self._latches_due[0] and self._claim is None:
-            self._latches_due.pop(0)
-            if self._latch_copies < REDUNDANCY:
-                parts = latch_parts(self.robot, self._instance, summary.latches)
-                effects.sends.extend((latches, None) for latches in parts)
+        if self._claim is None and self._times.latches_are_due(now):
+            parts = latch_parts(self.robot, self._instance, summary.latches)
+            effects.sends.extend((latches, None) for latches in parts)
 
     def _send_beacon_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
         shown = (summary.state, summary.revision, summary.digests, self._claim is None)
-        if shown != self._shown:
-            self._shown = shown
-            self._beacon_at = min(self._beacon_at, self._last_beacon + FAST_BEACON_PERIOD)
-        if now < self._beacon_at:
-            return
-        is_new = now - self._digest_since < NEW_LATCH_TIME
-        if self._claim is not None:
-            period = CLAIM_PERIOD
-        else:
-            period = FAST_BEACON_PERIOD if is_new else BEACON_PERIOD
-        self._last_beacon, self._beacon_at = now, now + period
-        flags = 0 if self._claim is None else Flag.JOINING
-        self._beacons += 1
-        effects.sends.append((self._beacon(summary, flags, number=self._beacons), None))
+        number = self._times.number_due(shown, now, is_claiming=self._claim is not None)
+        if number:
+            flags = 0 if self._claim is None else Flag.JOINING
+            effects.sends.append((self._beacon(summary, flags, number=number), None))
 
     def _beacon(
         self, summary: Summary, flags: int = 0, *, echo: int = 0, version: str = "", number: int = 0
@@ -614,7 +594,7 @@ class Peer:
             robot=self.robot,
             instance=self._instance,
             sequence=self._sequence,
-            wire=self._wire,
+            wire=self._settings.wire,
             state=STATES.index(summary.state),
             revision=summary.revision,
             flags=flags,
@@ -624,12 +604,3 @@ class Peer:
             body=self._body,
             number=number,
         )
-
-    def _may_answer(self, source: Address, count: int, now: float) -> bool:
-        """True if a host may have so many datagrams now, which are then taken from its budget."""
-        # All robots of one machine have one host, and a robot behind routers has no port.
-        host = f"{source[0]}:{source[1]}" if source[0].startswith("127.") else source[0]
-        budget = self._answers_by_host.get(host)
-        budget = budget or TokenBucket(ANSWER_RATE_OF_HOST, ANSWER_RATE_OF_HOST)
-        keep_newest(self._answers_by_host, host, budget, MAX_HOSTS)
-        return budget.take(count, now) and self._answers.take(count, now)

@@ -3,7 +3,17 @@
 A trial loads a pattern in a host of its own beside the one in use. That host is then fresh and
 warm, and may take the other's place.
 
-The deadlines of a load and a step are in `robot/tick.py`.
+The deadlines of a load and a step are in `robot/pattern_run.py`.
+
+- A host starts by exec, before Zenoh opens (a fork beside an open session hung each time), and from
+  the main thread, whose end the kernel takes for the parent's. The first host of a simulated swarm
+  is a fork (`forked.py`).
+- The socket does not block, and a frame without room is dropped; one step at most is outstanding.
+  With a pipe, nine seconds of old commands piled up behind a frozen child.
+- A pidfd tells the end of the host, since a child that the pattern forks can keep the socket open.
+- The daemon has short slices (`core/processes.py`), the host usual ones: with usual slices the
+  daemon waited 0.46 ms (p50) and 6 ms (p90) for an answer on a busy machine, now 0.08 and 0.5.
+- The sandbox (`sandbox.py`) costs 3 ms of processor time at the start.
 """
 
 from __future__ import annotations

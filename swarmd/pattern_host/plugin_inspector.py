@@ -27,11 +27,12 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd import api
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import is_id
 from swarmd.core.processes import die_with_parent, limit_growth
-from swarmd.core.values import Platform, Value
+from swarmd.core.values import Outputs, Platform, Twist, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.conditions import needs_of
@@ -39,15 +40,16 @@ from swarmd.kit.factory import Find, assemble, check_scan_delay
 from swarmd.kit.params import Params, schema
 from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
+from swarmd.mission.document import Document, fault_lines, read_document
 from swarmd.mission.mission import Mission, mission_class, pattern_classes
-from swarmd.mission.schema import Document, conditions, fault_lines, read_document
-from swarmd.mission.validate import (
+from swarmd.mission.part_builder import (
     PartBuilder,
     build_parts,
     build_setters,
     check_reports,
     error_text,
 )
+from swarmd.mission.schema import conditions
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
 from swarmd.plugins import (
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
 
 LOADING = "the file holds one pattern"
 IMPORTS = "it imports arithmetic alone"
+DROPPED = "no command is made and dropped"
 MIRRORED = "mirrored scans give mirrored commands"
 NOT_CLAIMED = "is_symmetric is not claimed"
 MAX_GROWTH = 1024 * 1024 * 1024
@@ -163,6 +166,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "summary": (kind.__doc__ or "").strip().split("\n")[0],
         "text": (kind.__doc__ or "").strip(),
         "kind": _kind(kind),
+        "group": kind.group or ("missions" if issubclass(kind, Mission) else "yours"),
         "source": source,
         "needs": sorted(kind.needs),
         "missing": sorted(kind.needs - platform.provides),
@@ -239,12 +243,14 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
         return
     from swarmd.testing.no_side_effects import forbidden_imports
 
-    imports = [
-        f"imports {name} ({path.name}:{line})"
-        for line, name in forbidden_imports(path.read_bytes())
-    ]
-    answer.send(begin=IMPORTS)
-    answer.send(result=IMPORTS, **({"fault": "; ".join(imports)} if imports else {}))
+    source = path.read_bytes()
+    for point, faults in (
+        (IMPORTS, [(line, f"imports {name}") for line, name in forbidden_imports(source)]),
+        (DROPPED, [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]),
+    ):
+        texts = [f"{text} ({path.name}:{line})" for line, text in faults]
+        answer.send(begin=point)
+        answer.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
     for point, check in _contract_tests(loaded[0], path.parent):
         if point in done:
             continue
@@ -254,6 +260,29 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
         answer.send(result=point, **{"text": text, **fault})
         if fault.get("is_hang"):
             return
+
+
+_UNUSED = "and does not use the value; is a return missing?"
+
+
+def dropped(source: bytes) -> Iterator[tuple[int, str]]:
+    """The line and the call of each expression statement that makes a Twist or Outputs.
+
+    By the name alone: the class, or a function of `swarmd.api` that returns one.
+    """
+    makers = {Twist.__name__, Outputs.__name__}
+    for name, value in vars(api).items():
+        returned = getattr(value, "__annotations__", {}).get("return")
+        makers |= {name} if returned in (Twist, Twist.__name__) else set()
+    for statement in ast.walk(ast.parse(source)):
+        if not isinstance(statement, ast.Expr):
+            continue
+        value = statement.value
+        for branch in (value.body, value.orelse) if isinstance(value, ast.IfExp) else (value,):
+            called = branch.func if isinstance(branch, ast.Call) else None
+            name = getattr(called, "id", "") or getattr(called, "attr", "")
+            if name in makers:
+                yield statement.lineno, name
 
 
 def _contract_tests(

@@ -1,7 +1,7 @@
 """Protection: the only path from a requested command to the command that the driver gets.
 
 `Protection` enforces limits and holds, whatever the mode; an `Arbiter` (modes.py) implements one
-mode. The holds of old scans and odometry are found in `robot/tick.py`.
+mode. The holds of old scans and odometry are found in `robot/input_ages.py`.
 
 A kernel (see `core/kernels.py`): each input that can change the command passes it. protection.py
 gives it to others, compiled or interpreted.

@@ -47,8 +47,8 @@ from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
-from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 from swarmd.sensing.rays import unit_vectors
+from swarmd.sensing.scan_pipeline import HISTORY, MAX_EXTRAPOLATION
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython

@@ -1,6 +1,6 @@
 """The protection modes. `potential_field`, `stop_zone` and `off` are implemented here.
 
-Mode `barrier`, the default, is in barrier.py. Holds of old scans are found in robot/tick.py.
+Mode `barrier`, the default, is in barrier.py. Holds of old scans are found in robot/input_ages.py.
 """
 
 from __future__ import annotations

@@ -11,6 +11,8 @@ The result is a request, which avoidance, recovery and protection treat as one o
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from enum import Enum
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,7 +20,7 @@ import numpy as np
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import Avoided, DecisionContext
+from swarmd.protection.decision import Avoided, DecisionContext, WayState
 from swarmd.protection.recovery import Allows, Clearance, Points
 from swarmd.protection.tracks import Surroundings
 
@@ -32,58 +34,137 @@ else:
 
 _TURNING = 0.6  # rad/s of a turn during which no scan is exact enough
 
+# Which opening is on the way of a request.
 _AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
-_FAR = 2.0  # m before an opening beyond which it does not
+_FAR = 2.0  # m before an opening beyond which the robot does not give way
 _AT_WALL = 0.5  # m before a wall at which a robot turns to its opening
+_ALONG_WALL = 0.2  # rad between a request and the wall within which the request leads along it
 _OTHER_WAY = -0.25  # cosine of the direction that leads away from an opening
 _SIDEWAYS = 1.3  # rad: a request farther to the side is taken for a turn
+_REVERSED = 0.5  # rad from straight back within which a turn keeps the direction behind the robot
 _GIVE_UP = 240.0  # s for one opening
+_LEAD_TIME, _LEAD_TIMES = 0.1, (0.05, 0.3)  # s of a turn ahead: without a limit, and the bounds
 
-_IN = 0.25  # m before an opening at which a robot is in it
+# Where the robot is. Distances in m along the axis count from the begin of the opening.
+_IN = 0.25  # m before an opening at which an aligned robot is in it
+_IN_ANYHOW = 0.05  # m before an opening at which a robot is in it at any heading
+_IN_BESIDE = 0.05  # m beside an opening beyond which a robot is not in it
+_ALIGNED, _ALIGNED_SHARE = 0.5, 0.25  # rad, and share of the half width, of an aligned robot
 _BEYOND = 0.35  # m beyond an opening at which it is passed
-_OUT, _SEEN_BEYOND = 0.9, 0.5  # m before and beyond an opening within which others count
-_LINE_UP = 0.5  # m before an opening, where a robot turns into its axis
-_LEAN = 0.1  # m/s: a robot in a corridor keeps away from the side whose rays are older by this
-_ABEAM = 1.0  # rad: the bearing of the walls beside and ahead that limit its speed
 _DEEP = 0.2  # m: a deeper opening is a corridor
-_PURSUIT = 0.15  # m ahead on the axis
-_WRONG = 0.1  # m by which the middle may be off; an opening farther off is looked for anew
-_NEW = 0.03  # weight of a new measurement of the axis
-_BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
-_FOLLOW = 0.27  # m behind another robot that goes in
+
+# What the tracks do.
 _PERSISTS = 1.0  # s after which a track is no part of a wall
+_OUT, _SEEN_BEYOND = 0.9, 0.5  # m before and beyond an opening within which tracks count
+_NARROWER, _WIDER = 0.06, 0.2  # m by which a track in and before an opening may be off its axis
+_THRESHOLD = 0.3  # m around an opening: a track there keeps the side from which it came
+_FIRST_SEEN_IN = -0.1  # m: a new track before it comes from the robot's side
+_BACKS_OUT = 0.1  # m that a track has come back: it comes out
+_MEETS = 0.8  # m, beside the depth, within which a track that comes is met
+_CLOSE = 0.15  # m within which two are as deep
+_FOLLOW, _FOLLOW_BEYOND = 0.27, 0.2  # m behind another robot that goes in, m beyond the opening
+
+# How long the robot waits.
 _CLEAR = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 _HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
 _AFTER, _AGAIN = (6.0, 10.0), 120.0  # s for which a robot that has passed lets others pass
 _PATIENCE = (3.0, 6.0)  # s after which it is drawn anew which of two goes on
-_CLOSE = 0.15  # m within which two are as deep
+_NO_PROGRESS, _MINE_SHARE = 2.0, 0.5  # s after which it is drawn, and the chance to go on
 _STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries the other way
-_AT_POST, _SAME_WIDTH = 0.1, 0.08  # m within which returns are posts, and their gap is the opening
 _HELD = 10.0  # s behind another that does not go on, after which a robot clears its way
+
+# How the robot drives.
+_LINE_UP = 0.5  # m before an opening, where a robot turns into its axis
+_NEARLY_LINED_UP = 0.1  # m before that place within which a robot is at it
+_AT_LINE_UP, _ON_AXIS, _ON_AXIS_FAR = 0.08, 0.04, 0.4  # m from the place, or from the axis, before
+_OFF_AXIS, _OFF_AXIS_NEAR, _OFF_AXIS_SHARE = 0.12, 0.35, 0.25  # m off, m before, share of the half
+_PURSUIT = 0.15  # m ahead on the axis
+_LEAN = 0.1  # m/s: a robot in a corridor keeps away from the side whose rays are older by this
+_LEAN_FROM = 0.15  # m before a corridor at which that begins
+_ABEAM, _ABEAM_WIDTH = 1.0, 0.6  # rad: the bearing of the walls beside, and how far around it
+_BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
+_FARTHER_BESIDE, _ASIDE_FAR, _ASIDE_STEP = 0.15, 0.4, 0.1  # m beside, m before, m back: its goal
+_KEEPS_SIDE, _HAS_SIDE = 0.15, 0.05  # m beside the axis: keeps, and chooses, the side to wait on
+_BACK_AIM, _BACK_TURN, _BACK_SHARE = 0.4, 0.3, 0.5  # m behind, rad/s, share of the speed
+_BACKS_TO = 2.0  # rad: a goal farther to the side is reached backwards
 _GAIN = 3.0  # 1/s of the heading
 _SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s, of which the last lets protection creep
 _TURN_COST = 0.15  # m/s for each rad/s that protection changes
+_UNKNOWN_SPEED_SHARE = 0.5  # of the limit, before a request has shown a speed
+
+# The middle of the opening, as the returns of its posts show it.
+_WRONG = 0.1  # m by which the middle may be off; an opening farther off is looked for anew
+_NEW = 0.03  # weight of a new measurement of the axis
+_AT_POST, _SAME_WIDTH = 0.1, 0.08  # m within which returns are posts, and their gap is the opening
+_POSTS_BEHIND, _POSTS_AHEAD = 0.15, 0.2  # m around the robot within which returns are posts
+_PAST_POSTS = 0.05  # m beyond an opening at which its posts are not measured
+
+
+class _Rule(Enum):
+    """Which rule of the state machine holds: the first of these, whatever the state before is.
+
+    The rules have memory: `_is_backing` (rules 1 and 2), `_clear` and `_busy_at` (rules 3 and 4),
+    `_is_lined_up` (rule 5) and `_held` (rules 3, 4 and 6). Giving way ends the last two.
+    """
+
+    # 1. A robot in an opening backs out when it meets a robot that comes, until it is out of the
+    #    opening. A robot without progress for _STUCK tries the other way.
+    BACKS = 1
+    # 2. A robot in an opening that does not back out passes the opening.
+    IS_IN = 2
+    # 3. The robot must give way, and stands where others can pass. It must while a robot comes,
+    #    for a random time after that, while another robot is nearer, and for a time after it has
+    #    stood for _HELD behind a robot that does not go on.
+    MUST_GIVE_WAY_ASIDE = 3
+    # 4. The robot must give way, and stands where others want to pass.
+    MUST_GIVE_WAY = 4
+    # 5. The robot is not lined up: it reaches the place before the opening, or the axis there, to
+    #    be lined up, and must stay near the axis.
+    IS_NOT_LINED_UP = 5
+    # 6. Another robot that goes in is close ahead.
+    FOLLOWS = 6
+    # 7. The robot is lined up, at the place before the opening or beyond.
+    IS_AT_LINE_UP = 7
+    # 8. The robot is lined up before that place.
+    IS_BEFORE_LINE_UP = 8
+
+
+_TRANSITIONS: Mapping[_Rule, WayState] = {
+    _Rule.BACKS: WayState.BACK,
+    _Rule.IS_IN: WayState.IN,
+    _Rule.MUST_GIVE_WAY_ASIDE: WayState.WAIT,
+    _Rule.MUST_GIVE_WAY: WayState.ASIDE,
+    _Rule.IS_NOT_LINED_UP: WayState.GO,
+    _Rule.FOLLOWS: WayState.WAIT,
+    _Rule.IS_AT_LINE_UP: WayState.LINE,
+    _Rule.IS_BEFORE_LINE_UP: WayState.APPROACH,
+}
+"""The state that each rule leads to; `WayState.NONE` is without an opening on the way."""
+_SETTLED = frozenset({WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE})
 
 
 class _Place(NamedTuple):
-    """The robot before an opening: m from its begin, m to the left of its axis, and the heading.
+    """The robot before an opening."""
 
-    `depth` and `half` of the width of the opening.
-    """
-
-    s: float
-    side: float
-    heading: float
-    depth: float
-    half: float
+    s: float  # m from the begin of the opening along its axis
+    side: float  # m to the left of the axis
+    heading: float  # rad from the axis
+    depth: float  # m of the opening
+    half: float  # m of its width
 
     @property
     def is_in(self) -> bool:
         """True if others must wait for the robot."""
-        if abs(self.side) >= self.half + 0.05:
+        if abs(self.side) >= self.half + _IN_BESIDE:
             return False
-        is_aligned = abs(self.heading) < 0.5 and abs(self.side) < 0.25 * self.half
-        return self.s > -0.05 or (self.s > -_IN and is_aligned)
+        is_on_axis = abs(self.side) < _ALIGNED_SHARE * self.half
+        is_aligned = abs(self.heading) < _ALIGNED and is_on_axis
+        return self.s > -_IN_ANYHOW or (self.s > -_IN and is_aligned)
+
+    @property
+    def leaves_free(self) -> bool:
+        """True if others can pass the robot."""
+        return abs(self.side) > self.half + _BESIDE or self.s < -_FREE
 
     @property
     def to_line_up(self) -> float:
@@ -92,26 +173,24 @@ class _Place(NamedTuple):
 
 
 class _Traffic(NamedTuple):
-    """What others do: come out (`is_within`: still in the opening), wait nearer, meet, go ahead."""
+    """What the tracks before and in an opening do."""
 
-    is_busy: bool = False
-    is_within: bool = False
-    is_behind: bool = False
-    is_met: bool = False
-    is_close: bool = False
+    is_busy: bool = False  # a robot comes out
+    is_within: bool = False  # that robot is still in the opening
+    is_behind: bool = False  # another robot that wants to pass is nearer
+    is_met: bool = False  # a robot that is deeper in comes towards this robot in the opening
+    is_close: bool = False  # another robot that goes in is close ahead
 
 
 class RightOfWay:
-    """Chooses the request of a robot before an opening. Times are in s and come with each call.
-
-    `state`: in, back, wait, aside, go (to where it lines up) or line; empty without an opening.
-    """
+    """Chooses the request of a robot before an opening. Times are in s and come with each call."""
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
         """`seed` seeds the random choices."""
         self._body, self._limits = clearance.body, limits
-        lead = limits.linear / limits.angular if limits.angular > 0.0 else 0.1
-        self._lead = min(max(lead, 0.05), 0.3)
+        lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD_TIME
+        shortest, longest = _LEAD_TIMES
+        self._lead = min(max(lead, shortest), longest)
         self._rng = Random(f"way {seed}")
         self._openings = Openings(clearance.body)
         self._tracks: tuple[tuple[float, float, float], ...] = ()  # x, y, radius by odometry
@@ -122,7 +201,9 @@ class RightOfWay:
 
     def reset(self) -> None:
         """Forget the request, and no opening that the robot knows."""
-        self._speed = 0.5 * self._limits.linear  # or the fastest request, as in recovery
+        self._speed = (
+            _UNKNOWN_SPEED_SHARE * self._limits.linear
+        )  # or the fastest request, as in recovery
         self._release()
 
     def on_odometry(self, odometry: Odometry) -> None:
@@ -145,17 +226,17 @@ class RightOfWay:
         self._aside, self._is_lined_up = 0.0, False
         self._off: float | None = None  # m, the measured middle less that of the sightings
         self._held = -math.inf, -math.inf  # when and where it began to wait for one ahead
-        self.state = ""
+        self.state = WayState.NONE
 
     @property
     def is_settled(self) -> bool:
         """True where neither avoidance nor recovery has anything to add."""
-        return self.state in {"in", "back", "wait", "line"}
+        return self.state in _SETTLED
 
     def passed(self, context: DecisionContext) -> Avoided | None:
         """The opening that changes the request of a robot; None without one."""
         opening, odometry = self._opening, context.odometry
-        if not self.state or opening is None or odometry is None:
+        if self.state is WayState.NONE or opening is None or odometry is None:
             return None
         pose = pose_after(odometry, context.odometry_age or 0.0)
         x, y = opening.x - pose.x, opening.y - pose.y
@@ -168,7 +249,7 @@ class RightOfWay:
         ages = scan.ages if self._opening is not None else None
         if ages is not None and len(ages) == len(scan.bearings):
             left, right = (
-                ages[np.abs(scan.bearings - way * _ABEAM) < 0.6 * _ABEAM] for way in (1.0, -1.0)
+                ages[np.abs(scan.bearings - way * _ABEAM) < _ABEAM_WIDTH] for way in (1.0, -1.0)
             )
             if len(left) and len(right):
                 self._lean = _LEAN * float(right.mean() - left.mean())
@@ -197,10 +278,10 @@ class RightOfWay:
         pose = pose_after(odometry, context.odometry_age)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         placed = [
-            (one, pose.x + cos * one.x - sin * one.y, pose.y + sin * one.x + cos * one.y)
-            for one in around.tracks
+            (track, pose.x + cos * track.x - sin * track.y, pose.y + sin * track.x + cos * track.y)
+            for track in around.tracks
         ]
-        self._tracks = tuple((x, y, one.radius) for one, x, y in placed)
+        self._tracks = tuple((x, y, track.radius) for track, x, y in placed)
         if requested.is_zero:
             self._release()
             return requested
@@ -224,16 +305,17 @@ class RightOfWay:
         if is_passed or place.s < -_FAR or wish < _OTHER_WAY or is_over:
             self._release()
             return requested
-        self._seen_since = {one.id: self._seen_since.get(one.id, now) for one in around.tracks}
+        self._seen_since = {
+            track.id: self._seen_since.get(track.id, now) for track in around.tracks
+        }
         for by_track in (self._sides, self._farthest):
             for id in by_track.keys() - self._seen_since.keys():
                 del by_track[id]
         others = []
-        for one, x, y in placed:
-            there, off = opening.to_local(x, y, self._sign)
-            there -= first
-            if now - self._seen_since[one.id] >= _PERSISTS:
-                others.append((one.id, there, off))
+        for track, x, y in placed:
+            along, across = opening.to_local(x, y, self._sign)
+            if now - self._seen_since[track.id] >= _PERSISTS:
+                others.append((track.id, along - first, across))
         return self._through(place, others, now, allows, points)
 
     def _wished(self, requested: Twist, yaw: float) -> float:
@@ -247,30 +329,30 @@ class RightOfWay:
             before = math.remainder(self._wish - yaw, 2.0 * math.pi)
             if before * off > 0.0 and abs(before) > _SIDEWAYS:
                 off = before
-            elif math.pi - abs(before) < 0.5:
+            elif math.pi - abs(before) < _REVERSED:
                 off = math.copysign(math.pi, off)
         return yaw + off
 
     def _choose(self, pose: Pose, now: float) -> None:
         """Take the nearest opening that the wish leads through, or whose wall it leads into."""
         nearest, chosen = math.inf, None
-        for one in self._openings:
-            angle = math.remainder(self._wish - one.angle, 2.0 * math.pi)
-            if one.hits < SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < 0.2:
+        for opening in self._openings:
+            angle = math.remainder(self._wish - opening.angle, 2.0 * math.pi)
+            if opening.hits < SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < _ALONG_WALL:
                 continue
             sign = 1.0 if abs(angle) < 0.5 * math.pi else -1.0
-            s, side = one.to_local(pose.x, pose.y, sign)
-            first, last = one.ends(sign)
+            s, side = opening.to_local(pose.x, pose.y, sign)
+            first, last = opening.ends(sign)
             s -= first
-            if s > last - first or (s > -0.05 and abs(side) > one.half):
+            if s > last - first or (s > -_IN_ANYHOW and abs(side) > opening.half):
                 continue
             at = side - min(s, 0.0) * math.tan(angle)
-            wall = one.walls[0 if at * sign > 0.0 else 1]
-            leads_in = abs(at) < one.half and s > -_AHEAD
+            wall = opening.walls[0 if at * sign > 0.0 else 1]
+            leads_in = abs(at) < opening.half and s > -_AHEAD
             leads_to_wall = s > -_AT_WALL and abs(at) < wall
             away = math.hypot(min(s, 0.0), side)
             if (leads_in or leads_to_wall) and away < nearest:
-                nearest, chosen = away, (one, sign)
+                nearest, chosen = away, (opening, sign)
         if chosen is None:
             return
         wish = self._wish
@@ -286,23 +368,23 @@ class RightOfWay:
         is_busy = is_behind = is_met = is_within = is_close = False
         for id, s, off in others:
             side = self._sides.get(id)
-            if side is None or s < -0.3 or s > at.depth + 0.3:
-                least = -0.1 if side is None else 0.5 * at.depth
+            if side is None or s < -_THRESHOLD or s > at.depth + _THRESHOLD:
+                least = _FIRST_SEEN_IN if side is None else 0.5 * at.depth
                 side = self._sides[id] = -1.0 if s < least else 1.0
-            wide = at.half - 0.06 if s > 0.0 else at.half + 0.2
+            wide = at.half - _NARROWER if s > 0.0 else at.half + _WIDER
             if not -_OUT < s < at.depth + _SEEN_BEYOND or abs(off) > wide:
                 continue
             far = max(self._farthest.get(id, s) if s > -_LINE_UP else s, s)
             self._farthest[id] = far
-            if side > 0.0 or (far > -_IN and s < far - 0.1):  # one that backs out comes, too
+            if side > 0.0 or (far > -_IN and s < far - _BACKS_OUT):
                 back, its = at.s + _IN, at.depth + _IN - s
                 if at.is_in and s > at.s:
-                    is_met |= s - at.s < 0.8 + at.depth and its > max(back + slack, 0.0)
+                    is_met |= s - at.s < _MEETS + at.depth and its > max(back + slack, 0.0)
                 elif s < at.depth + _IN or s - at.depth < -at.s + slack:
                     is_busy = True
-                    is_within |= -0.3 < s < at.depth + 0.3
+                    is_within |= -_THRESHOLD < s < at.depth + _THRESHOLD
             elif s > at.s and s > -_IN:
-                is_close |= s - at.s < _FOLLOW and s < at.depth + 0.2
+                is_close |= s - at.s < _FOLLOW and s < at.depth + _FOLLOW_BEYOND
             elif math.hypot(s + _LINE_UP, off) < at.to_line_up + slack:
                 is_behind = True
         return _Traffic(is_busy, is_within, is_behind, is_met, is_close)
@@ -316,8 +398,8 @@ class RightOfWay:
         points: Points,
     ) -> Twist:
         """The request at a place."""
-        if now > self._drawn_until and now - self._best_at > 2.0:
-            self._is_mine = self._rng.random() < 0.5
+        if now > self._drawn_until and now - self._best_at > _NO_PROGRESS:
+            self._is_mine = self._rng.random() < _MINE_SHARE
             self._drawn_until = now + self._rng.uniform(*_PATIENCE)
         self._find_middle(at, points)
         left = self._off or 0.0
@@ -326,6 +408,17 @@ class RightOfWay:
             return ZERO
         at = at._replace(side=at.side - left)
         traffic = self._traffic(at, [(id, s, off - left) for id, s, off in others])
+        self._note_progress(at, traffic, now)
+        if traffic.is_met or traffic.is_busy or self._is_backing:
+            has_passed = now - self._passed_at < _AGAIN
+            self._busy_at = now
+            self._clear = self._rng.uniform(*(_AFTER if has_passed else _CLEAR))
+            self._clear += _HIDDEN if traffic.is_within else 0.0
+        self.state = _TRANSITIONS[self._rule(at, traffic, now)]
+        return self._request(at, allows)
+
+    def _note_progress(self, at: _Place, traffic: _Traffic, now: float) -> None:
+        """Decide whether a robot in an opening backs out."""
         if not at.is_in:
             self._is_backing, self._best, self._best_at = False, at.s, now
         elif traffic.is_met or now - self._best_at > _STUCK:
@@ -333,48 +426,60 @@ class RightOfWay:
             self._best, self._best_at = at.s, now
         elif abs(at.s - self._best) > _PROGRESS:
             self._best, self._best_at = at.s, now
-        if traffic.is_met or traffic.is_busy or self._is_backing:
-            has_passed = now - self._passed_at < _AGAIN
-            self._busy_at = now
-            self._clear = self._rng.uniform(*(_AFTER if has_passed else _CLEAR))
-            self._clear += _HIDDEN if traffic.is_within else 0.0
+
+    def _rule(self, at: _Place, traffic: _Traffic, now: float) -> _Rule:
+        """The rule that holds at a place among traffic."""
         if self._is_backing:
-            self.state = "back"
-            off = math.remainder(math.atan2(-at.side, -0.4) + math.pi - at.heading, 2.0 * math.pi)
-            return self._fastest(Twist(-0.5 * self._speed, min(max(off, -0.3), 0.3)), allows)
+            return _Rule.BACKS
         if at.is_in:
-            self.state = "in"
-            lean = self._lean if at.depth > _DEEP and at.s > -0.15 else 0.0
-            return self._fastest(self._drive(at.s + _PURSUIT, lean, at), allows)
+            return _Rule.IS_IN
         if now - self._busy_at < self._clear or traffic.is_behind:
-            return self._give_way(at)
-        self._is_lined_up |= at.to_line_up < 0.08 or (abs(at.side) < 0.04 and at.s < -0.4)
-        self._is_lined_up &= abs(at.side) < (0.12 if at.s < -0.35 else 0.25 * at.half)
+            return self._giving_way(at)
+        is_on_axis = abs(at.side) < _ON_AXIS and at.s < -_ON_AXIS_FAR
+        self._is_lined_up |= at.to_line_up < _AT_LINE_UP or is_on_axis
+        most = _OFF_AXIS if at.s < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * at.half
+        self._is_lined_up &= abs(at.side) < most
         if not self._is_lined_up:
-            self.state = "go"
-            return self._drive(-_LINE_UP, 0.0, at)
+            return _Rule.IS_NOT_LINED_UP
         if not traffic.is_close or at.s > self._held[1] + _PROGRESS:
             self._held = now, at.s
         elif now - self._held[0] > _HELD:
             self._busy_at, self._clear = now, self._rng.uniform(*_CLEAR) + _HIDDEN
-            return self._give_way(at)
-        self.state = "wait" if traffic.is_close else "line" if at.s > -_LINE_UP - 0.1 else "go"
+            return self._giving_way(at)
         if traffic.is_close:
-            return ZERO
-        asked = self._drive(at.s + _PURSUIT, 0.0, at)
-        return self._fastest(asked, allows) if self.state == "line" else asked
+            return _Rule.FOLLOWS
+        is_at_line_up = at.s > -_LINE_UP - _NEARLY_LINED_UP
+        return _Rule.IS_AT_LINE_UP if is_at_line_up else _Rule.IS_BEFORE_LINE_UP
 
-    def _give_way(self, at: _Place) -> Twist:
-        """Go aside, and wait there."""
+    def _giving_way(self, at: _Place) -> _Rule:
         self._is_lined_up, self._held = False, (-math.inf, -math.inf)
-        if abs(at.side) > at.half + _BESIDE or at.s < -_FREE:
-            self.state = "wait"
-            return ZERO
-        if not self._aside or abs(at.side) > 0.15:
-            is_off = abs(at.side) > 0.05
-            self._aside = math.copysign(1.0, at.side) if is_off else self._aside or -1.0
-        self.state = "aside"
-        return self._drive(min(at.s, -0.4) - 0.1, self._aside * (at.half + _BESIDE + 0.15), at)
+        return _Rule.MUST_GIVE_WAY_ASIDE if at.leaves_free else _Rule.MUST_GIVE_WAY
+
+    def _request(self, at: _Place, allows: Allows) -> Twist:
+        """The request of the present state at a place."""
+        match self.state:
+            case WayState.BACK:
+                behind = math.atan2(-at.side, -_BACK_AIM) + math.pi - at.heading
+                turn = min(max(math.remainder(behind, 2.0 * math.pi), -_BACK_TURN), _BACK_TURN)
+                return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), allows)
+            case WayState.IN:
+                is_in_corridor = at.depth > _DEEP and at.s > -_LEAN_FROM
+                lean = self._lean if is_in_corridor else 0.0
+                return self._fastest(self._drive(at.s + _PURSUIT, lean, at), allows)
+            case WayState.ASIDE:
+                if not self._aside or abs(at.side) > _KEEPS_SIDE:
+                    is_off = abs(at.side) > _HAS_SIDE
+                    self._aside = math.copysign(1.0, at.side) if is_off else self._aside or -1.0
+                side = self._aside * (at.half + _BESIDE + _FARTHER_BESIDE)
+                return self._drive(min(at.s, -_ASIDE_FAR) - _ASIDE_STEP, side, at)
+            case WayState.GO:
+                return self._drive(-_LINE_UP, 0.0, at)
+            case WayState.LINE:
+                return self._fastest(self._drive(at.s + _PURSUIT, 0.0, at), allows)
+            case WayState.APPROACH:
+                return self._drive(at.s + _PURSUIT, 0.0, at)
+            case _:
+                return ZERO
 
     def _find_middle(self, at: _Place, points: Points) -> None:
         """Measure how far to the left of the axis the middle of the opening is.
@@ -382,12 +487,14 @@ class RightOfWay:
         The axis of sightings from afar is off by 1 cm, and by more where a robot was taken for a
         post. Between the posts 1 cm costs half of the speed.
         """
-        if not -_LINE_UP - 0.1 < at.s < at.depth + 0.05:
+        if not -_LINE_UP - _NEARLY_LINED_UP < at.s < at.depth + _PAST_POSTS:
             return
         x, y = points().T
         cos, sin = math.cos(at.heading), math.sin(at.heading)
         along, across = at.s + cos * x - sin * y, at.side + sin * x + cos * y
-        is_near = (along > max(at.s - 0.15, -_AT_POST)) & (along < max(at.s, 0.0) + 0.2)
+        is_near = (along > max(at.s - _POSTS_BEHIND, -_AT_POST)) & (
+            along < max(at.s, 0.0) + _POSTS_AHEAD
+        )
         sides = np.sort(across[is_near & (along < at.depth + _AT_POST)])
         middles = 0.5 * (sides[1:] + sides[:-1])
         middles = middles[np.abs(np.diff(sides) - 2.0 * at.half) < _SAME_WIDTH]
@@ -401,21 +508,22 @@ class RightOfWay:
 
         Protection turns a robot aside that asks for much, and lets one creep that asks for little.
         """
-        best, found, most = -math.inf, twist, abs(twist.linear)
+        most = abs(twist.linear)
+        best_gain, best = -math.inf, twist
         for speed in (most, *_SPEEDS):
-            one = Twist(math.copysign(min(speed, most), twist.linear), twist.angular)
-            allowed = allows(one)
-            gain = math.copysign(allowed.linear, allowed.linear * one.linear)
-            gain -= _TURN_COST * abs(allowed.angular - one.angular)
-            if gain > best:
-                best, found = gain, one
-        return found
+            asked = Twist(math.copysign(min(speed, most), twist.linear), twist.angular)
+            allowed = allows(asked)
+            gain = math.copysign(allowed.linear, allowed.linear * asked.linear)
+            gain -= _TURN_COST * abs(allowed.angular - asked.angular)
+            if gain > best_gain:
+                best_gain, best = gain, asked
+        return best
 
     def _drive(self, s: float, side: float, at: _Place) -> Twist:
         """Towards a place."""
         limits = self._limits
         off = math.remainder(math.atan2(side - at.side, s - at.s) - at.heading, 2.0 * math.pi)
-        if s < at.s > -_LINE_UP and abs(at.side) < at.half and abs(off) > 2.0:  # backs out
+        if s < at.s > -_LINE_UP and abs(at.side) < at.half and abs(off) > _BACKS_TO:  # backs out
             off = math.remainder(off - math.pi, 2.0 * math.pi)
             turn = min(max(_GAIN * off, -limits.angular), limits.angular)
             return Twist(-self._speed * max(math.cos(off), 0.0) ** 2, turn)

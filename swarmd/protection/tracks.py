@@ -27,7 +27,7 @@ from msgspec import Struct
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan
 from swarmd.protection.decision import DecisionContext
-from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
+from swarmd.sensing.scan_pipeline import HISTORY, MAX_EXTRAPOLATION
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython

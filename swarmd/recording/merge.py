@@ -20,7 +20,6 @@ from swarmd.recording.inputs import INPUT, MEMORY
 from swarmd.recording.messages import is_known, message_on
 from swarmd.recording.reader import RecordedFile, clock_of, read_file
 from swarmd.recording.writer import METADATA, PROFILE, Channels
-from swarmd.texts.values import NOTHING
 
 CLOCK_TOPIC = "/clock/pair"
 MAX_TIME = 2**64 - 1  # ns in a file
@@ -188,18 +187,6 @@ def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:
     """The table of estimates, for people, programs and the file."""
     names = {source.source.clock: source.source.robot for source in placed}
     return [source.row(names) for source in placed]
-
-
-def clock_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Offset, drift, error and the robots in between of a row, as texts."""
-    if not row["is_aligned"]:
-        return "unaligned", NOTHING, NOTHING, NOTHING
-    return (
-        f"{row['offset']:.6f} s",
-        f"{row['drift_ppm']:+.1f} ppm",
-        f"{1000.0 * row['error']:.3f} ms",
-        ", ".join(row["via"]) or NOTHING,
-    )
 
 
 def _about(placed: Sequence[Placed]) -> dict[str, str]:

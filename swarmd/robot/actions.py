@@ -1,4 +1,4 @@
-"""The effects of one event on a robot, handed to the shell; `Effects` (tick.py) gathers them."""
+"""The effects of one event on a robot, handed to the shell; `Effects` (effects.py) gathers them."""
 
 from __future__ import annotations
 

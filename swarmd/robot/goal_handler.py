@@ -14,11 +14,11 @@ from swarmd.core.goal import Goal, GoalState, HeldGoal
 from swarmd.core.messages import Epoch, Reason, Refusal, State
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.goals import Found
-from swarmd.robot.pattern_run import Wish
+from swarmd.robot.pattern_load import Wish
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import Effects
+    from swarmd.robot.effects import Effects
 
 
 class GoalHandler:

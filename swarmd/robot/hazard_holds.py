@@ -1,6 +1,6 @@
 """How the hazards of a base hold a robot, and how each hold ends. Pure.
 
-The holds of scans, odometry and peers are in `InputTimes.hold` (tick.py).
+The holds of scans, odometry and peers are in `InputAges.hold` (input_ages.py).
 
 | kind                          | while it is reported | ends                              |
 |-------------------------------|----------------------|-----------------------------------|

@@ -353,7 +353,8 @@ class _Reader:
 
 def _source_of(kind: type) -> str:
     """The module of a class, as it is named where it is interpreted."""
-    return kind.__module__.replace("._", ".")
+    classes = getattr(sys.modules[kind.__module__], "CLASSES", {})  # of a library of several files
+    return classes.get(kind.__name__) or kind.__module__.replace("._", ".")
 
 
 def _is_ours(module: str) -> bool:

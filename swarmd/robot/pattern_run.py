@@ -1,75 +1,253 @@
-"""The robot's view of its pattern: load, steps, requested command and its expiry, faults. Pure.
+"""The load and the run of a pattern: steps, the expiry of its command, faults, backoff of restarts.
 
-`tick.py` has what a tick looks at.
+A kernel (see `core/kernels.py`), in one library with ticker.py. Times are in s on the robot's
+clock. A deadline that is not set is inf.
+
+1. A requested command expires three steps after the step that gave it began, MIN_EXPIRY at least.
+2. A step is due after a period, or with a new scan. One step is under way at a time: a step that
+   is due meanwhile stays due.
+3. After a fault the pattern waits FIRST_BACKOFF for its restart, after each further fault within
+   FAULT_WINDOW twice as long as before. FAULTS_BEFORE_QUARANTINE of them end it.
+4. A run request forgets the faults; a restart keeps them, and the time at which the run ends.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import deque
 from typing import TYPE_CHECKING
 
-from msgspec import Struct
+from swarmd.protection.decision import NO_PERMIT
+from swarmd.robot import timeouts
 
-from swarmd.core.goal import Goal
-from swarmd.core.host_messages import Loaded
-from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Scalar
-from swarmd.core.verbs import ReloadRequest, ResumeRequest, RunRequest
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
 
-if TYPE_CHECKING:
-    from swarmd.robot.tick import PatternRun, Running
+    from swarmd.core.host_messages import Loaded
+    from swarmd.robot.pattern_load import Loading, Wish
 else:
-    _kernel = load_kernel("swarmd.robot.tick")
-    PatternRun, Running = _kernel.PatternRun, _kernel.Running
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY
+else:
+    from swarmd.core.cython_shadow import INFINITY
 
-__all__ = ["Loading", "PatternRun", "Running", "Trial", "Wish"]
+_STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
+_STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)
+ROUNDING = cython.declare(cython.double, timeouts.ROUNDING)
+# A name of C is found at once, one of the module in a dict.
+NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
 
 
-class Wish(Struct, frozen=True):
-    """When a run was asked for, in s on the own clock, and the name of the issuer.
+@cython.final
+@cython.cclass
+class Running:
+    """The running pattern.
 
-    For a run of a goal that was found: when the goal was set. A reload with a new run counts from
-    its request. A restart after a fault keeps the wish of the run. A stop that was issued before
-    does not end the run.
+    `permit`: what it permits while it is not held. `period`: s between two steps. `expiry`: s for
+    which a requested command holds: three steps, at least MIN_EXPIRY. `requested` is the command
+    that it requests, None to stand; `requested_at` when the step that gave it began, `scan_seq` the
+    scan that it used (-1: none). `finish_at`: inf without an end.
     """
 
-    at: float
-    by: str
+    generation = cython.declare(object, visibility="readonly")
+    pattern = cython.declare(object, visibility="readonly")
+    params = cython.declare(object, visibility="public")
+    rate = cython.declare(object, visibility="readonly")
+    channels = cython.declare(object, visibility="readonly")
+    values = cython.declare(object, visibility="public")
+    wish = cython.declare(object, visibility="readonly")
+    until = cython.declare(object, visibility="readonly")
+    permit = cython.declare(object, visibility="public")
+    finish_at = cython.declare(cython.double, visibility="readonly")
+    period = cython.declare(cython.double, visibility="readonly")
+    expiry = cython.declare(cython.double, visibility="readonly")
+    requested = cython.declare(object, visibility="readonly")
+    requested_at = cython.declare(cython.double, visibility="readonly")
+    scan_seq = cython.declare(cython.Py_ssize_t, visibility="readonly")
+
+    def __init__(self, loading, event, finish_at: cython.double, now: cython.double) -> None:
+        """`loading` is the load that has ended with `event`, at `now`."""
+        self.generation, self.pattern, self.params = (
+            loading.generation,
+            loading.pattern,
+            loading.params,
+        )
+        self.rate, self.channels, self.values = event.rate, event.channels, event.params
+        self.wish, self.until, self.permit = loading.wish, loading.until, NOTHING_PERMITTED
+        self.finish_at = finish_at
+        self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
+        self.requested, self.requested_at, self.scan_seq = None, now, -1
+
+    def channel(self, name: str) -> str | None:
+        """The pattern's own name of `<pattern>/<channel>`; None if it does not declare it."""
+        if name in self.channels:
+            return name
+        pattern, _, channel = name.partition("/")
+        return channel if pattern == self.pattern and channel in self.channels else None
+
+    def full_name(self, channel: str) -> str:
+        """The `<pattern>/<channel>` under which a channel is published."""
+        return channel if "/" in channel else f"{self.pattern}/{channel}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Loading:
-    """A pattern that is being loaded; the running one stays, without steps, until then.
+@cython.final
+@cython.cclass
+class PatternRun:
+    """The load and the run of a pattern, the answer awaited from its host, and its faults.
 
-    `until`: conditions of which any ends the run. `request` is answered when it runs.
-    `goal`: the goal of the run. `start_at`: s on the own clock before which it does not begin;
-    `loaded`: the host's answer, which waits for that time.
+    `awaiting_since`: when the step began whose answer is due. `is_due`: a step was due while the
+    host was busy. `is_outdated`: the host may hold code that has been replaced.
     """
 
-    generation: int
-    pattern: str
-    params: Mapping[str, Scalar | None]
-    seconds: float | None
-    since: float
-    request: RunRequest | ReloadRequest | ResumeRequest | None
-    wish: Wish
-    until: tuple[str, ...] = ()
-    goal: Goal | None = None
-    start_at: float | None = None
-    loaded: Loaded | None = None
+    running = cython.declare(Running, visibility="public")
+    loading = cython.declare(object, visibility="public")
+    restart_at = cython.declare(cython.double, visibility="public")
+    awaiting_since = cython.declare(cython.double, visibility="public")
+    last_step = cython.declare(cython.double, visibility="public")
+    stepped_generation = cython.declare(object, visibility="public")
+    is_due = cython.declare(cython.bint, visibility="public")
+    is_outdated = cython.declare(cython.bint, visibility="public")
+    generation = cython.declare(object, visibility="public")
+    restarts = cython.declare(cython.Py_ssize_t, visibility="public")
+    _faults: object
+
+    def __init__(self) -> None:
+        self.restart_at = self.awaiting_since = INFINITY
+        self.last_step, self.generation, self.stepped_generation = -1.0, 0, 0
+        self._faults = deque[float]()
 
     @property
-    def is_restart(self) -> bool:
-        """True if it restarts a pattern that failed: no request and no goal asks for it."""
-        return self.request is None and self.goal is None
+    def wish(self) -> Wish | None:
+        """The newest wish behind what runs or is being loaded; None if the robot stands."""
+        present = self.running if self.loading is None else self.loading
+        return None if present is None else present.wish
+
+    def ready(self, event: Loaded, now: cython.double) -> Loading:
+        """Make the loaded pattern the running one, without a requested command yet."""
+        loading, self.loading = self.loading, None
+        finish_at: cython.double = INFINITY if loading.seconds is None else now + loading.seconds
+        if loading.is_restart and self.running is not None:
+            finish_at = self.running.finish_at
+        else:
+            self._faults.clear()
+        self.running = Running(loading, event, finish_at, now)
+        self.awaiting_since, self.last_step = INFINITY, -1.0
+        return loading
+
+    def stepped(self, outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
+        """Take the requested command of a step; its age counts from the start of the step."""
+        running = self.running
+        asked_at = self.awaiting_since
+        running.requested_at = now if asked_at == INFINITY else asked_at
+        self.awaiting_since = INFINITY
+        running.requested, running.scan_seq = outputs.twist, scan_seq
+
+    def is_expired(self, now: cython.double) -> bool:
+        """True if the last requested command has expired, or no pattern runs."""
+        running = self.running
+        return running is None or now >= running.requested_at + running.expiry - ROUNDING
+
+    @cython.ccall
+    @cython.exceptval(check=False)
+    def may_step(self, now: cython.double, is_new_scan: cython.bint) -> cython.bint:
+        """True if a step is due and the host is free; while the host is busy the step stays due."""
+        running = self.running
+        if running is None or self.restart_at < INFINITY or self.loading is not None:
+            return False
+        is_time: cython.bint = now - self.last_step >= running.period - _STEP_TOLERANCE
+        if not (is_new_scan or self.is_due or is_time):
+            return False
+        if self.awaiting_since < INFINITY:
+            self.is_due = True
+            return False
+        return True
+
+    @cython.ccall
+    def stepping(self, now: cython.double) -> float:
+        """Mark the start of a step; returns the seconds since the last one (0 at the first)."""
+        self.stepped_generation = self.running.generation
+        dt = 0.0 if self.last_step < 0.0 else now - self.last_step
+        self.last_step = self.awaiting_since = now
+        self.is_due = False
+        return dt
+
+    @property
+    def is_restarting(self) -> bool:
+        """True while a failed pattern waits for its restart or is being loaded again."""
+        is_reloading = self.loading is not None and self.loading.is_restart
+        return self.restart_at < INFINITY or is_reloading
+
+    def fault(self, now: cython.double) -> bool:
+        """Count a fault; True if the pattern must be quarantined, else its restart is scheduled."""
+        self.awaiting_since = self.restart_at = INFINITY
+        self.loading = None
+        self.restarts += 1
+        faults = self._faults
+        faults.append(now)
+        while faults and now - faults[0] > timeouts.FAULT_WINDOW:
+            faults.popleft()
+        if len(faults) >= timeouts.FAULTS_BEFORE_QUARANTINE:
+            return True
+        self.restart_at = now + timeouts.FIRST_BACKOFF * 2.0 ** (len(faults) - 1)
+        return False
+
+    def end(self) -> None:
+        """End the run and any load; a step under way is still awaited."""
+        self.end_running()
+        self.loading = None
+
+    def end_running(self) -> None:
+        """End the run; a load goes on."""
+        self.running, self.restart_at, self.is_due = None, INFINITY, False
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def lifecycle_due_at(self) -> cython.double:
+        """A time before which no deadline passes but that of a step; inf without one.
+
+        -inf during a load. A restart is a hold, which its caller looks at.
+        """
+        running = self.running
+        if self.loading is not None:
+            return -INFINITY
+        soonest: cython.double = self.awaiting_since + _STEP_TIMEOUT
+        if running is not None:
+            soonest = min(soonest, running.requested_at + running.expiry, running.finish_at)
+        return soonest
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def step_due_at(self) -> cython.double:
+        """A time before which `may_step` does nothing without a new scan; inf without one."""
+        running = self.running
+        if running is None:
+            return INFINITY
+        if self.is_due:  # a busy host is asked again after its answer
+            return -INFINITY if self.awaiting_since == INFINITY else INFINITY
+        return self.last_step + running.period - _STEP_TOLERANCE
+
+    @cython.ccall
+    def next_deadline(self, now: cython.double) -> float:
+        """The next deadline after `now`; inf without one."""
+        running = self.running
+        soonest: cython.double = later(self.awaiting_since + _STEP_TIMEOUT, now)
+        if running is not None:
+            if self.awaiting_since == INFINITY and self.loading is None:
+                soonest = later(self.last_step + running.period, now)
+            soonest = min(soonest, later(running.requested_at + running.expiry, now))
+            soonest = min(soonest, later(running.finish_at, now))
+        soonest = min(soonest, later(self.restart_at, now))
+        loading = self.loading
+        if loading is not None:
+            soonest = min(soonest, later(loading.since + timeouts.LOAD_TIMEOUT, now))
+            if loading.start_at is not None:
+                soonest = min(soonest, later(loading.start_at, now))
+        return soonest
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """A trial of new code, under way for a reload request; `wish`: of the run that may follow."""
-
-    generation: int
-    since: float
-    request: ReloadRequest
-    wish: Wish
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def later(at: cython.double, now: cython.double) -> cython.double:
+    """The time `at` if it is to come, else inf."""
+    return at if now < at else INFINITY

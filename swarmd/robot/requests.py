@@ -34,12 +34,12 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
-from swarmd.robot.pattern_run import Trial, Wish
+from swarmd.robot.pattern_load import Trial, Wish
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import Effects
+    from swarmd.robot.effects import Effects
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered

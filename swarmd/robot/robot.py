@@ -37,7 +37,6 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.message_limits import EventLimit
-from swarmd.robot.pattern_run import PatternRun
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotIdentity, RobotSettings
@@ -46,9 +45,12 @@ from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import DutyCycle, Effects, Ticker
+    from swarmd.robot.effects import Effects
+    from swarmd.robot.pattern_run import PatternRun
+    from swarmd.robot.ticker import DutyCycle, Ticker
 else:
-    _kernel = load_kernel("swarmd.robot.tick")
+    PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
+    _kernel = load_kernel("swarmd.robot.ticker")
     DutyCycle, Ticker = _kernel.DutyCycle, _kernel.Ticker
 
 

@@ -1,7 +1,7 @@
 """The latest inputs of one robot, and the hold of a robot whose scan or odometry is too old.
 
-`InputTimes.hold` (tick.py) compares each age with its limit. The limit of a scan is the platform's
-`scan.stale_after`, less the measured delay. `hazard_holds.py` has the holds of a base's hazards.
+`InputAges.hold` (input_ages.py) compares each age with its limit. The limit of a scan is the
+platform's `scan.stale_after`, less the measured delay. `hazard_holds.py` has the holds of hazards.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import InputTimes
+    from swarmd.robot.input_ages import InputAges
 else:
-    InputTimes = load_kernel("swarmd.robot.tick").InputTimes
+    InputAges = load_kernel("swarmd.robot.input_ages").InputAges
 
 MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
 MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are dropped first
@@ -60,7 +60,7 @@ class _Received:
     size: int
 
 
-class Sensors(InputTimes):
+class Sensors(InputAges):
     """Scans, odometry, neighbours, readings, messages and state of the driver, with their ages.
 
     All times are in s on the robot's monotonic clock and come with each call.

@@ -64,6 +64,7 @@ from swarmd.core.verbs import (
     Request,
     ResumeRequest,
     RunRequest,
+    shortened,
 )
 from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import Permit
@@ -71,7 +72,7 @@ from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.message_limits import Outbox
-from swarmd.robot.pattern_run import Loading, PatternRun, Trial, Wish
+from swarmd.robot.pattern_load import Loading, Trial, Wish
 from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
@@ -82,9 +83,12 @@ from swarmd.robot.timeouts import (
 )
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import Effects, StateField
+    from swarmd.robot.effects import Effects
+    from swarmd.robot.pattern_run import PatternRun
+    from swarmd.robot.ticker import StateField
 else:
-    StateField = load_kernel("swarmd.robot.tick").StateField
+    PatternRun = load_kernel("swarmd.robot.pattern_run").PatternRun
+    StateField = load_kernel("swarmd.robot.ticker").StateField
 
 
 class Trigger(StrEnum):
@@ -208,7 +212,9 @@ class Lifecycle:
 
     def log(self, text: str, now: float) -> None:
         """Record an event for `describe`."""
-        self.events.append(LoggedEvent(at=max(now - self.born, 0.0), text=text[:MAX_TEXT]))
+        self.events.append(
+            LoggedEvent(at=max(now - self.born, 0.0), text=shortened(text, MAX_TEXT))
+        )
 
     def applied(
         self, effects: Effects, request: Request, text: str, *, is_moving: bool = False
@@ -239,7 +245,7 @@ class Lifecycle:
             robot=self.identity.robot,
             code=code,
             refusal=refusal,
-            text=text[:MAX_TEXT],
+            text=shortened(text, MAX_TEXT),
             epoch=self.epoch,
             is_moving=is_moving,
         )
@@ -254,7 +260,7 @@ class Lifecycle:
         """The issuers and reasons of the held latches, in one line."""
         held = self.latches.held.values()
         texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
-        return ", ".join(dict.fromkeys(texts))[:MAX_TEXT]
+        return shortened(", ".join(dict.fromkeys(texts)), MAX_TEXT)
 
     # Events of the pattern host
 
@@ -464,7 +470,9 @@ class Lifecycle:
                 effects.command_host(host_messages.KillHost())
                 if loading.request is not None:
                     text = f"{reason} while it was being loaded" + (detail and f": {detail}")
-                    self.refuse(effects, loading.request, Refusal.OVERTAKEN, text[:MAX_TEXT])
+                    self.refuse(
+                        effects, loading.request, Refusal.OVERTAKEN, shortened(text, MAX_TEXT)
+                    )
             self.pattern_run.end()
         if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"
@@ -475,16 +483,16 @@ class Lifecycle:
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
         self.hold_since = math.inf
         before, was_running = self.state_machine.state, self.is_running
-        self.state_machine.apply(trigger, reason, detail[:MAX_TEXT], effects.now)
+        self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
         if reason is not Reason.LEAVING:  # a robot that restarts offers its goal again
-            self.goals.on_end(text[:MAX_TEXT])
+            self.goals.on_end(shortened(text, MAX_TEXT))
         if reason in _BARS_GOALS:
             self.goals.bar(effects.now)
         if self.state_machine.state is not before:
             self.log(text, effects.now)
         if was_running:
-            effects.ended = text[:MAX_TEXT]
+            effects.ended = shortened(text, MAX_TEXT)
 
     def stop(
         self, reason: Reason, detail: str, effects: Effects, *, keeps_load: bool = False

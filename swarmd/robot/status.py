@@ -11,14 +11,14 @@ import msgspec
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
-from swarmd.protection.decision import Decision
+from swarmd.protection.decision import Decision, WayState
 from swarmd.protection.protection import Protection
-from swarmd.robot.pattern_run import Loading
+from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
-    from swarmd.robot.tick import DutyCycle
+    from swarmd.robot.ticker import DutyCycle
 
 MAX_REPORTED = 20
 MAX_ROWS = 4
@@ -114,13 +114,14 @@ def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
     avoided = decision.avoided
     if avoided is None:
         return ""
-    for one in () if avoided.way else sensors.neighbors(now):
-        if one.distance is None or one.bearing is None:
+    is_object = avoided.way is WayState.NONE
+    for neighbor in sensors.neighbors(now) if is_object else ():
+        if neighbor.distance is None or neighbor.bearing is None:
             continue
-        off = math.remainder(one.bearing - avoided.bearing, 2.0 * math.pi)
-        way = abs(one.distance - avoided.distance) + avoided.distance * abs(off)
-        if way < _SAME_PLACE:
-            return f"avoiding {one.id}"
+        off = math.remainder(neighbor.bearing - avoided.bearing, 2.0 * math.pi)
+        apart = abs(neighbor.distance - avoided.distance) + avoided.distance * abs(off)
+        if apart < _SAME_PLACE:
+            return f"avoiding {neighbor.id}"
     return avoided.text
 
 

@@ -5,26 +5,296 @@ pass over the same things: where a static thing returns other rays before and af
 return has missed it. A sector is blind once its rays have missed things in many directions and have
 returned nothing meanwhile. An open field, a door and a surface that no ray sees give no return to
 any ray; a thing that moves is not the same before and after; and one return clears its sector.
-
-`BlindSectors` is a class of the kernel of scans.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.values import Array
+from swarmd.core.values import Array, Odometry, ScanSpec
+from swarmd.sensing.angles import TURN
+from swarmd.sensing.buffers import new_flags, new_indices, view_of
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, NAN, fabs, floor, hypot, isnan, remainder
+else:
+    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder
 
 SECTORS = 90
 """Sectors of 4 degrees, of the sensor and of the directions around it."""
+
+_SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
+_LOOK_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
+# Directions, each a sector wide, in which a blind sector has missed something.
+_MIN_MISSED = cython.declare(cython.Py_ssize_t, 8)
+_MAX_TIME = cython.declare(cython.double, 15.0)  # s for which what is seen counts as static
+# Share of the range by which the robot may move: things change their direction.
+_MAX_MOTION = cython.declare(cython.double, 0.25)
+# A thing is the same while its range changes by this share of the range and by so many m.
+_SAME_SHARE = cython.declare(cython.double, 0.25)
+_SAME_M = cython.declare(cython.double, 0.1)
+# Looks in a row in which a static thing is seen, before and after it is missed.
+_STREAK = cython.declare(cython.int, 3)
+# Scans in a row with a return, after which a blind sector is trusted again.
+_CLEARING = cython.declare(cython.int, 3)
+
+
+@cython.cclass
+class BlindSectors:
+    """Finds the blind sectors of one sensor. Times in s, poses in the odometry frame.
+
+    `text` names the blind sectors; empty without one.
+    """
+
+    text = cython.declare(object, visibility="readonly")
+    _is_used: cython.bint
+    _looked_at: cython.double
+    _looked_yaw: cython.double
+    _is_blind: object
+    _range_min: cython.double
+    _range_max: cython.double
+    _is_zero_near: cython.bint
+    _given: object
+    _bearings: cython.const[cython.double][::1]
+    _sector: cython.longlong[::1]  # of each ray
+    _direction: cython.longlong[::1]
+    _is_return: cython.uchar[::1]
+    _blind: cython.uchar[::1]
+    _returned: object  # the array of `_returned_at`
+    _returned_at: cython.double[::1]  # by sector
+    _returns: cython.longlong[90]  # scans in a row with a return
+    # By direction: the thing last seen there, where from, for how many looks in a row, and when.
+    _range: cython.double[90]
+    _x: cython.double[90]
+    _y: cython.double[90]
+    _streak: cython.int[90]
+    _seen_at: cython.double[90]
+    # short: Cython takes an array of uchar for a text that ends at 0, as a memory is read.
+    _pending: cython.short[8100]  # [direction, sector]: has missed the thing since
+    _missed: cython.short[8100]  # [sector, direction]: has missed a static thing
+    # Of one look, by direction.
+    _rays: cython.int[90]
+    _hits: cython.int[90]
+    _sums: cython.double[90]
+    _is_known: cython.short[90]
+
+    def __init__(self, spec: ScanSpec) -> None:
+        k: cython.Py_ssize_t
+        self._is_used, self.text = len(spec.bearings) >= _SECTORS, ""
+        self._looked_at, self._looked_yaw = -INFINITY, NAN
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._is_zero_near = spec.zero == "too_close"
+        self._is_blind = np.zeros(_SECTORS, np.bool_)
+        self._blind = memoryview(self._is_blind.view(np.uint8))
+        self._returned = np.full(_SECTORS, NAN)
+        self._returned_at = memoryview(self._returned)
+        for k in range(_SECTORS):
+            self._seen_at[k] = -INFINITY
+        self._bearings = self._sector = self._direction = self._is_return = None
+
+    def check_indices(self) -> None:
+        """ValueError unless each ray is in one of the sectors; see `recall`."""
+        i: cython.Py_ssize_t
+        for i in range(0 if self._sector is None else len(self._sector)):
+            if not 0 <= self._sector[i] < _SECTORS:
+                raise ValueError(f"ray {i} is in sector {self._sector[i]} of {_SECTORS}")
+
+    def take(
+        self, ranges: Array, bearings: Array, odometry: Odometry | None, now: cython.double
+    ) -> Array:
+        """The raw ranges (n,) of a scan, with NaN for rays of blind sectors without a return."""
+        known = np.array(ranges, np.float64)
+        self.mark(view_of(known), bearings, odometry, now)
+        return known
+
+    @cython.cfunc
+    def mark(self, given: cython.double[::1], bearings, odometry, now: cython.double):
+        """Set NaN for rays of blind sectors without a return."""
+        is_due: cython.bint = self._is_used and odometry is not None
+        if is_due:
+            pose = odometry.pose
+            is_due = self._is_due(pose.yaw, now)
+        if not (is_due or self.text):
+            return
+        if bearings is not self._given:
+            self._set_bearings(bearings)
+        self._find_returns(given)
+        has_changed: cython.bint = self._count_returns(now)
+        if is_due and self._look(given, pose.x, pose.y, pose.yaw, now):
+            has_changed = True
+        i: cython.Py_ssize_t
+        for i in range(given.shape[0]):
+            if self._blind[self._sector[i]] and not self._is_return[i]:
+                given[i] = NAN
+        if has_changed:
+            self.text = blind_text(self._is_blind, self._returned, now)
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        """Set the sector of each ray."""
+        i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = len(bearings)
+        self._given, self._bearings = bearings, view_of(bearings)
+        self._sector, self._direction = new_indices(n), new_indices(n)
+        self._is_return = new_flags(n)
+        for i in range(n):
+            self._sector[i] = _sector_of(self._bearings[i])
+
+    @cython.cfunc
+    def _find_returns(self, ranges: cython.double[::1]) -> cython.int:
+        """Set which rays are returns, and `_hits`: the returns in each sector of the sensor."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for k in range(_SECTORS):
+            self._hits[k] = 0
+        for i in range(ranges.shape[0]):
+            self._is_return[i] = (0.0 < ranges[i] <= self._range_max) or ranges[i] == -INFINITY
+            if self._is_zero_near and ranges[i] == 0.0:
+                self._is_return[i] = True
+            self._hits[self._sector[i]] += self._is_return[i]
+        return 0
+
+    @cython.cfunc
+    def _count_returns(self, now: cython.double) -> cython.bint:
+        """Count scans in a row with a return in each sector; true if a sector is blind no more."""
+        k: cython.Py_ssize_t
+        has_cleared: cython.bint = False
+        for k in range(_SECTORS):
+            self._returns[k] = self._returns[k] + 1 if self._hits[k] else 0
+            if self._hits[k] or isnan(self._returned_at[k]):
+                self._returned_at[k] = now
+            if self._blind[k] and self._returns[k] >= _CLEARING:
+                self._blind[k], has_cleared = False, True
+        return has_cleared
+
+    @cython.cfunc
+    def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
+        """True once the robot has turned by a sector since the last look."""
+        turned: cython.double = fabs(remainder(yaw - self._looked_yaw, TURN))
+        if now - self._looked_at < _LOOK_PERIOD or turned < TURN / _SECTORS:
+            return False
+        self._looked_at, self._looked_yaw = now, yaw
+        return True
+
+    @cython.cfunc
+    def _look(
+        self,
+        ranges: cython.double[::1],
+        x: cython.double,
+        y: cython.double,
+        yaw: cython.double,
+        now: cython.double,
+    ) -> cython.bint:
+        """Compare what each ray returns with what others returned in its direction.
+
+        True if another sector is blind now.
+        """
+        d: cython.Py_ssize_t
+        self._sum_by_direction(ranges, yaw)
+        for d in range(_SECTORS):
+            self._is_known[d] = now - self._seen_at[d] <= _MAX_TIME and (
+                hypot(x - self._x[d], y - self._y[d]) <= _MAX_MOTION * self._range[d]
+            )
+            self._see(d, x, y, now)
+        self._await_confirmation()
+        return self._judge_sectors()
+
+    @cython.cfunc
+    def _sum_by_direction(self, ranges: cython.double[::1], yaw: cython.double) -> cython.int:
+        """Set rays, hits and the sum of ranges in each direction of the odometry frame."""
+        i: cython.Py_ssize_t
+        d: cython.Py_ssize_t
+        for d in range(_SECTORS):
+            self._rays[d] = self._hits[d] = 0
+            self._sums[d] = 0.0
+        for i in range(ranges.shape[0]):
+            d = self._direction[i] = _sector_of(self._bearings[i] + yaw)
+            self._rays[d] += 1
+            if self._is_return[i]:
+                self._hits[d] += 1
+                self._sums[d] += max(ranges[i], self._range_min)
+        return 0
+
+    @cython.cfunc
+    def _see(
+        self, d: cython.Py_ssize_t, x: cython.double, y: cython.double, now: cython.double
+    ) -> cython.int:
+        """Compare what is seen in direction `d` with the thing last seen there."""
+        k: cython.Py_ssize_t
+        distance: cython.double = self._sums[d] / max(self._hits[d], 1)
+        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]
+        is_same: cython.bint = is_seen and (
+            fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
+        )
+        self._streak[d] = self._streak[d] + 1 if is_same else is_seen
+        is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
+        is_decided: cython.bint = is_static or not self._is_known[d] or (is_seen and not is_same)
+        for k in range(_SECTORS):
+            if self._returns[k]:
+                self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
+            elif is_decided and self._pending[_SECTORS * d + k]:
+                self._pending[_SECTORS * d + k] = False
+                self._missed[_SECTORS * k + d] |= is_static
+        if self._streak[d] >= _STREAK:
+            self._seen_at[d] = now
+        if is_seen and not is_same:
+            self._seen_at[d] = -INFINITY
+        if is_seen and (not is_same or self._streak[d] >= _STREAK):
+            self._range[d] = distance
+            self._x[d], self._y[d] = x, y
+        return 0
+
+    @cython.cfunc
+    def _await_confirmation(self) -> cython.int:
+        """Mark sectors that miss a known thing now: it counts once the thing is seen again."""
+        i: cython.Py_ssize_t
+        d: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for i in range(self._sector.shape[0]):
+            d, k = self._direction[i], self._sector[i]
+            if self._is_known[d] and not self._hits[d] and not self._returns[k]:
+                self._pending[_SECTORS * d + k] = True
+        return 0
+
+    @cython.cfunc
+    def _judge_sectors(self) -> cython.bint:
+        """Sectors that have missed things in many directions are blind; true if one is new."""
+        d: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        count: cython.Py_ssize_t
+        is_new: cython.bint = False
+        for k in range(_SECTORS):
+            count = 0
+            for d in range(_SECTORS):
+                count += self._missed[_SECTORS * k + d]
+            if count >= _MIN_MISSED and not self._blind[k]:
+                self._blind[k] = is_new = True
+        return is_new
+
+
+@cython.cfunc
+@cython.inline
+def _sector_of(angle: cython.double) -> cython.longlong:
+    """The sector of an angle, from 0 to 89."""
+    sector: cython.longlong = cython.cast(
+        cython.longlong, floor(angle * (1.0 / (TURN / _SECTORS)) + 1e-6)
+    )
+    sector %= _SECTORS
+    return sector + _SECTORS if sector < 0 else sector
 
 
 def blind_text(is_blind: NDArray[np.bool_], returned_at: Array, now: float) -> str:
     """The blind sectors in degrees, and since when; both arrays (90,) by sector."""
     if not is_blind.any():
         return ""
-    start = int(is_blind.argmin())  # one that is not blind, so that none wraps around
+    start = int(is_blind.argmin())  # not blind, so that no blind run wraps around
     blind = np.roll(is_blind, -start)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], blind, [False])).astype(np.int8)))
     width = 360 // SECTORS

@@ -1,20 +1,206 @@
 """Conditioning: gives the scans of every driver one meaning, or rejects them.
 
 A conditioned range is a distance within [range_min, range_max], +inf (no return) or -inf (too close
-to measure). No ray is unknown. `ScanConditioner` is a class of the kernel of scans.
+to measure). No ray is unknown.
 """
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.values import Array
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
+from swarmd.sensing.blind_sector import BlindSectors
+from swarmd.sensing.buffers import view_of
+from swarmd.sensing.ray_memory import RayMemory
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, NAN, isfinite
+else:
+    from swarmd.core.cython_shadow import INFINITY, NAN, isfinite
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
 COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
 MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
+
+# Scans in order after which a lower sequence or stamp counts as a restart.
+_RESTART_SCANS = cython.declare(cython.int, 3)
+_MAX_RAY_AGE = cython.declare(cython.double, 10.0)  # s: more is garbage
+_MOVES_LINEAR = cython.declare(cython.double, 0.02)  # m/s above which the robot counts as moving
+_MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
+
+
+@cython.cclass
+class ScanConditioner:
+    """Conditions the scans of one sensor; fills unknown rays from a short memory of each ray.
+
+    The memory turns against the sensor, as far as odometry is available.
+
+    `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
+    rays, a stamp that is not finite, an impossible age of a ray, fewer than half of the rays known,
+    an unknown sector wider than `max_gap`, such a sector without rays (unless the sensor never has
+    rays there), or no return at all after a scan with many far returns. FROZEN_SCAN: stamp or
+    sequence does not rise, or a noisy sensor sends bit-identical scans. FROZEN_STAMP: the stamp is
+    that of the scan before, whose ranges differ. CLOCK_SET: the stamp is below an earlier one.
+
+    `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
+    sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
+    """
+
+    _max_sector: cython.double
+    _range_min: object
+    _range_max: object
+    _latency: object
+    _is_noisy: cython.bint
+    _bearings: object  # the last valid ones
+    _ages: object
+    _blind: BlindSectors
+    _rays: RayMemory
+    _last_given: object
+    _last_seq: object
+    _last_stamp: cython.double
+    _newest_seq: object
+    _newest_stamp: cython.double
+    _in_order: cython.int
+    _recent: object
+    _identical: cython.int
+
+    def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
+        """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
+        self._max_sector = max(spec.max_gap, widest_between_rays(spec.bearings)) + 1e-9
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._latency, self._is_noisy = spec.latency, spec.is_noisy
+        self._bearings, self._recent = np.empty(0), []
+        self._blind, self._rays = BlindSectors(spec), RayMemory(spec, guesses_near=guesses_near)
+        self._last_seq = self._newest_seq = self._last_stamp = self._newest_stamp = -INFINITY
+
+    @property
+    def known_at(self) -> float:
+        """The time in s to which the last returned scan is valid."""
+        return self._rays.known_at
+
+    @property
+    def blind_text(self) -> str:
+        """The blind sectors of the sensor, whose rays count as unknown; empty without one."""
+        return self._blind.text
+
+    def take(self, scan: Scan, odometry: Odometry | None, now: cython.double) -> Scan | Reason:
+        """Condition one scan that arrived at `now` (s on this machine's clock)."""
+        given, bearings = scan.ranges, scan.bearings
+        stamp: cython.double = scan.stamp
+        if given.ndim != 1 or not isfinite(stamp):
+            return Reason.INVALID_SCAN
+        n: cython.Py_ssize_t = len(given)
+        if n == 0 or (bearings is not self._bearings and given.shape != bearings.shape):
+            return Reason.INVALID_SCAN
+        if bearings is not self._bearings and not self._has_no_gap(bearings):
+            return Reason.INVALID_SCAN
+        if n != len(self._bearings) or not self._has_ages(scan.ages, n):
+            return Reason.INVALID_SCAN
+        reason = self._not_newer(scan.seq, stamp, given)
+        if reason is not None:
+            return reason
+        ranges = np.array(given, np.float64)
+        out: cython.double[::1] = view_of(ranges)
+        if self._is_noisy and self._repeats(ranges, out, odometry):
+            now = self._rays.known_at  # a repeat holds nothing new
+            if self._identical >= MAX_REPEATS:
+                return Reason.FROZEN_SCAN
+        yaw: cython.double = NAN
+        if odometry is not None:
+            yaw = odometry.pose.yaw
+        self._blind.mark(out, self._bearings, odometry, now)
+        if not self._rays.interpret(out, self._bearings, yaw, now):
+            return Reason.INVALID_SCAN
+        ranges.setflags(write=False)  # the memory and an inline pattern share it
+        limits = self._range_min, self._range_max
+        return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
+
+    @cython.cfunc
+    def _has_no_gap(self, bearings) -> cython.bint:
+        """True if no sector lacks rays; keeps the bearings.
+
+        A copy, if a driver may write others to the same array: all that follows takes the same
+        object for the same bearings.
+        """
+        if not np.array_equal(bearings, self._bearings):
+            if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:
+                return False
+            if bearings.flags.writeable or not bearings.flags.owndata:
+                bearings = np.array(bearings, np.float64)
+                bearings.setflags(write=False)
+            self._bearings = bearings
+        return True
+
+    @cython.cfunc
+    def _has_ages(self, ages, n: cython.Py_ssize_t) -> cython.bint:
+        """True if each ray has a possible age, or none has one; keeps a copy of the ages."""
+        if ages is not None and ages is not self._ages:
+            if ages.shape != (n,) or not ((ages >= 0.0) & (ages <= _MAX_RAY_AGE)).all():
+                return False
+            if self._ages is not None and np.array_equal(ages, self._ages):
+                return True
+            if ages.flags.writeable or not ages.flags.owndata:
+                ages = np.array(ages, np.float64)
+                ages.setflags(write=False)
+        self._ages = ages
+        return ages is None or len(ages) == n
+
+    @cython.cfunc
+    def _not_newer(self, seq, stamp: cython.double, given):
+        """Why the scan is not newer than each before; None if it is, or the sensor has restarted.
+
+        A restart shows in consecutive scans whose numbers and stamps rise again.
+        """
+        is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
+        stands: cython.bint = stamp == self._last_stamp
+        is_other: cython.bint = seq > self._newest_seq  # else no new message
+        before, self._last_given = self._last_given, given
+        self._last_seq, self._last_stamp = seq, stamp
+        if not (stamp > self._newest_stamp and seq > self._newest_seq):
+            self._in_order = self._in_order + 1 if is_next else 0
+            if self._in_order < _RESTART_SCANS:
+                if is_other and stands and given.tobytes() != before.tobytes():
+                    return Reason.FROZEN_STAMP
+                if is_other and not stands and stamp < self._newest_stamp:
+                    return Reason.CLOCK_SET
+                return Reason.FROZEN_SCAN
+        self._in_order, self._newest_seq, self._newest_stamp = 0, seq, stamp
+        return None
+
+    @cython.cfunc
+    def _repeats(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
+        """True if a noisy sensor sends the same ranges again.
+
+        With hardly any return a repeat is possible, unless the robot moves.
+        """
+        raw = ranges.tobytes()
+        if raw not in self._recent:
+            self._recent.append(raw)
+            if len(self._recent) > COMPARED_SCANS:
+                self._recent.pop(0)
+            self._identical = 0
+            return False
+        i: cython.Py_ssize_t
+        returns: cython.int = 0
+        for i in range(values.shape[0]):
+            returns += isfinite(values[i]) and values[i] != 0.0
+        twist = ZERO if odometry is None else odometry.twist
+        is_moving: cython.bint = (
+            max(abs(twist.linear), abs(twist.lateral)) > _MOVES_LINEAR
+            or abs(twist.angular) > _MOVES_ANGULAR
+        )
+        if returns < (1 if is_moving else MIN_DISTINCT_RETURNS):
+            return False
+        self._identical += 1
+        return True
 
 
 def widest_between_rays(bearings: Array) -> float:

@@ -6,19 +6,33 @@ correction: Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time", RS
 
 A robot that turns against the sensor leaves a sector unmeasured in each scan: rays of the scan
 before fill it. A robot that turns with the sensor measures a sector twice, and both stay.
-
-`Deskewer` is a class of the kernel of scans.
 """
 
 from __future__ import annotations
 
 import math
+from array import array
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.values import Array, Sweep
+from swarmd.core.values import Array, Scan, ScanSpec, Sweep
+from swarmd.sensing.angles import TURN
+from swarmd.sensing.buffers import view_of
+from swarmd.sensing.measured_sweep import MeasuredSweep
+from swarmd.sensing.odometry_history import OdometryHistory
+from swarmd.sensing.ray_motion import move_rays, rays_in_sector
 
-_TURN = 2.0 * math.pi
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY
+else:
+    from swarmd.core.cython_shadow import INFINITY
+
+_MAX_RAYS = cython.declare(cython.int, 8)  # sets of rays that are kept
 
 
 class Rays:
@@ -40,31 +54,214 @@ class Rays:
         self.ages.flags.writeable = False
         self.span = float(self.ages.max())
         self.mean_age = float(self.ages.mean())
-        rising = np.sort(bearings % _TURN)
-        self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else _TURN
+        rising = np.sort(bearings % TURN)
+        self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else TURN
         self.direction, self.oldest = self._direction()
 
     def _direction(self) -> tuple[float, float]:
         """The direction, and the bearing of the oldest ray."""
         # Rays of one age, if the driver tells the ages of whole sectors, count as one.
         ages, first = np.unique(-self.ages, return_index=True)
-        steps = _wrap(np.diff(self.bearings[first]))
+        steps = _wrap_each(np.diff(self.bearings[first]))
         if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
             return 0.0, 0.0
         direction = math.copysign(1.0, steps[0])
         oldest = self.bearings[-self.ages == ages[0]]
-        begin = int((direction * _wrap(oldest - oldest[0])).argmin())
+        begin = int((direction * _wrap_each(oldest - oldest[0])).argmin())
         return direction, float(oldest[begin])
 
 
-def _wrap(angles: Array) -> Array:
-    wrapped: Array = (angles + math.pi) % _TURN - math.pi
+def _wrap_each(angles: Array) -> Array:
+    wrapped: Array = (angles + math.pi) % TURN - math.pi
     return wrapped
 
 
 def _ages_of_sweep(bearings: Array, sweep: Sweep) -> Array:
     """(n,) s from the time at which a sweep measures each ray to its end."""
     rounding = 1e-9  # rad: the first ray must not count as the last one
-    turned = (sweep.direction * (bearings - sweep.start) + rounding) % _TURN
-    ages: Array = sweep.duration * (1.0 - turned / _TURN)
+    turned = (sweep.direction * (bearings - sweep.start) + rounding) % TURN
+    ages: Array = sweep.duration * (1.0 - turned / TURN)
     return ages
+
+
+@cython.cclass
+class Deskewer:
+    """De-skews the conditioned scans of one sensor, see `deskew.py`. Times in s.
+
+    The returned scan has `ages` and `newest_age`. The ages are those of the driver, else those of
+    the platform's `sweep`; without either the scan is returned as it is. With `measured` the ages
+    are those of the measured sweep; while the sweep is not known, the rays stay where they were
+    measured, the scan has the time of its mean ray, and each ray counts as old as the oldest one
+    may be. Without odometry that reaches back over the whole scan the rays stay where they were
+    measured, and the ages alone say how old each one is. At rest the scan keeps its bearings, the
+    same object.
+    """
+
+    _sweep: object
+    _latency: cython.double
+    _stale_after: cython.double
+    _measured: object
+    _history: OdometryHistory
+    _limits: cython.double[::1]
+    _sector: cython.double[::1]
+    # See Rays, for bearings and ages of a scan that are the same objects as before.
+    _given: object
+    _given_ages: object
+    _ray_ages: object
+    _bearings: cython.const[cython.double][::1]
+    _cos: cython.const[cython.double][::1]
+    _sin: cython.const[cython.double][::1]
+    _ages: cython.const[cython.double][::1]
+    _span: cython.double
+    _newest_age: cython.double
+    _direction: cython.double
+    _oldest: cython.double
+    _spacing: cython.double
+    _last: object
+    _last_at: cython.double  # the time of its newest ray
+    _filled: cython.Py_ssize_t  # its first rays, which are those of the scan before it
+
+    def __init__(
+        self, spec: ScanSpec, history: OdometryHistory, measured: MeasuredSweep | None = None
+    ) -> None:
+        self._sweep, self._latency, self._stale_after = spec.sweep, spec.latency, spec.stale_after
+        self._measured, self._history, self._last_at = measured, history, -INFINITY
+        self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
+        self._sector = array("d", 3 * [0.0])
+        self._bearings = self._cos = self._sin = self._ages = None
+
+    def deskew(
+        self, scan: Scan, now: cython.double, odometry_age, delay: cython.double = 0.0
+    ) -> Scan:
+        """The scan that arrived at `now`, as seen at the time of its newest ray.
+
+        `odometry_age`: s since the last reading arrived; None without a fresh one. `delay`: s by
+        which the scan is older than the platform's `latency` says.
+        """
+        ages = scan.ages
+        if self._measured is not None:
+            ages = self._measured.ages(scan)
+            if self._measured.order is None:
+                scan = _scan_with(scan, scan.ranges, scan.bearings, ages, self._latency)
+                self._last, self._last_at = scan, now - self._latency - delay
+                self._filled = 0
+                return scan
+        if ages is None and self._sweep is None:
+            return scan
+        ranges, bearings = scan.ranges, scan.bearings
+        if bearings is not self._given or ages is not self._given_ages:
+            self._set_rays(bearings, ages)
+        ago: cython.double = self._newest_age + delay
+        moved = None
+        if odometry_age is not None:
+            stamp: cython.double = odometry_age
+            stamp = self._history.latest + stamp - ago
+            moved = self._moved(ranges, stamp, now - ago - self._last_at)
+        if moved is None:
+            result = _scan_with(scan, ranges, bearings, self._ray_ages, self._newest_age)
+            self._filled = 0
+        else:
+            result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
+            self._filled = len(result.ranges) - len(ranges)
+        self._last, self._last_at = result, now - ago
+        return result
+
+    @cython.cfunc
+    def _set_rays(self, bearings, ages):
+        """Take other bearings and ages; None: by the platform's sweep."""
+        rays = _rays_of(bearings, ages, self._sweep)
+        self._given, self._given_ages, self._ray_ages = bearings, ages, rays.ages
+        self._bearings, self._ages = view_of(bearings), view_of(rays.ages)
+        self._cos, self._sin = view_of(rays.cos), view_of(rays.sin)
+        self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
+        self._direction, self._oldest, self._spacing = rays.direction, rays.oldest, rays.spacing
+
+    @cython.cfunc
+    def _moved(self, measured, stamp: cython.double, seconds: cython.double):
+        """Ranges, bearings and ages (k,) of a scan, as seen at the `stamp` of its newest ray.
+
+        None at rest, without odometry that reaches back over the scan, if all rays are of one
+        instant, and if nothing fills a sector that was not measured. The newest ray of the last
+        scan is `seconds` older.
+        """
+        history: OdometryHistory = self._history
+        rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
+        if rows == 0:
+            return None
+        n: cython.Py_ssize_t = self._ages.shape[0]
+        k: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        unmeasured: cython.double = self._direction * history.path[rows - 1, 3]
+        is_filled: cython.bint = unmeasured > 0.5 * self._spacing
+        room: cython.Py_ssize_t = n
+        before = self._last
+        ages = self._ray_ages
+        if is_filled:
+            if before is None or before.ages is None or not 0.0 < seconds <= self._stale_after:
+                return None
+            if not history.covers(stamp - seconds):
+                return None
+            room += len(before.ranges)
+        ranges, bearings = np.empty(room), np.empty(room)
+        distances: cython.double[::1] = view_of(ranges)
+        angles: cython.double[::1] = view_of(bearings)
+        if is_filled:
+            history.set_way(stamp - seconds, stamp)
+            self._sector[0] = self._oldest - 0.5 * self._direction * self._spacing
+            self._sector[1], self._sector[2] = self._direction, unmeasured
+            ages = np.empty(room)
+            kept: cython.double[::1] = view_of(ages)
+            k = rays_in_sector(
+                view_of(before.ranges),
+                view_of(before.bearings),
+                view_of(before.ages),
+                self._filled,  # or a ray could be passed on for ever
+                history.way,
+                self._sector,
+                self._limits,
+                distances,
+                angles,
+                kept,
+            )
+            for i in range(k):
+                kept[i] += seconds
+            for i in range(n):
+                kept[k + i] = self._ages[i]
+            ranges, bearings, ages = ranges[: k + n], bearings[: k + n], ages[: k + n]
+        move_rays(
+            view_of(measured),
+            self._bearings,
+            self._cos,
+            self._sin,
+            self._ages,
+            history.path,
+            rows,
+            self._limits,
+            distances[k:],
+            angles[k:],
+        )
+        for values in (ranges, bearings, ages):
+            values.setflags(write=False)
+        return ranges, bearings, ages
+
+
+_rays: list = []  # a cache of the latest ones: robots of one kind share them, and so their memory
+
+
+@cython.cfunc
+def _rays_of(bearings, ages, sweep):
+    """The rays of these very bearings and ages."""
+    for rays in _rays:
+        if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
+            return rays
+    if len(_rays) == _MAX_RAYS:
+        _rays.pop()
+    _rays.insert(0, Rays(bearings, ages, sweep))
+    return _rays[0]
+
+
+@cython.cfunc
+def _scan_with(scan, ranges, bearings, ages, newest_age: cython.double):
+    """A scan of the same sequence, stamp and limits."""
+    limits = scan.range_min, scan.range_max
+    return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age)

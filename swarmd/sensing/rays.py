@@ -18,7 +18,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan
 
 _TWO_PI = 2.0 * math.pi
-_kernel = load_kernel("swarmd.sensing.scans")
+_kernel = load_kernel("swarmd.sensing.scan_features")
 
 
 class Ray(NamedTuple):

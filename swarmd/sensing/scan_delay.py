@@ -1,73 +1,138 @@
-"""How late scans arrive: measured by the stamps of one clock, and by turns. Pure.
+"""How late scans arrive: measured by the stamps of one clock, and by turns.
 
-The delay of a scan is the mean age of its rays when it arrives. Two methods measure it:
-
-- Stamps. Where scan and odometry are stamped by one clock, the fastest odometry of the last second
-  tells the time of that clock. The stamp of a scan is the time of its oldest ray, as in ROS. The
-  delay of odometry itself goes unnoticed, and so does one that both have for more than a second.
-- Turns. The turn between two scans, by circular correlation of their ranges, is compared with the
-  turn by odometry at candidate delays, in least squares with a free scale of the odometry. It needs
-  a rate of turn that changes: at a constant rate all delays explain the turns alike, and then there
-  is no figure. After the temporal calibration of sensors by correlated rotations (Rehder, Siegwart
-  and Furgale, IEEE T-RO 2016), with one axis and a grid.
-
-`ScanDelay` is a class of the kernel of scans.
+The delay of a scan is the mean age of its rays when it arrives. `delay_by_stamps.py` and
+`delay_by_turns.py` have the two methods.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING
 
-from swarmd.core.messages import DelayFigure
+from msgspec.structs import replace
+
+from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Scan, ScanSpec
+from swarmd.sensing.delay_by_stamps import DelayByStamps
+from swarmd.sensing.delay_by_turns import DelayByTurns
+from swarmd.sensing.measured_sweep import MeasuredSweep
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, isnan
+else:
+    from swarmd.core.cython_shadow import INFINITY, isnan
 
 TOLERANCE = 0.01
 """Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
-LONGEST_SHARED = 5.0
-"""Seconds: a scan with a greater age by its stamp counts as stamped by another clock."""
-MAX_LEAD = -0.05
-"""Seconds: a scan with a lower age by its stamp counts as stamped by another clock."""
+
+# Share of the bound below which a late scan is in time.
+_CLEARS = cython.declare(cython.double, 0.8)
+# Spreads by which turns must exceed declaration and stamps.
+_CERTAIN = cython.declare(cython.double, 2.5)
+# s after which turns no longer say that scans are late.
+_EXPIRES = cython.declare(cython.double, 60.0)
+_TOLERANCE = cython.declare(cython.double, TOLERANCE)
 
 
-def delay_by_stamps(
-    scans: Iterable[tuple[float, float]],
-    odometries: Iterable[tuple[float, float]],
-    scan: Scan | None,
-    spec: ScanSpec,
-) -> DelayFigure:
-    """The delay of a few scans, from arrivals and stamps; `scan` is one of them."""
-    offset = min((at - stamp for at, stamp in odometries), default=math.inf)
-    ages = [at - offset - stamp for at, stamp in scans]
-    if not ages or scan is None or offset == math.inf:
-        return DelayFigure(method="stamps", text="no scan, or no odometry")
-    ahead = lead(scan, spec)
-    ages = [age - ahead for age in ages]
-    if not MAX_LEAD <= min(ages) <= max(ages) <= LONGEST_SHARED:
-        return DelayFigure(method="stamps", text=wrong_stamps(ages[-1], ahead))
-    return figure_of(ages, 0.0)
+@cython.cclass
+class ScanDelay:
+    """Measures the delay of one sensor's scans. Times in s of the robot."""
 
+    # What protection counts beyond the declared latency: an upper estimate, at least the age of the
+    # last scan by its stamp; 0 within TOLERANCE of the declared one.
+    added = cython.declare(cython.double, visibility="readonly")
+    # `added` exceeds the platform's `max_scan_delay`, until it falls below 0.8 of that.
+    is_late = cython.declare(cython.bint, visibility="readonly")
+    # How often stamps jumped, so that the clock of odometry or scan was set. Stamps then count
+    # anew. What was added before is not taken back until they tell the delay again.
+    restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    # Scans that are late now were in time when stamps jumped last.
+    is_clock_set = cython.declare(cython.bint, visibility="readonly")
+    # None if the platform tells how the sensor measures its rays.
+    sweep = cython.declare(object, visibility="readonly")
+    _latency: cython.double
+    _bound: cython.double
+    _added_before: cython.double
+    _stamps: DelayByStamps
+    _turns: DelayByTurns
 
-def lead(scan: Scan, spec: ScanSpec) -> float:
-    """How much later than the stamp the mean ray was measured, in s."""
-    if scan.ages is None or not len(scan.ages):
-        return 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
-    return float(scan.ages.max() - scan.ages.mean())
+    def __init__(self, spec: ScanSpec) -> None:
+        self._latency, self._bound = spec.latency, spec.max_scan_delay
+        self._stamps, self._turns = DelayByStamps(spec), DelayByTurns()
+        self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
 
+    @cython.cfunc
+    def read(
+        self,
+        stamp: cython.double,
+        yaw: cython.double,
+        rate: cython.double,
+        pose,
+        now: cython.double,
+    ):
+        """Take in what a reading says."""
+        if self._stamps.read(stamp, now):
+            self._restart()
+        self._turns.read(stamp, yaw, rate, pose)
 
-def wrong_stamps(age: float, ahead: float) -> str:
-    """Why stamps tell no delay of a scan whose mean ray seems `age` s old; `ahead`: its `lead`."""
-    if MAX_LEAD - ahead <= age < MAX_LEAD:
-        return (
-            f"scans are stamped {-age:.2g} s or more after their oldest ray, as at their"
-            " publication, or their clock is ahead of that of odometry"
+    def on_scan(self, scan: Scan, now: cython.double) -> None:
+        """Take in a raw scan that arrived at `now` and is valid."""
+        offset: cython.double = self._stamps.offset
+        if self._stamps.goes_back(scan.stamp, now):
+            self._restart()
+        if self.sweep is not None:
+            scan = self._swept(scan, now, offset)
+        stamps: cython.double = self._stamps.take(scan, now)
+        turns: DelayByTurns = self._turns
+        if offset < INFINITY:
+            turns.compare(scan, now - offset, now)
+        added: cython.double = stamps - self._latency
+        if self._stamps.is_restarting:
+            added = max(added, self._added_before)
+        known: cython.double = max(self._latency, stamps) + _TOLERANCE
+        if turns.delay - _CERTAIN * turns.spread > known:  # false of NaN: there is no figure
+            upper: cython.double = turns.delay + turns.spread - self._latency
+            if upper > self._bound and now - turns.at > _EXPIRES:
+                turns.forget()  # a robot that is held cannot turn to measure anew
+            else:
+                added = max(added, upper)
+        self.added = added if added > _TOLERANCE else 0.0
+        self.is_late = self.added > (_CLEARS * self._bound if self.is_late else self._bound)
+        self.is_clock_set = self.is_clock_set and (self.is_late or self._stamps.is_restarting)
+
+    @cython.cfunc
+    def _swept(self, scan, now: cython.double, offset: cython.double):
+        """The scan with the ages that turns tell, if they do."""
+        sweep = self.sweep
+        headings = self._turns.headings()
+        if offset < INFINITY and len(headings.times):
+            has_turns = not isnan(self._turns.delay)
+            measured = self._turns.delay if has_turns else self._stamps.figure(now).delay
+            delay = self._latency if measured is None else measured
+            before = sweep.order
+            sweep.on_scan(scan, now - offset, delay, headings, self._turns.pose)
+            if sweep.order != before:
+                self._stamps.forget_scans()  # the time from a stamp to the mean ray is another one
+        return scan if sweep.order is None else replace(scan, ages=sweep.ages(scan))
+
+    @cython.cfunc
+    def _restart(self):
+        self.restarts += 1
+        self._added_before = self.added
+        self.is_clock_set = self.is_clock_set or not self.is_late
+        self._turns.forget_headings()
+        if self.sweep is not None:
+            self.sweep.forget_scans()
+
+    def summary(self, now: cython.double) -> ScanDelaySummary:
+        """The figures of both methods, for the status."""
+        return ScanDelaySummary(
+            declared=self._latency,
+            added=self.added,
+            bound=self._bound,
+            figures=(self._stamps.figure(now), self._turns.figure(now)),
+            sweep=None if self.sweep is None else self.sweep.figure(),
         )
-    return f"scan and odometry have different clocks, {age:.3g} s apart"
-
-
-def figure_of(ages: Collection[float], since: float) -> DelayFigure:
-    """The mean delay by stamps, with its deviation; the last of `ages` is `since` s old."""
-    mean = sum(ages) / len(ages)
-    spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
-    mean = max(mean, 0.0)
-    return DelayFigure(method="stamps", delay=mean, spread=spread, samples=len(ages), age=since)

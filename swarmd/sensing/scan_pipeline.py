@@ -1,4 +1,7 @@
-"""What a scan and a reading of odometry pass in a robot, as classes of the kernel of scans."""
+"""The stages that a scan and a reading of odometry pass, compiled or interpreted.
+
+To import from the files of the stages gives the interpreted ones.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,42 @@ from typing import TYPE_CHECKING
 from swarmd.core.kernels import load_kernel
 
 if TYPE_CHECKING:
-    from swarmd.sensing.scans import (
-        BlindSectors,
-        Deskewer,
-        OdometryHistory,
+    from swarmd.sensing.blind_sector import BlindSectors
+    from swarmd.sensing.conditioning import (
+        COMPARED_SCANS,
+        MAX_REPEATS,
+        MIN_DISTINCT_RETURNS,
         ScanConditioner,
-        ScanDelay,
     )
+    from swarmd.sensing.delay_by_stamps import delay_by_stamps
+    from swarmd.sensing.deskew import Deskewer
+    from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION, OdometryHistory
+    from swarmd.sensing.scan_delay import TOLERANCE, ScanDelay
 else:
-    _kernel = load_kernel("swarmd.sensing.scans")
-    BlindSectors, ScanConditioner = _kernel.BlindSectors, _kernel.ScanConditioner
-    OdometryHistory, ScanDelay = _kernel.OdometryHistory, _kernel.ScanDelay
-    Deskewer = _kernel.Deskewer
+    BlindSectors = load_kernel("swarmd.sensing.blind_sector").BlindSectors
+    _conditioning = load_kernel("swarmd.sensing.conditioning")
+    ScanConditioner, COMPARED_SCANS = _conditioning.ScanConditioner, _conditioning.COMPARED_SCANS
+    MAX_REPEATS = _conditioning.MAX_REPEATS
+    MIN_DISTINCT_RETURNS = _conditioning.MIN_DISTINCT_RETURNS
+    delay_by_stamps = load_kernel("swarmd.sensing.delay_by_stamps").delay_by_stamps
+    Deskewer = load_kernel("swarmd.sensing.deskew").Deskewer
+    _odometry_history = load_kernel("swarmd.sensing.odometry_history")
+    OdometryHistory = _odometry_history.OdometryHistory
+    HISTORY, MAX_EXTRAPOLATION = _odometry_history.HISTORY, _odometry_history.MAX_EXTRAPOLATION
+    _scan_delay = load_kernel("swarmd.sensing.scan_delay")
+    ScanDelay, TOLERANCE = _scan_delay.ScanDelay, _scan_delay.TOLERANCE
 
-__all__ = ["BlindSectors", "Deskewer", "OdometryHistory", "ScanConditioner", "ScanDelay"]
+__all__ = [
+    "COMPARED_SCANS",
+    "HISTORY",
+    "MAX_EXTRAPOLATION",
+    "MAX_REPEATS",
+    "MIN_DISTINCT_RETURNS",
+    "TOLERANCE",
+    "BlindSectors",
+    "Deskewer",
+    "OdometryHistory",
+    "ScanConditioner",
+    "ScanDelay",
+    "delay_by_stamps",
+]

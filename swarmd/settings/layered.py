@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar, Union, cast, get_args, ge
 import msgspec
 from msgspec import Struct, inspect
 
-from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, nearest, unknown
 from swarmd.settings.yamlfile import Data, brief
 
 Keys: TypeAlias = tuple[str | int, ...]
@@ -152,7 +152,10 @@ class _Reader:
         if len(given) == 1:
             return tags[given[0]]
         has = " and ".join(given or data) or "nothing"
-        self.faults.append(fault_at(keys, f"has {has}; expected exactly one of {', '.join(tags)}"))
+        near = next((hint for key in data if (hint := nearest(key, tags))), "") if not given else ""
+        meant = f"; did you mean {near!r}?" if near else ""
+        text = f"has {has}; expected exactly one of {', '.join(tags)}{meant}"
+        self.faults.append(fault_at(keys, text))
         return None
 
     def _fields(self, data: Data, kind: type[Struct], keys: Keys) -> dict[str, Any]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from swarmd.core.messages import Sandbox
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # `swarmctl --help` needs no message
+    from swarmd.core.messages import Sandbox
 
 NOTHING = "-"
 
@@ -42,3 +46,15 @@ def short_number(value: object) -> str:
     if isinstance(value, float) and abs(value) < 1000.0:
         return f"{value + 0.0:.4g}"
     return number(value)
+
+
+def clock_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
+    """Offset, drift, error and the robots in between of a row of `recording/merge.py`, as texts."""
+    if not row["is_aligned"]:
+        return "unaligned", NOTHING, NOTHING, NOTHING
+    return (
+        f"{row['offset']:.6f} s",
+        f"{row['drift_ppm']:+.1f} ppm",
+        f"{1000.0 * row['error']:.3f} ms",
+        ", ".join(row["via"]) or NOTHING,
+    )

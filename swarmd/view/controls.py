@@ -10,7 +10,7 @@ from typing import Any
 
 from swarmd.view.screen import PASTED
 
-HELP = "space select  a all  / filter  r run  s stop  e ESTOP  x reset  q quit  ? keys"
+HELP = "e ESTOP  s stop  r run  x reset  ? keys  space select  a all  / filter  q quit"
 KEYS = (
     "arrows, page up, page down, home, end: move    space: select    a: all, or none",
     "r: run on the selected robots, else on the one at the cursor; asks the pattern",

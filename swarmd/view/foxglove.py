@@ -15,8 +15,8 @@ from typing import Any, Self
 import numpy as np
 from foxglove import messages
 
+from swarmd.core.state_colours import colour_of
 from swarmd.core.values import Array
-from swarmd.texts.state_colours import colour_of
 from swarmd.view.foxglove_socket import Channel, FoxgloveSocket, protobuf_channel
 from swarmd.view.source import ShownRobot, Source, json_of
 

@@ -166,7 +166,8 @@ def measured(
     if len(both) and seconds > 0.0:
         ways = np.linalg.norm(places[now, 1:3] - before[then, 1:3], axis=1)
         values["speed"] = float(ways.mean()) / seconds
-    running = [row for row in rows.values() if row.get("state") == "running"]
+    alive = [row for row in rows.values() if row.get("presence", "alive") == "alive"]
+    running = [row for row in alive if row.get("state") == "running"]
     if running:
         active = sum(row.get("protection", "") not in ("", "clear") for row in running)
         values["active"] = active / len(running)

@@ -63,7 +63,9 @@ class LiveSource:
         self.patterns = patterns
         self.descriptions: Mapping[str, Mapping[str, Any]] = {}
         self._describe = describe
-        self._described = 0
+        self._described: set[str] = set()
+        """The platforms on which patterns are or were described."""
+        self._descriptions = 0
         self._feed = EventFeed(SPAN)
         self._lines: deque[EventLine] = deque(maxlen=MAX_LINES)
         self._marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
@@ -114,7 +116,7 @@ class LiveSource:
     @property
     def revision(self) -> int:
         """Changes when a robot is found, or its platform, and when patterns are described."""
-        return self._revision + self._described
+        return self._revision + self._descriptions
 
     @property
     def programs(self) -> Sequence[str]:
@@ -140,11 +142,11 @@ class LiveSource:
         view = self.view
         members = view.members
         self._add(sorted(members.keys() | statuses.keys() | view.roster), statuses)
-        if statuses and self._describe is not None:
-            describe, self._describe = self._describe, None
-            first, _ = next(iter(statuses.values()))
+        platforms = {status.platform for status, _ in statuses.values() if is_id(status.platform)}
+        if self._describe is not None and (new := platforms - self._described):
+            self._described |= new
             threading.Thread(
-                target=self._take_patterns, args=(describe, first.platform), daemon=True
+                target=self._take_patterns, args=(self._describe, sorted(new)), daemon=True
             ).start()
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
@@ -168,6 +170,7 @@ class LiveSource:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
             row["age"] = age
+            row["at"] = round(time.monotonic() - age - status.since)
             row["labels"] = list(status.labels)
             if member is not None and member.presence is not Presence.ALIVE:
                 row |= {"presence": member.presence.value, "why": GONE[member.presence]}
@@ -293,13 +296,22 @@ class LiveSource:
             else:
                 self._robots[index] = ShownRobot(name, index, platform, shape)
 
-    def _take_patterns(self, describe: Describe, platform: str) -> None:
-        """Learn the patterns' parameters, with their defaults on the first robot's platform."""
-        with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine
-            found = [one for one in describe(platform) if "error" not in one]
-            keys = ("summary", "platform", "params")
-            self.descriptions = {one["name"]: {key: one[key] for key in keys} for one in found}
-            self._described = 1
+    def _take_patterns(self, describe: Describe, platforms: Sequence[str]) -> None:
+        """Learn the patterns' groups and parameters, and on which platforms they cannot run.
+
+        Defaults of parameters are those on the platform that is described first.
+        """
+        for platform in platforms:
+            with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine
+                described = dict(self.descriptions)
+                for row in (row for row in describe(platform) if "error" not in row):
+                    usual = {key: row[key] for key in ("summary", "group", "platform", "params")}
+                    known = described.get(row["name"], {"unfit": {}, **usual})
+                    needs = f"lacks {', '.join(row['missing'])}" if row["missing"] else ""
+                    unfit = {**known["unfit"], platform: needs or row["refused"]}
+                    described[row["name"]] = {**known, "unfit": unfit}
+                self.descriptions = described
+                self._descriptions += 1
 
     def _platform(self, name: str) -> Platform | None:
         """The platform of that name; None if it is not known on this machine."""

@@ -1,10 +1,10 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
 To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `programs`, `playback`, `plots`, `marks`,
-`notice`, `answer` and `estop` as JSON, frames and scans as bytes (see `source.pack_frame`). From
-the page: `ack` of a frame, `select`, `play`, `seek`, `choose`, `past`, a time to look back at, and
-`act`, a command. The server keeps the emergency stop that lacks acknowledgements, so that a page
-which opens later shows it too.
+`notice`, `overload`, `answer` and `estop` as JSON, frames and scans as bytes (see
+`source.pack_frame`). From the page: `ack` of a frame, `select`, `play`, `seek`, `choose`, `past`, a
+time to look back at, and `act`, a command. The server keeps the emergency stop that lacks
+acknowledgements, so that a page which opens later shows it too.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import http
 import json
 import logging
 import mimetypes
+import os
 import re
 import ssl
 from collections import deque
@@ -54,6 +55,8 @@ CLOSE_TIME = 1.0
 WRONG_TOKEN, ENDED = 4401, 4410
 """Codes with which a connection is closed; the page shows the reason."""
 STOPS = ("stop", "estop", "end_estop")
+MAX_LOAD = 3.0
+"""Load of each core, as of the last minute, from which on this computer is overloaded."""
 MAX_NAMES = 3
 """Robots that a page names of an event; of more it tells the number."""
 PAGE = "page"
@@ -333,6 +336,8 @@ class ViewServer:
         others.append(json_of({"kind": "marks", "marks": marks}))
         if self.source.playback is not None:
             others.append(json_of({"kind": "playback", **self.source.playback.plain()}))
+        else:
+            others.append(json_of({"kind": "overload", "text": overload(os.getloadavg()[0])}))
         return Rows(short, whole, ages, others)
 
     def _begin(self, work: Any) -> asyncio.Task[None]:
@@ -345,6 +350,17 @@ class ViewServer:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
             log.error("the page's server failed", exc_info=error)
+
+
+def overload(load: float) -> str:
+    """A line if the computer has more work than its cores can do; `load`: of the last minute."""
+    cores = os.cpu_count() or 1
+    if load < MAX_LOAD * cores:
+        return ""
+    return (
+        f"This computer is overloaded (load {load:.0f}, {cores} cores):"
+        " its robots answer late or look silent."
+    )
 
 
 def _refusal(id: str, text: str) -> dict[str, Any]:

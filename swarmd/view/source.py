@@ -231,13 +231,22 @@ def standing_of(state: str, reason: str) -> str:
     return "at rest" if reason == Reason.NO_REQUESTED_COMMAND else "held"
 
 
+_WORDS = {
+    Reason.NEVER_ASKED: "not run yet",
+    Reason.OPERATOR: "stopped",
+    Reason.ESTOP: "emergency stop",
+}
+"""Reasons that have other words on the page than their names."""
+
+
 def _reason(status: Status) -> str:
     """Why a robot does not move, in words; empty while it moves."""
-    reason = "" if status.reason is None else status.reason.value.replace("_", " ")
+    name = "" if status.reason is None else status.reason.value.replace("_", " ")
+    reason = _WORDS.get(status.reason, name) if status.reason else ""
     lost = lost_base(status) if status.reason is not Reason.DRIVER_LOST else ""
     avoiding = status.decision.avoiding if status.reason is Reason.PROTECTION else ""
     parts = (reason, avoiding, status.detail, f"base lost ({lost})" if lost else "")
-    return ": ".join(filter(None, parts))
+    return ": ".join(filter(None, parts)).replace(": by ", " by ")
 
 
 def json_of(value: Any) -> str:

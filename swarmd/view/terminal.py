@@ -30,7 +30,6 @@ LOST = "bold white on magenta"
 """The style of a base that is lost: the robot takes no command, whatever its state."""
 GAP = 2  # between the table and the map
 MARGIN = 5  # the map's frame and the gap beside the table
-MAX_MAP = (48, 22)  # columns and rows
 MIN_MAP = (16, 4)
 FRAME = 2  # lines above and below the map
 CURSOR = 1  # the line of the cursor, below the view
@@ -107,10 +106,10 @@ def chosen(scene: Scene, rows: int) -> Sequence[str]:
 def map_size(area: Area, width: int, height: int) -> tuple[int, int]:
     """Columns and rows inside the frame with the area's aspect ratio; a character is 1 by 2.
 
-    At most `width` by `height`, and at most `MAX_MAP`.
+    At most `width` by `height`.
     """
     length, depth = area.size
-    columns = min(width, MAX_MAP[0], 2 * min(height, MAX_MAP[1]) * length / depth)
+    columns = min(width, 2 * height * length / depth)
     return max(8, int(columns)), max(4, round(columns * depth / length / 2))
 
 

@@ -15,7 +15,7 @@ from click.testing import CliRunner, Result
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import cli
 from swarmd.core.errors import ConfigError
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.security.identity import find_identity, load_identity
 from swarmd.settings.contexts import context_in_use
 from swarmd.settings.settings import load_daemon_settings

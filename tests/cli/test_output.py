@@ -6,7 +6,15 @@ import json
 
 import pytest
 
-from swarmd.cli.output import has_colour, print_json, print_line, print_section, print_table
+from swarmd.cli.output import (
+    has_colour,
+    line_width,
+    print_json,
+    print_line,
+    print_section,
+    print_table,
+)
+from swarmd.core.verbs import shortened
 from swarmd.texts.values import seconds
 
 
@@ -15,6 +23,29 @@ def test_a_table_is_aligned_and_plain_without_a_terminal(
 ) -> None:
     print_table(("NAME", "STATE"), [("r1", "running"), ("robot-2", "failed")])
     assert capsys.readouterr().out == "NAME     STATE\nr1       running\nrobot-2  failed\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "length", "cut"),
+    [
+        ("no pattern", 10, "no pattern"),
+        ("no pattern 'x'; there are: a, bc", 30, "no pattern 'x'; there are..."),
+        ("no pattern at", 13, "no pattern at"),
+        ("no pattern at all", 13, "no pattern..."),
+        ("inseparable", 8, "insep..."),
+    ],
+)
+def test_a_text_is_cut_between_words(text: str, length: int, cut: str) -> None:
+    assert shortened(text, length) == cut
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_lines_are_cut_on_a_terminal_alone(
+    monkeypatch: pytest.MonkeyPatch, *, is_terminal: bool
+) -> None:
+    monkeypatch.setenv("COLUMNS", "90")
+    monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
+    assert line_width() == (90 if is_terminal else None)
 
 
 def test_an_empty_section_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:

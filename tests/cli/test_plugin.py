@@ -27,7 +27,13 @@ from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.kit.observation import NeighborsPart, PolicySpec, ReadingPart, ScanPart, TwistPart
 from swarmd.kit.policy_network import from_text, network_of, parameter_count
 from swarmd.pattern_host.loader import import_file
-from swarmd.pattern_host.plugin_inspector import IMPORTS, LOADING, MIRRORED, readable_beside
+from swarmd.pattern_host.plugin_inspector import (
+    DROPPED,
+    IMPORTS,
+    LOADING,
+    MIRRORED,
+    readable_beside,
+)
 from swarmd.plugins import pattern_names
 from swarmd.settings.platforms import platform_names
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -108,8 +114,8 @@ def test_a_new_plugin_of_each_kind_passes_as_it_is(
         assert f"{sys.executable} -m pytest {folder / f'test_my_{kind}.py'}" in said
         assert swarmctl("plugin", "check", str(file)) == 0
         *lines, last = capsys.readouterr().out.splitlines()
-        assert [line[:4] for line in lines] == ["ok  "] * (4 + len(POINTS))
-        assert last.startswith(str(4 + len(POINTS)))
+        assert [line[:4] for line in lines] == ["ok  "] * (5 + len(POINTS))
+        assert last.startswith(str(5 + len(POINTS)))
         assert f"my_{kind}" in pattern_names(folder, {})
     files = {f"{before}my_{kind}.py" for before in ("", "test_") for kind in kinds}
     assert {path.name for path in folder.iterdir()} == files
@@ -212,7 +218,7 @@ def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     answer = json.loads(capsys.readouterr().out)
     assert (answer["kind"], answer["is_well"]) == ("Check", False)
     points = {point["point"]: point for point in answer["points"]}
-    assert list(points) == [LOADING, IMPORTS, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
+    assert list(points) == [LOADING, IMPORTS, DROPPED, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
     assert points[STEPS]["text"].endswith("ZeroDivisionError: division by zero (own.py:14)")
     assert points[NO_OUTPUT] == {"point": NO_OUTPUT, "result": "fault", "text": "hello"}
     assert points[MIRRORED]["text"] == "is_symmetric is not claimed"
@@ -330,6 +336,27 @@ def test_imports_of_what_a_pattern_may_not_use_are_named(
 
 
 @pytest.mark.parametrize(
+    ("body", "dropped"),
+    [
+        ("if inputs.now > 1e9:\n            Twist(angular=0.5)", "Twist(...)"),
+        ("Twist() if inputs.now > 1e9 else Twist(0.1)", "Twist(...)"),
+        ("steer(0.0, self.context.platform.limits)", "steer(...)"),
+        ("stop = Twist()\n        return stop", ""),
+        ("self.context.rng.random()", ""),
+    ],
+)
+def test_a_command_that_is_made_and_dropped_is_named(
+    tmp_path: Path, body: str, dropped: str
+) -> None:
+    """The contract alone cannot see it where another `return` follows."""
+    point = point_of(tmp_path, DROPPED, top="from swarmd.api import steer", body=body)
+    assert point.result == ("fault" if dropped else "ok")
+    assert dropped in point.text
+    line = 15 if "\n" in body else 14
+    assert not dropped or f"(own.py:{line})" in point.text
+
+
+@pytest.mark.parametrize(
     ("lines", "changed"),
     [
         ({"top": "SEEN = []", "body": "SEEN.append(1)"}, "SEEN"),
@@ -364,7 +391,7 @@ def test_a_reading_that_needs_does_not_name_is_an_error_with_the_remedy(tmp_path
 def test_a_crash_fails_its_point_and_the_others_are_checked(tmp_path: Path) -> None:
     crash = "import ctypes; ctypes.string_at(0)"
     points = checked(tmp_path, body=f"if not len(inputs.scan.ranges): {crash}")
-    assert list(points) == [LOADING, IMPORTS, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
+    assert list(points) == [LOADING, IMPORTS, DROPPED, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
     (found,) = faults(points).items()
     assert found[0] == "odd scans give sane commands"
     assert "SIGSEGV (own.py:14)" in found[1]
@@ -432,7 +459,7 @@ for number in range(3, 9):
 def test_a_file_that_writes_into_the_answer_is_still_checked(tmp_path: Path) -> None:
     assert set(checked(tmp_path, top=WRITES_ALL_OVER)) >= set(POINTS)
     (row,) = describe_patterns(("own",), tmp_path, "burger")
-    assert row["kind"] == "movement"
+    assert (row["kind"], row["group"]) == ("movement", "yours")
 
 
 def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ import pytest
 
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
-from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import unique_swarm
 from tests.support.swarmctl import fork_command
@@ -53,8 +52,8 @@ def loaded(*args: str) -> set[str]:
     return set(json.loads(done.stderr.splitlines()[-1]))
 
 
-def test_help_loads_nothing_heavy() -> None:
-    assert not loaded("--help") & HEAVY
+def test_help_loads_nothing_heavy_and_no_message() -> None:
+    assert not loaded("--help") & (HEAVY | {"msgspec", "hashlib"})
 
 
 @pytest.mark.integration
@@ -70,7 +69,6 @@ def test_help_lists_all_verbs(tmp_path: Path) -> None:
     assert done.returncode == 0
     for verb in (*VERBS, "sim", "demo", "exp", "tour"):
         assert done.stdout.count(f"\n  {verb} ") == 1
-    assert {row.name for row in verbs.VERBS.values() if row.help} <= VERBS.keys()
     for section in {one.section for one in VERBS.values()}:
         assert done.stdout.count(f"\n{section}:\n") == 1
     assert "Comes with" not in done.stdout
@@ -309,7 +307,7 @@ def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait(30) == 1
+        assert process.wait(30) == 141
 
 
 @pytest.mark.parametrize("name", ["swarmctl", "swarmd"])
@@ -326,7 +324,7 @@ def test_ctrl_c_while_a_command_is_imported_is_no_traceback(tmp_path: Path, name
         assert process.stderr is not None
         assert process.stdout.readline() == b"importing\n"
         process.send_signal(signal.SIGINT)
-        assert process.stderr.read() == b""
+        assert process.stderr.read() == b"error: interrupted\n"
         assert process.wait(30) == 130
 
 

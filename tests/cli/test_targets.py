@@ -9,7 +9,7 @@ from swarmd.cli.targets import read_targets
 from swarmd.client.targets import Targets, named, robots_of, stopped, unlabelled
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.outcome import Outcome
 from tests.support.statuses import make_member

@@ -30,7 +30,7 @@ from swarmd.client.swarm import Swarm, _targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, RequestError, SwarmError
 from swarmd.core.messages import Motion, State
-from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.operator.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.contexts import Context, add_context

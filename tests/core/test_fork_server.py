@@ -28,6 +28,28 @@ print(fork_main("child", "{MODULE}", ("wait", "tied"), stdout=None, stderr=log).
 signal.pause()
 """
 
+INTERRUPTED = f"""
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from swarmd.core.fork_server import fork_main, start_server
+folder = Path(sys.argv[1])
+start_server(("slowly_imported",))
+while not (folder / "importing").exists():
+    pass
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+os.killpg(0, signal.SIGINT)  # as Ctrl-C in a terminal
+(folder / "go").touch()
+fork_main("child", "{MODULE}", ("tied",), stdout=folder / "out", stderr=folder / "err").wait(30)
+"""
+SLOWLY_IMPORTED = """
+from pathlib import Path
+folder = Path(__file__).parent
+(folder / "importing").touch()
+while not (folder / "go").exists():
+    pass
+"""
+
 
 def fork(folder: Path, *arguments: str) -> ForkedProcess:
     start_server(())
@@ -53,6 +75,7 @@ def test_a_forked_process_gets_what_it_would_get_from_a_start(
         "safe_path": None,
         "input": "",
         "is_leader": True,
+        "takes_sigint": True,
     }
     assert (tmp_path / "err").read_text() == "error\n"
 
@@ -89,6 +112,22 @@ def test_forked_processes_end_with_their_parent(tmp_path: Path) -> None:
         assert is_running(child)
         parent.kill()
     wait_until(lambda: not is_running(child), "the child has ended")
+
+
+def test_ctrl_c_reaches_neither_the_imports_of_the_server_nor_its_forks(tmp_path: Path) -> None:
+    (tmp_path / "slowly_imported.py").write_text(SLOWLY_IMPORTED)
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},  # the server has no other path of a test
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    told = json.loads((tmp_path / "out").read_text())
+    assert told["takes_sigint"] is True
 
 
 def test_a_process_that_has_ended_unnoticed_gets_no_signal(

@@ -17,10 +17,12 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core.kernels import LIBRARIES, source_of
+
 ROOT = Path(__file__).resolve().parents[2]
 
 REASONS = tomllib.loads(Path(__file__).with_name("kernel_sources.toml").read_text())
-"""By kernel: what a rule yields, and why it is alike in both forms."""
+"""By library: what a rule yields, and why it is alike in both forms."""
 
 
 DIRECTIVES = {
@@ -31,20 +33,15 @@ DIRECTIVES = {
 """The directives that the rules know."""
 
 
-def table_of_setup(name: str) -> dict[str, str]:
-    table: dict[str, str] = next(
-        ast.literal_eval(node.value)
-        for node in ast.parse((ROOT / "setup.py").read_text()).body
-        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name
-    )
-    return table
-
-
 @cache
 def kernels() -> dict[str, Kernel]:
-    """The kernels that setup.py compiles, by the name of their file."""
-    files = table_of_setup("KERNELS").values()
-    return {Path(file).stem: Kernel((ROOT / file).read_text()) for file in files}
+    """The kernels of each library as one source, by the name of the library without its package."""
+    return {
+        library.rpartition("._")[2]: Kernel(
+            "".join((ROOT / source_of(name)).read_text() for name in names)
+        )
+        for library, names in LIBRARIES.items()
+    }
 
 
 class Function:
@@ -374,7 +371,12 @@ def test_each_rule_finds_what_it_is_for(rule: Callable[[Kernel], Iterator[str]])
 
 
 def test_the_rules_know_each_directive() -> None:
-    assert table_of_setup("DIRECTIVES").keys() == DIRECTIVES
+    table = next(
+        ast.literal_eval(node.value)
+        for node in ast.parse((ROOT / "setup.py").read_text()).body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "DIRECTIVES"
+    )
+    assert table.keys() == DIRECTIVES
 
 
 def test_what_may_differ_between_the_forms_has_a_reason() -> None:

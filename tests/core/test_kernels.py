@@ -14,9 +14,11 @@ from msgspec.structs import replace
 
 from swarmd.core import clock, kernels
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.kernels import KERNELS, describe_kernels, load_kernel
+from swarmd.core.kernels import KERNELS, LIBRARIES, describe_kernels, load_kernel, source_of
 from swarmd.core.messages import Status
 from tests.support.fake_daemon import light_status
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_all_kernels_of_this_suite_have_one_form() -> None:
@@ -34,20 +36,22 @@ def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyP
 
 def test_a_kernel_that_was_not_built_is_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    monkeypatch.setattr(kernels, "KERNELS", ("swarmd.core.clock",))
+    monkeypatch.setattr(kernels, "LIBRARIES", {"swarmd.core._clock": ("swarmd.core.clock",)})
     assert kernels._compiled("swarmd.core.clock") is None
     assert load_kernel("swarmd.core.clock") is clock
     assert describe_kernels() == "interpreted (not compiled)"
-    monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent"))
+    both = {**LIBRARIES, "swarmd.protection._absent": ("swarmd.protection.absent",)}
+    monkeypatch.setattr(kernels, "LIBRARIES", both)
     monkeypatch.setattr(kernels, "_fault_of", lambda name: "gone" if "absent" in name else "")
     assert describe_kernels() == "compiled, but absent is gone"
 
 
 def test_any_text_about_kernels_fits_into_a_status(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    monkeypatch.setattr(kernels, "_fault_of", lambda n: "" if n == KERNELS[0] else kernels._STALE)
+    first, *others = LIBRARIES
+    monkeypatch.setattr(kernels, "_fault_of", lambda n: "" if n == first else kernels._STALE)
     told = describe_kernels()
-    assert all(name.rpartition(".")[2] in told for name in KERNELS[1:])
+    assert all(name.rpartition("._")[2] in told for name in others)
     told_of = replace(light_status("r1", "i1"), kernels=told)
     assert Decoder(Status)(encode(told_of)).kernels == told
 
@@ -55,8 +59,8 @@ def test_any_text_about_kernels_fits_into_a_status(monkeypatch: pytest.MonkeyPat
 def test_a_description_imports_no_kernel() -> None:
     script = (
         "import sys; from swarmd.core.kernels import describe_kernels; describe_kernels();"
-        "from swarmd.core.kernels import KERNELS, _library_name;"
-        "print({*KERNELS, *map(_library_name, KERNELS), 'numpy'} & {*sys.modules})"
+        "from swarmd.core.kernels import KERNELS, LIBRARIES;"
+        "print({*KERNELS, *LIBRARIES, 'numpy'} & {*sys.modules})"
     )
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -68,7 +72,7 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    whole = _library("swarmd.protection.barrier").read_bytes()
+    whole = _library("swarmd.protection._barrier").read_bytes()
     (tmp_path / "_cut.abi3.so").write_bytes(whole[: int(share * len(whole))])
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
@@ -77,23 +81,24 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    foreign = bytearray(_library("swarmd.protection.barrier").read_bytes())
+    foreign = bytearray(_library("swarmd.protection._barrier").read_bytes())
     foreign[18:20] = b"\xff\x7f"  # e_machine
     (tmp_path / "_cut.abi3.so").write_bytes(foreign)
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
 
-def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("library", ["swarmd.sim.world._base", "swarmd.sensing._scans"])
+def test_a_library_that_is_older_than_a_source_is_not_loaded_and_named_once(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    library = _library("swarmd.sim.world.base")
-    source = library.with_name("base.py")
-    shutil.copy(library, tmp_path)
+    name = library.rpartition(".")[2]
+    shutil.copy(_library(library), tmp_path)
+    sources = [ROOT / source_of(kernel) for kernel in LIBRARIES[library]]
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
-        "kernels.KERNELS = ('base',);"
-        "print([kernels._compiled('base') is not None for _ in range(2)],"
+        f"kernels.LIBRARIES = {{{name!r}: {tuple(file.stem for file in sources)}}};"
+        f"print([kernels._compiled({sources[-1].stem!r}) is not None for _ in range(2)],"
         " kernels.describe_kernels())"
     )
 
@@ -104,11 +109,15 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
 
     loaded = ("[True, True] compiled", "")
     assert answer() == loaded, "without a source"
-    (tmp_path / source.name).write_bytes(source.read_bytes())
+    for source in sources:
+        (tmp_path / source.name).write_bytes(source.read_bytes())
     assert answer() == loaded
-    (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
     text = "older than its source (run make kernels)"
-    assert answer() == (f"[False, False] interpreted ({text})", f"kernel base is {text}")
+    stale = f"[False, False] interpreted ({text})", f"kernel {name[1:]} is {text}"
+    for source in sources:
+        (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
+        assert answer() == stale
+        (tmp_path / source.name).write_bytes(source.read_bytes())
 
 
 @pytest.mark.parametrize(
@@ -122,7 +131,7 @@ def test_no_kernel_is_loaded_without_the_views_of_its_cython(
     views: bytes, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    _library("swarmd.protection.barrier")
+    _library("swarmd.protection._barrier")
     whole = _library(kernels.VIEWS).read_bytes()
     library = kernels._opened(kernels.VIEWS)
     assert library is not None
@@ -132,7 +141,7 @@ def test_no_kernel_is_loaded_without_the_views_of_its_cython(
     (tmp_path / "_foreign.abi3.so").write_bytes(other)
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
-        "kernels.VIEWS = 'foreign';"
+        "kernels.VIEWS = '_foreign';"
         "print([kernels._compiled(name) for name in kernels.KERNELS], kernels.describe_kernels())"
     )
     command = [sys.executable, "-c", script]
@@ -141,8 +150,8 @@ def test_no_kernel_is_loaded_without_the_views_of_its_cython(
 
 
 def _library(name: str) -> Path:
-    """The compiled library of a kernel; the test is skipped without one."""
-    spec = find_spec(kernels._library_name(name))
+    """The file of a library; the test is skipped without one."""
+    spec = find_spec(name)
     if spec is None or not str(spec.origin).endswith(".so"):
         pytest.skip("the kernels are not compiled")
     return Path(str(spec.origin))
@@ -152,7 +161,7 @@ def _said_of_cut_kernel(folder: Path) -> str:
     """What a process of its own says of a kernel there: a damaged one may end it."""
     script = (
         f"import sys; sys.path.insert(0, {str(folder)!r}); from swarmd.core import kernels;"
-        "kernels.KERNELS = ('cut',);"
+        "kernels.LIBRARIES = {'_cut': ('cut',)};"
         "said = kernels.describe_kernels();"
         "print(kernels._compiled('cut'), said)"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from importlib import import_module
 from typing import Any, get_args
 
@@ -10,13 +11,20 @@ import pytest
 from swarmd.core.verbs import VERBS, AnyRequest, Handler, Request, Verb
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
 from swarmd.daemon.recorder import RecordingService
-from swarmd.daemon.requests import RequestServer
+from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.tools import FieldTools
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.robot.requests import RequestHandler
+from tests.support.fake_services import fake_services
 
-SERVICES = (CodeIntake, CodePull, FieldTools, RecordingService, RosterService)
+SERVICES = {
+    Handler.PUSHES: CodeIntake,
+    Handler.PUSHED: CodePull,
+    Handler.TOOLS: FieldTools,
+    Handler.RECORDING: RecordingService,
+    Handler.ROSTERS: RosterService,
+}
 
 
 def of(handler: Handler) -> list[Verb[Any, Any]]:
@@ -34,15 +42,23 @@ def test_each_verb_of_the_robot_has_a_method() -> None:
     ] == []
 
 
-@pytest.mark.parametrize("verb", [row.name for row in of(Handler.DAEMON)])
-def test_each_verb_of_the_daemon_has_one_service(verb: str) -> None:
-    assert len([one for one in SERVICES if hasattr(one, f"on_{verb}")]) == 1
+@pytest.mark.parametrize("service", SERVICES)
+def test_each_verb_of_a_service_has_a_method(service: Handler) -> None:
+    assert of(service)
+    kind = SERVICES[service]
+    assert [row.name for row in of(service) if not hasattr(kind, f"on_{row.name}")] == []
 
 
-def test_a_daemon_without_the_service_of_a_verb_does_not_start() -> None:
+def test_a_daemon_has_each_service_of_the_table() -> None:
+    assert {one for one in Handler if one.is_service} == SERVICES.keys()
+    assert {one.value for one in SERVICES} == {field.name for field in fields(Services)}
+
+
+def test_a_daemon_whose_service_lacks_the_method_of_a_verb_does_not_start() -> None:
     audit: Any = None
-    with pytest.raises(LookupError, match="on_push"):
-        RequestServer("r1", lambda request: None, audit, drops=DropCounter())
+    services = fake_services(object())
+    with pytest.raises(AttributeError, match="on_push"):
+        RequestServer("r1", lambda request: None, audit, services, drops=DropCounter())
 
 
 def test_only_stops_need_no_epoch_of_the_robot() -> None:
@@ -55,9 +71,9 @@ def test_viewers_may_ask_questions_alone_but_not_for_the_audit_log() -> None:
     assert asked == {row.name for row in VERBS.values() if not row.is_request} - {"audit"}
 
 
-@pytest.mark.parametrize("verb", [row.name for row in VERBS.values() if row.help])
-def test_each_verb_with_a_line_of_help_is_a_command(verb: str) -> None:
+def test_each_verb_of_the_command_line_is_a_command_of_its_name() -> None:
     from swarmd.cli.swarmctl import VERBS as commands
 
-    module, _, name = commands[verb][0].partition(":")
-    assert getattr(import_module(module), name).name == verb
+    for verb, row in commands.items():
+        module, _, name = row.place.partition(":")
+        assert getattr(import_module(module), name).name == verb

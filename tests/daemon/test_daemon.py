@@ -251,7 +251,7 @@ async def test_a_stop_that_cannot_be_handled_ends_the_daemon(
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         await run(
             daemon,
-            later=lambda: daemon._network._on_datagram(payload, ("127.0.0.9", 7441), False),
+            later=lambda: daemon._network.on_datagram(payload, ("127.0.0.9", 7441), False),
         )
 
 

@@ -28,7 +28,7 @@ from swarmd.daemon.audit import Audit
 from swarmd.daemon.requests import MAX_PENDING, RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
-from tests.support.fake_services import FakeServices
+from tests.support.fake_services import FakeService, fake_services
 
 EPOCH = Epoch("0123456789ab", 1)
 
@@ -65,7 +65,7 @@ def server_of(
         robot,
         on_request,
         Audit(on_audit),
-        FakeServices(),
+        fake_services(),
         drops=DropCounter(),
         is_secured=is_secured,
     )
@@ -222,12 +222,12 @@ class UnreadQuery(RecordingQuery):
 
 
 def test_a_question_without_a_payload_has_the_defaults_of_its_type() -> None:
-    services = FakeServices()
-    audit = Audit(lambda line: None)
+    service = FakeService()
+    audit, services = Audit(lambda line: None), fake_services(service)
     server = RequestServer("tb3-01", lambda request: None, audit, services, drops=DropCounter())
     for verb, asked in (("logs", LogsQuery()), ("audit", AuditQuery()), ("links", LinksQuery())):
         server.ask(verb, UnreadQuery(b""))
-        assert services.calls.pop() == (verb, asked)
+        assert service.calls.pop() == (verb, asked)
     with pytest.raises(CodecError):
         server.ask("fetch", UnreadQuery(b""))
 

@@ -15,7 +15,7 @@ PATTERNS = {path.parent.name: path for path in sorted(ROOT.glob("patterns/*/page
 PAGES = [
     path for folder in (".", "evidence", "tutorial", "robots")
     for path in sorted((DOCS / folder).glob("*.md"))
-] + [*PATTERNS.values(), ROOT / "patterns/README.md"]  # fmt: skip
+] + [*PATTERNS.values(), ROOT / "patterns/README.md", *ROOT.glob("studies/**/*.md")]  # fmt: skip
 MEASURED = {
     name: path.read_text().partition("\n## Measured\n\n")[2].partition("\n## ")[0]
     for name, path in PATTERNS.items()
@@ -36,7 +36,7 @@ NO_CLAIM = {
     "paper.md": ("1.4 times",),
     "patterns.md": ("twice as often", "1.5 times"),
     "recording.md": ("7 % more",),  # the end of a range
-    "ros.md": ("1.5 times",),
+    "ros_faults.md": ("1.5 times",),
     "best_of_n": ("1.89 times",),
     "chain_formation": ("half as often",),
     "hexagonal_lattice": ("1.5 times", "1.3 times"),

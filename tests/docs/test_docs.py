@@ -7,6 +7,7 @@ import contextlib
 import re
 import runpy
 import shlex
+from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -36,6 +37,7 @@ PAGES = sorted(
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("patterns/**/*.md"),
+        *ROOT.glob("studies/**/*.md"),
         ROOT / "benchmarks/README.md",
     ]
 )
@@ -82,6 +84,11 @@ def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
     return [shlex.split(match[1]) for match in map(pattern.match, lines) if match]
 
 
+def commands_of_pages(program: str) -> Iterator[tuple[Path, list[str]]]:
+    for page in PAGES:
+        yield from ((page, words) for words in commands(page, program))
+
+
 def files(page: Path) -> dict[str, str]:
     """The blocks that begin with the name of a file, by that name."""
     listed = [text for kind in ("yaml", "python") for text in blocks(page, kind)]
@@ -124,33 +131,36 @@ def test_that_pattern_is_at_most_15_lines_of_code() -> None:
     assert 10 <= len(lines) <= 15
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_to_files_and_headings(page: Path) -> None:
-    links = [(page.parent / to if to else page, anchor) for to, anchor in outgoing(page)]
-    assert [to for to, _ in links if not to.exists()] == []
-    assert [f"{to}#{anchor}" for to, anchor in links if anchor and anchor not in anchors(to)] == []
+def test_links_lead_to_files_and_headings() -> None:
+    wrong = []
+    for page in PAGES:
+        for to, anchor in outgoing(page):
+            file = page.parent / to if to else page
+            if not file.exists() or (anchor and anchor not in anchors(file)):
+                wrong.append(f"{name_of(page)}: {to}#{anchor}")
+    assert wrong == []
 
 
 def test_each_page_has_its_place_on_the_site() -> None:
     """In docs/site/contents.py."""
-    contents = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))["CONTENTS"]
-    listed = [f"{page}.md" for pages in contents.values() for page in pages]
+    made = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))
+    contents = [*made["CONTENTS"].values(), *made["INNER"].values()]
+    listed = [f"{page}.md" for pages in contents for page in pages]
     assert sorted(["docs/README.md", *listed]) == sorted(map(name_of, PAGES))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_are_as_swarmctl_takes_them(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commands_are_as_swarmctl_takes_them(monkeypatch: pytest.MonkeyPatch) -> None:
     """Their files need not exist."""
     monkeypatch.setattr(
         click.Path, "convert", lambda path, value, *_: path.coerce_path_result(value)
     )
     wrong = []
-    for words in commands(page):
+    for page, words in commands_of_pages("swarmctl"):
         with click.Context(cli) as ctx:
             try:
                 _parse(cli, ctx, words)
             except click.UsageError as error:
-                wrong.append(f"{' '.join(words)}: {error.format_message()}")
+                wrong.append(f"{name_of(page)}: {' '.join(words)}: {error.format_message()}")
             except click.exceptions.Exit:  # --help
                 continue
     assert wrong == []
@@ -171,41 +181,52 @@ def test_each_verb_has_an_example_as_swarmctl_takes_it(
         _parse(cli, ctx, shlex.split(example))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
-    for words in commands(page, "swarmd"):
+def test_commands_are_as_swarmd_takes_them() -> None:
+    wrong = []
+    for page, words in commands_of_pages("swarmd"):
+        line = f"{name_of(page)}: {' '.join(words)}"
         with click.Context(swarmd) as ctx:
-            _parse(swarmd, ctx, words)
+            try:
+                _parse(swarmd, ctx, words)
+            except click.UsageError as error:
+                wrong.append(f"{line}: {error.format_message()}")
+                continue
         said = swarmd.make_context("swarmd", words).params
         platform, driver = said["platform"], said["driver"]
-        assert platform is None or platform.endswith(".yaml") or platform in platform_names()
-        assert driver is None or driver in (*entry_points(group=DRIVERS).names, EXAMPLE)
-        assert platform is None or driver is not None, f"{words}: drives a simulated robot"
+        if platform and not platform.endswith(".yaml") and platform not in platform_names():
+            wrong.append(f"{line}: no such platform")
+        if driver and driver not in (*entry_points(group=DRIVERS).names, EXAMPLE):
+            wrong.append(f"{line}: no such driver")
+        if platform and driver is None:
+            wrong.append(f"{line}: drives a simulated robot")
+    assert wrong == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_targets_of_make_exist(page: Path) -> None:
+def test_targets_of_make_exist() -> None:
     known = set(re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    inline = re.findall(r"`(make [^`\n]+)`", BLOCK.sub("", text_of(page)))
-    found = TARGET.findall("\n".join([*inline, *blocks(page, "")]))
-    assert set(found) <= known
+    wrong = []
+    for page in PAGES:
+        inline = re.findall(r"`(make [^`\n]+)`", BLOCK.sub("", text_of(page)))
+        targets = TARGET.findall("\n".join([*inline, *blocks(page, "")]))
+        wrong += [f"{name_of(page)}: make {name}" for name in targets if name not in known]
+    assert wrong == []
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_metrics_and_requirements_exist(page: Path) -> None:
+def test_metrics_and_requirements_exist() -> None:
     """Those of `--metrics` and of `exp check`; one of a file must be a file of the page or here."""
-    verbs = [words for words in commands(page) if words[0] == "exp"]
-    checked = [words[3:] for words in verbs if words[1] == "check"]
-    found = {parse_requirement(text).metric for texts in checked for text in texts}
-    options = [words[words.index("--metrics") + 1] for words in verbs if "--metrics" in words]
-    found |= {name for names in options for name in names.split(",")}
-    unknown = [
-        name
-        for name in sorted(found - {RUNS, *METRICS})
-        if (file := name.partition(":")[0]) not in ("report", "reading", *files(page))
-        and not (ROOT / file).is_file()
-    ]
-    assert unknown == []
+    wrong = []
+    for page in PAGES:
+        verbs = [words for words in commands(page) if words[0] == "exp"]
+        checked = [words[3:] for words in verbs if words[1] == "check"]
+        names = {parse_requirement(text).metric for texts in checked for text in texts}
+        options = [words[words.index("--metrics") + 1] for words in verbs if "--metrics" in words]
+        names |= {name for names in options for name in names.split(",")}
+        for name in sorted(names - {RUNS, *METRICS}):
+            file = name.partition(":")[0]
+            is_file = file in ("report", "reading", *files(page)) or (ROOT / file).is_file()
+            if not is_file:
+                wrong.append(f"{name_of(page)}: {name}")
+    assert wrong == []
 
 
 @pytest.mark.parametrize(
@@ -243,9 +264,14 @@ def test_each_step_of_a_story_names_a_function() -> None:
         assert re.search(rf"^ *(?:async )?def {function}\(", path.read_text(), re.MULTILINE), file
 
 
-@pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_names_of_the_library_are_there(page: Path) -> None:
-    assert [name for name in NAME.findall(text_of(page)) if not _is_there(name)] == []
+def test_names_of_the_library_are_there() -> None:
+    wrong = [
+        f"{name_of(page)}: {name}"
+        for page in PAGES
+        for name in NAME.findall(text_of(page))
+        if not _is_there(name)
+    ]
+    assert wrong == []
 
 
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
@@ -265,6 +291,7 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("commands", ["`--interface NAME`", "`--seeds SEEDS`"]),
         ("reasons", ["`stale_scan`", "`estop`"]),
         ("keys", [*(f"`state/{name}`" for name in PUBLISHED), "`control/run/ASKER`", "`yaw`"]),
+        ("messages_any_driver", ["`waits for its watchdog`"]),
     ],
 )
 def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None:

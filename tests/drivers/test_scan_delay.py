@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.drivers.scan_delay import scan_delay_finding
-from swarmd.sensing.scan_delay import delay_by_stamps
+from swarmd.sensing.scan_pipeline import delay_by_stamps
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 

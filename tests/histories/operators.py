@@ -40,13 +40,13 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator_goals import next_goal
 from swarmd.network.operator.outcome import Acks, Outcome, joined
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.operator.request_sender import REPEAT_PERIOD, aged, request_timeout
+from swarmd.network.operator.stop_request import PendingStop
+from swarmd.network.operator.stop_sender import STOP_PACE
 from swarmd.network.signature import Author
-from swarmd.network.spread.operator_goals import next_goal
-from swarmd.network.stops.stop_request import PendingStop
-from swarmd.network.stops.stop_sender import STOP_PACE
 from swarmd.security.roster import Role
 from swarmd.texts.goal import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm

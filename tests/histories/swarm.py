@@ -77,7 +77,7 @@ from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.programs import MAX_TAKEN, Programs
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import Peer, PeerActions, Summary
+from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import Author
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_freshness import REPLAYED
@@ -87,7 +87,7 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.security.roster import Role
 from swarmd.settings.settings import load_platform
-from tests.support.fake_services import FakeServices
+from tests.support.fake_services import fake_services
 
 LEASE, SETTLE = 3.0, 1.0  # of profile field
 DELAY = 0.005  # s
@@ -381,14 +381,16 @@ class VirtualDaemon(Node):
         )
         self.admission = self._admission()
         self.peer = Peer(
-            robot=self.name,
-            instance=instance,
-            swarm="lab",
-            profile="field",
-            lease=LEASE,
-            settle=SETTLE,
-            wire=1,
-            version="1.0",
+            PeerSettings(
+                robot=self.name,
+                instance=instance,
+                swarm="lab",
+                profile="field",
+                lease=LEASE,
+                settle=SETTLE,
+                wire=1,
+                version="1.0",
+            ),
             roster=ROSTER if swarm.is_secured else (),
             now=now,
             admission=self.admission,
@@ -410,7 +412,7 @@ class VirtualDaemon(Node):
             self.name,
             self._on_request,
             audit,
-            FakeServices(),
+            fake_services(),
             drops=StrictDrops(),
             is_secured=swarm.is_secured,
         )

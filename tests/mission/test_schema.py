@@ -265,6 +265,40 @@ def test_a_map_value_that_its_target_refuses_is_a_fault(tmp_path: Path) -> None:
     assert check_mission(path, PLATFORM, tmp_path) == []
 
 
+MANY = """\
+mission: Two parameters, the target of a map, an item and a key are wrong
+parts:
+  vote: {pattern: majority_rule}
+  move: {pattern: dispersion, params: {distance: -1, sped: 0.1}}
+map:
+  - {from: vote.opinion, to: move.distanc, values: [0.6, 1.0, 1.4]}
+parallel: [vote, move]
+drives: mov
+"""
+
+
+def test_all_faults_are_found_each_once(tmp_path: Path) -> None:
+    path = tmp_path / "many.yaml"
+    path.write_text(MANY)
+    faults = check_mission(path, PLATFORM, tmp_path)
+    places = [line.partition("many.yaml:")[2].split()[:2] for line in faults]
+    assert places == [
+        ["4:", "parts.move.params.distance"],
+        ["4:", "parts.move.params.sped"],
+        ["6:", "map[0].to"],
+        ["8:", "drives"],
+    ]
+    hints = [re.findall(r"did you mean '(\w+)'", line) for line in faults]
+    assert hints == [[], ["speed"], ["distance"], ["move"]]
+
+
+def test_a_mistyped_kind_of_element_gets_a_hint(tmp_path: Path) -> None:
+    path = tmp_path / "kind.yaml"
+    path.write_text("mission: a\nparts: {b: {pattern: drive}}\nsequnce: [b]\n")
+    (fault,) = check_mission(path, PLATFORM, tmp_path)
+    assert "'sequence'" in fault
+
+
 def test_a_mission_that_contains_itself_is_a_fault(tmp_path: Path) -> None:
     for name, other in (("one", "two"), ("two", "one")):
         text = f"mission: Round\nparts: {{a: {{pattern: {other}}}}}\npart: a\n"

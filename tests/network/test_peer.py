@@ -20,8 +20,8 @@ from swarmd.network.datagram import (
     Solicit,
     Stop,
 )
+from swarmd.network.members.beacon_times import BEACON_PERIOD
 from swarmd.network.members.peer_places import FASTEST_DATAGRAM
-from swarmd.network.peer import BEACON_PERIOD
 from tests.network.keyring import Keyring
 from tests.network.virtual_network import OPERATOR, VirtualNetwork
 

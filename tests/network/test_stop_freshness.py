@@ -11,10 +11,10 @@ from msgspec.structs import replace
 
 from swarmd.network.datagram import Ack, Stop
 from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.stop_origin import FILE, StopOrigin
+from swarmd.network.operator.stop_request import PendingStop
 from swarmd.network.stops.stop_freshness import MAX_ORIGINS, REPLAYED, SLACK, StopFreshness
-from swarmd.network.stops.stop_origin import FILE, StopOrigin
 from swarmd.network.stops.stop_relay import StopRelay
-from swarmd.network.stops.stop_request import PendingStop
 
 HOME, LAB = b"home", b"lab!"
 FAR = ("10.0.0.9", 7440)

@@ -19,7 +19,7 @@ from swarmd.core.messages import Code, Latch, State
 from swarmd.core.values import PeerPlace
 from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import CheckGoal, Peer, PeerActions, Summary
+from swarmd.network.peer import CheckGoal, Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals
 from tests.network.keyring import Keyring
@@ -122,17 +122,19 @@ class VirtualNetwork:
         """A robot that starts; `key`: its name in this network, if an id is used twice."""
         self._lives += 1
         peer = Peer(
-            robot=name,
-            instance=self._lives.to_bytes(6, "big"),
-            swarm="lab",
-            profile="field",
-            lease=self._lease,
-            settle=self._settle,
-            wire=1,
-            version="1.0",
+            PeerSettings(
+                robot=name,
+                instance=self._lives.to_bytes(6, "big"),
+                swarm="lab",
+                profile="field",
+                lease=self._lease,
+                settle=self._settle,
+                wire=1,
+                version="1.0",
+                clock=self._lives.to_bytes(6, "big").hex(),
+            ),
             roster=(),
             now=self.now,
-            clock=self._lives.to_bytes(6, "big").hex(),
             admission=None if self.keyring is None else self._admission(name),
             check_goal=check_goal,
         )

@@ -78,6 +78,11 @@ def _is_contract(value: object) -> bool:
     return is_class and value is not PatternContract
 
 
+@pytest.mark.parametrize("name", OURS)
+def test_each_of_our_patterns_has_a_group(name: str) -> None:
+    assert FIND(name).group
+
+
 def test_each_folder_is_a_pattern_with_scenario_page_and_outcome() -> None:
     folders = [path for path in FOLDER.iterdir() if path.is_dir() and path.name[0] != "_"]
     assert sorted(path.name for path in folders) == OURS

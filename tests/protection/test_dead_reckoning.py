@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Odometry, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION
+from swarmd.sensing.scan_pipeline import MAX_EXTRAPOLATION
 from tests.support.barrier_parts import DeadReckoning
 
 SPEED = st.floats(-1, 1)

@@ -30,7 +30,7 @@ STEP = Step(1, Inputs(now=0.0, dt=0.0))
 def test_host_gets_the_command_that_decides(
     commands: tuple[KillHost | Load | SetParams | Step, ...], chosen: HostCommand
 ) -> None:
-    effects = load_kernel("swarmd.robot.tick").Effects(0.0)
+    effects = load_kernel("swarmd.robot.effects").Effects(0.0)
     for command in commands:
         effects.command_host(command)
     assert type(effects.host) is type(chosen)

@@ -15,7 +15,7 @@ from swarmd.core.events import DriverInput, ReadingsInput
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
 from swarmd.core.values import Neighbor, Scan, Twist
-from swarmd.protection.decision import Avoided, Decision
+from swarmd.protection.decision import Avoided, Decision, WayState
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.status import MAX_ROWS
 from swarmd.robot.status import _avoided as avoided_text
@@ -76,7 +76,7 @@ def test_status_reports_no_constraint_that_does_not_bind(harness: RobotHarness) 
 def test_status_reports_the_lateral_speed() -> None:
     requested, safe = Twist(0.0, 0.0, 0.25), Twist(0.0, 0.0, 0.125)
     decision = Decision("barrier", requested, safe, None, True, (), None, None, 1)
-    shown = make_summary(decision, load_kernel("swarmd.robot.tick").DutyCycle())
+    shown = make_summary(decision, load_kernel("swarmd.robot.ticker").DutyCycle())
     assert (shown.requested_lateral, shown.safe_lateral) == (0.25, 0.125)
 
 
@@ -103,7 +103,7 @@ def test_what_is_avoided_has_the_name_of_the_neighbor_there(bearing: float, name
     assert avoided_text(decision, sensors, 1.0) == ""
     decision = structs.replace(decision, avoided=Avoided(0.5, 0.9))
     assert avoided_text(decision, sensors, 1.0) == named
-    decision = structs.replace(decision, avoided=Avoided(0.5, 0.9, "wait"))
+    decision = structs.replace(decision, avoided=Avoided(0.5, 0.9, WayState.WAIT))
     text = avoided_text(decision, sensors, 1.0)
     assert text == "gives way at an opening, 0.9 m"
 

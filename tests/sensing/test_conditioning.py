@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.sensing.ray_memory import PACKET_RAYS
 from swarmd.sensing.scan_pipeline import ScanConditioner
-from swarmd.sensing.scans import PACKET_RAYS
 from tests.support.kernel_forms import both_forms
 
-FORMS = both_forms("swarmd.sensing.scans")
+FORMS = both_forms("swarmd.sensing.conditioning")
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
 SPEC = ScanSpec(BEARINGS, 5.0, 0.12, 3.5, is_noisy=False)
 NOISY = replace(SPEC, is_noisy=True)

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory
 
@@ -117,18 +116,6 @@ def test_ages_of_the_driver_count_more_than_the_sweep_of_the_platform() -> None:
     scan, _ = ride.scan(2, np.zeros(N))
     assert scan.bearings is BEARINGS
     assert scan.newest_age == 0.13
-
-
-def test_rays_without_a_distance_turn_and_keep_their_class() -> None:
-    ranges = np.array([np.inf, -np.inf, np.nan, 0.13, 3.49])
-    bearings, turn = np.zeros(5), np.array(((0.0, 0.0, 0.0, 0.0), (0.2, -0.04, 0.0, 0.3)))
-    limits, (moved, turned) = np.array((0.0, 0.0, 0.12, 3.5)), np.empty((2, 5))
-    args = (bearings, np.ones(5), np.zeros(5), np.full(5, 0.2), turn, 2, limits, moved, turned)
-    load_kernel("swarmd.sensing.scans").move_rays(ranges, *args)
-    np.testing.assert_array_equal(moved[:3], ranges[:3])
-    np.testing.assert_allclose(turned[:3], 0.3)
-    assert moved[3] == -np.inf  # 4 cm nearer, too close to measure
-    assert moved[4] == pytest.approx(3.45, abs=2e-3)
 
 
 def test_a_pose_that_jumps_ends_the_history() -> None:

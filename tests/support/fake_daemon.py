@@ -22,7 +22,7 @@ from swarmd.core.events import Input
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Epoch, Reason, Refusal, Reply, State, Status
 from swarmd.core.verbs import AnyRequest
-from swarmd.daemon.network import Network
+from swarmd.daemon.network import Network, NetworkRobot
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
@@ -88,10 +88,12 @@ class FakeDaemon:
         """Open, claim and serve; NetworkError if the id is taken."""
         self.network = Network(
             self.settings,
-            self.robot,
-            self.instance,
-            self._roster,
-            version=self._version,
+            NetworkRobot(
+                name=self.robot,
+                instance=self.instance,
+                roster=self._roster,
+                version=self._version,
+            ),
             drops=DropCounter(),
             identity=self._identity,
             stop_counters=None if self._identity is None else self._identity.folder / "stops",

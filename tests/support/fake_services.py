@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 from swarmd.core.verbs import VERBS
+from swarmd.daemon.requests import Services
 
 
-class FakeServices:
+class FakeService:
     """Has a method for each verb of the table; the asked calls are in `calls`, by verb."""
 
     def __init__(self) -> None:
@@ -18,3 +20,9 @@ class FakeServices:
         if verb == name or verb not in VERBS:
             raise AttributeError(name)
         return lambda asked, *_: self.calls.append((verb, asked))
+
+
+def fake_services(service: Any = None) -> Services:
+    """Services that are all `service`, by default a fake."""
+    service = FakeService() if service is None else service
+    return Services(**dict.fromkeys(Services.__dataclass_fields__, service))

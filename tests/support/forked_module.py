@@ -22,6 +22,8 @@ def main() -> None:
         "safe_path": os.environ.get("PYTHONSAFEPATH"),
         "input": sys.stdin.read() if os.read(0, 1) else "",
         "is_leader": os.getsid(0) == os.getpid(),
+        "takes_sigint": signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        and signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()),
         "parent": os.getppid(),
     }
     print(json.dumps(told), flush=True)

@@ -9,6 +9,7 @@ here are for tests that compare both forms, and for those that can run on one al
 from __future__ import annotations
 
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,10 +20,18 @@ compares_forms = pytest.mark.compiled_only(reason="compares both forms")
 long_run = pytest.mark.compiled_only(reason="a long simulated run")
 
 
-def both_forms(name: str) -> tuple[Any, Any]:
-    """The interpreted form of a kernel and the one in use, which is compiled where possible."""
-    assert name in KERNELS
-    return import_module(name), load_kernel(name)
+def both_forms(*names: str) -> tuple[Any, Any]:
+    """The interpreted form of kernels and the one in use, which is compiled where possible.
+
+    Each has the names of all these kernels.
+    """
+    assert {*names} <= {*KERNELS}
+    forms = ([form(name) for name in names] for form in (import_module, load_kernel))
+    interpreted, used = (
+        SimpleNamespace(**{key: value for module in modules for key, value in vars(module).items()})
+        for modules in forms
+    )
+    return interpreted, used
 
 
 def interpreted(name: str, *, because: str) -> Any:

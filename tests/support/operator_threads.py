@@ -6,7 +6,7 @@ import threading
 
 from swarmd.client.hand_over import HAND_OVER
 from swarmd.client.swarm_watch import LOOKING
-from swarmd.network.spread.roster_follower import CLOSING
+from swarmd.network.operator.roster_follower import CLOSING
 
 
 def is_closing() -> bool:

@@ -24,7 +24,7 @@ import pytest
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.messages import Code
-from swarmd.network.exit_codes import APPLIED, UNREACHABLE
+from swarmd.network.operator.exit_codes import APPLIED, UNREACHABLE
 from swarmd.network.operator.outcome import Outcome
 from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
 

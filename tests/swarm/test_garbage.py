@@ -484,7 +484,7 @@ def test_no_datagram_raises_in_the_peer(handlers: Handlers) -> None:
 
     def take(kind: int, body: bytes, sign: Sign) -> None:
         payload = sign(datagram_of(handlers.tag, kind, body))
-        handlers.try_message(network._on_datagram, payload, ("127.0.0.9", 7441), True)
+        handlers.try_message(network.on_datagram, payload, ("127.0.0.9", 7441), True)
 
     def message(sequence: int) -> tuple[int, bytes]:
         kind = DATAGRAMS[datagram.Message]

@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Value
-from swarmd.network.exit_codes import NO_TARGET, REFUSED, TIMEOUT
+from swarmd.network.operator.exit_codes import NO_TARGET, REFUSED, TIMEOUT
 from tests.support.fake_body import Body
 from tests.support.processes import wait_until
 from tests.swarm.conftest import Swarm

@@ -38,9 +38,9 @@ from swarmd.network.datagram import (
     pack,
     unpack,
 )
+from swarmd.network.operator.operator_goals import sign_goal
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.signature import Author, Signer
-from swarmd.network.spread.operator_goals import sign_goal
 from swarmd.network.spread.pull import _answer
 from swarmd.security.datagram_keys import KEY_BYTES, reader_keys
 from swarmd.security.roster import Role

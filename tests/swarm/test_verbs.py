@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from swarmd.core.messages import Param, Presence, Reason, State
-from swarmd.network.exit_codes import UNREACHABLE
+from swarmd.network.operator.exit_codes import UNREACHABLE
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from tests.support.swarmctl import swarmctl
 

@@ -63,7 +63,7 @@ def test_the_last_column_is_cut_to_the_width(capsys: pytest.CaptureFixture[str])
     long = make_member("tb3-01", pattern="attraction", report={"text": "long " * 30})
     print_table(HEADER, [row(long), row(make_member("tb3-02"))], width=80)
     lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) == 80
+    assert 70 < max(map(len, lines)) <= 80
     assert lines[1].endswith("...")
     assert lines[2].endswith("  opinion 2")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.view.controls import Command, Controls, Mode
+from swarmd.view.controls import HELP, Command, Controls, Mode
 from swarmd.view.screen import PASTED
 
 ROWS = {"a1": "idle never_asked", "a2": "running drive", "b1": "estopped estop"}
@@ -103,3 +103,7 @@ def test_the_cursor_stays_near_its_place_when_its_robot_vanishes() -> None:
     assert controls.cursor == "b1"
     controls.follow(())
     assert controls.cursor == ""
+
+
+def test_a_terminal_of_40_columns_has_the_estop_in_its_help() -> None:
+    assert HELP[:40].startswith("e ESTOP  s stop")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import closing, contextmanager
 from typing import Any, cast
 
@@ -33,11 +33,12 @@ def shown(
     silent: Collection[str] = (),
     tokens: tuple[str, str] = ("", ""),
     describe: Describe | None = None,
+    patterns: Sequence[str] = PATTERNS,
 ) -> Iterator[tuple[FedSwarm, list[str]]]:
     """A fed swarm and the addresses of its page."""
     with FedSwarm(count, silent) as swarm:
         make = cast("Callable[[], Operator]", lambda: FedOperator(swarm))
-        source = LiveSource(make(), PATTERNS, describe)
+        source = LiveSource(make(), patterns, describe)
         commander = LiveCommander(make, source.expected)
         source.start()
         try:

@@ -38,6 +38,7 @@ def test_shares_and_means_of_rows() -> None:
     rows = {
         "a": {"state": "running", "protection": "active", "report": {"opinion": "A", "votes": 2}},
         "b": {"state": "running", "protection": "clear", "report": {"opinion": "A", "votes": 4}},
+        "gone": {"state": "running", "protection": "active", "presence": "failed"},
         "c": {"state": "estopped", "protection": "", "report": {"opinion": "B"}},
         "d": {"state": "", "readings": {"battery": math.nan}},
     }

@@ -88,6 +88,7 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         shown(page, "tb3-01", "stopped")
         assert swarm.status("tb3-02").state is State.RUNNING
 
+        page.click("#run-open")  # a run that was applied closes it
         page.click("#param")
         assert "1 refused: no pattern is running" in answered(page, "param")
         page.type("#labels", "+red -blue")

@@ -8,6 +8,7 @@ import pytest
 
 from swarmd.core.messages import Health, Reason, State
 from tests.support.chromium import FOUND, Page
+from tests.support.fed_swarm import PATTERNS
 from tests.support.processes import wait_until
 from tests.view.test_fleet import ESTOP, ready, shown
 
@@ -79,9 +80,9 @@ def test_refusals_are_one_line_with_what_to_do(
 ) -> None:
     with shown(7, capsys) as (swarm, (address,)):
         ready(page, address, 7)
-        page.click("#run-open")
-        page.type("#pattern", "disperson")
-        page.click("#run")
+        page.evaluate(
+            "swarm.actions.act('run', {targets: swarm.actions.named(), pattern: 'disperson'})"
+        )
         wanted = "run: 7 refused: no pattern 'disperson'"
         page.until(f'{LINE}.startsWith("{wanted}")', "one reason for seven robots")
         page.click(".proposal")
@@ -150,9 +151,10 @@ def test_names_of_many_robots_are_those_below_the_mouse(
 def test_parameters_are_a_form_of_the_pattern(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    described = [
+    drives = [
         {
             "name": "drive",
+            **{"group": "move together", "missing": [], "refused": ""},
             "summary": "Drives straight ahead.",
             "platform": "waffle_pi",
             "params": [
@@ -164,7 +166,7 @@ def test_parameters_are_a_form_of_the_pattern(
             ],
         }
     ]
-    with shown(2, capsys, describe=lambda platform: described) as (_, (address,)):
+    with shown(2, capsys, describe=lambda platform: drives) as (_, (address,)):
         ready(page, address, 2)
         page.click("#run-open")
         row = "#pattern-list [data-name=drive]"
@@ -215,3 +217,277 @@ def test_a_page_looks_back_and_starts_nothing_from_there(
         wait_until(lambda: swarm.states["tb3-002"] is State.STOPPED, "a stop is sent")
         page.click("#past-now")
         page.until("swarm.model.robots.get('tb3-002').row.state === 'stopped'", "the present")
+
+
+NOTICES = ("banner", "estop-state", "lost")
+PANELS = ("", "commands", "look", "list-pane", "commands list-pane", "time", "answers")
+OPEN = (
+    "(name) => { if (name === 'answers') return swarm.actions.answers.open(true);"
+    " swarm.actions.answers.open(false);"
+    " for (const one of ['commands', 'look', 'list-pane', 'time'])"
+    " swarm.panels.open(one, name.includes(one)); }"
+)
+HIT = """(id) => {
+  const box = document.getElementById(id).getBoundingClientRect();
+  const { left, right, top, bottom } = box, d = 9;
+  return [left + d, right - d].flatMap((x) => [[x, top + d], [x, bottom - d]])
+    .every(([x, y]) => {
+      const hit = document.elementFromPoint(x, y);
+      return hit && hit.closest('#notices > *') === document.getElementById(id);
+    });
+}"""
+SIZES = [(320, 640), *WIDTHS]
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_no_panel_covers_a_notice(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    with shown(7, capsys, ["tb3-003"]) as (swarm, (address,)):
+        page.resize(width, height, is_phone=width < 900)
+        ready(page, address, 7)
+        health = Health(driver="/dev/ttyACM0: no such device", driver_up=False)
+        swarm.change("tb3-002", State.ESTOPPED, health=health)
+        page.click("#estop")
+        page.until(f"{ESTOP}.textContent.includes('tb3-003') && !{ESTOP}.hidden", "not acked")
+        page.until("!document.getElementById('lost').hidden", "a lost base")
+        page.evaluate(
+            "(() => { const one = document.getElementById('banner');"
+            " one.textContent = 'No link'; one.hidden = false; })()"
+        )
+        for panel in PANELS:
+            page.evaluate(f"({OPEN})('{panel}')")
+            covered = [one for one in NOTICES if not page.evaluate(f"({HIT})('{one}')")]
+            assert (panel, covered) == (panel, [])
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        page.click("#estop-end")
+
+
+@pytest.mark.parametrize("width", [320, 1280])
+def test_the_question_of_a_reset_is_whole(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int
+) -> None:
+    with shown(40, capsys) as (_, (address,)):
+        page.resize(width, 640, is_phone=width < 900)
+        ready(page, address, 40)
+        page.evaluate("swarm.model.select(['tb3-001', 'tb3-002'])")
+        page.evaluate("swarm.model.select([])")
+        page.click("#reset")
+        for name in ("stop", "reset"):
+            fits = (
+                f"(() => {{ const one = document.getElementById('{name}');"
+                " return one.scrollWidth <= one.clientWidth"
+                " && one.scrollHeight <= one.clientHeight; })()"
+            )
+            assert page.evaluate(fits), name
+        assert page.evaluate("document.getElementById('reset').matches('.armed')")
+
+
+TARGETS = """[...document.querySelectorAll(
+  'button, select, input:not([type=checkbox]), summary, label.toggle, tbody tr[data-name]')]
+  .filter((one) => one.checkVisibility()).map((one) => [one.id || one.className || one.textContent,
+    one.getBoundingClientRect()]).filter(([, box]) => box.height < 44 || box.width < 44)
+  .map(([name, box]) => `${name} ${box.width} x ${box.height}`)"""
+
+
+def test_what_a_finger_touches_is_44_px_and_the_phone_names_swarm_and_silent_robots(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys, ["tb3-005"]) as (swarm, (address,)):
+        page.resize(390, 844, is_phone=True)
+        ready(page, address, 7)
+        swarm.change("tb3-002", State.STOPPED)
+        page.until("document.getElementById('counts').textContent.includes('1 silent')", "silent")
+        for name in ("title", "counts"):
+            fits = f"document.getElementById('{name}')"
+            assert page.evaluate(f"{fits}.scrollWidth <= {fits}.clientWidth"), name
+        assert page.evaluate("document.getElementById('title').textContent") == "fed"
+        for panel in PANELS[:-1]:
+            page.evaluate(f"({OPEN})('{panel}')")
+            if panel == "list-pane":
+                page.until("document.querySelectorAll('tr[data-name]').length > 3", "cards")
+                card = "document.querySelector('tr[data-name=\"tb3-001\"]').innerText"
+                assert "attraction" in page.evaluate(card)
+            assert (panel, page.evaluate(TARGETS)) == (panel, [])
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        page.until("document.getElementById('detail-why').textContent !== ''", "details")
+        assert page.evaluate(TARGETS) == []
+
+
+def test_the_table_of_a_laptop_has_the_patterns(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        page.resize(1280, 720)
+        ready(page, address, 3)
+        swarm.change("tb3-003", State.STOPPED, detail="by anna@desk", since=130.0)
+        page.click("#robots-open")
+        cell = "document.querySelector('tr[data-name=\"{}\"] td.{}')"
+        first, why = cell.format("tb3-001", "pattern"), cell.format("tb3-003", "why")
+        page.until(f"{first}.checkVisibility() && {first}.textContent === 'attraction'", "pattern")
+        page.until(f"{why}.textContent === 'stopped by anna, 2 min ago'", "since when")
+
+
+def described(platform: str) -> list[dict[str, Any]]:
+    """Patterns in two groups, of which one cannot run on any platform."""
+    about = {"platform": platform, "params": [], "missing": [], "refused": ""}
+    return [
+        {**about, "name": "drive", "summary": "Drives straight ahead.", "group": "move together"},
+        {**about, "name": "attraction", "summary": "Gathers the robots.", "group": "gather"},
+        {
+            **{**about, "missing": ["gripper"]},
+            **{"name": "flocking", "summary": "Flies.", "group": "move together"},
+        },
+    ]
+
+
+def test_the_search_finds_what_is_shown_and_arms_no_unknown_pattern(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = (*PATTERNS, "random_walk")
+    with shown(2, capsys, patterns=names) as (_, (address,)):
+        ready(page, address, 2)
+        page.click("#run-open")
+        found = (
+            "[...document.querySelectorAll('#pattern-list [data-name]')].map(o => o.dataset.name)"
+        )
+        armed = "!document.getElementById('run').disabled"
+
+        def type_name(text: str) -> None:
+            page.evaluate("document.getElementById('pattern').value = ''")
+            page.type("#pattern", text)
+
+        type_name("random w")
+        assert page.evaluate(found) == ["random_walk"]
+        assert page.evaluate(armed) is False
+        type_name("Random Walk")
+        assert page.evaluate(armed) is True
+        assert page.evaluate("document.getElementById('run').textContent") == "Run random walk"
+        assert page.evaluate("swarm.actions.form.chosen.name") == "random_walk"
+        type_name("zzz")
+        assert page.evaluate(found) == []
+        assert page.evaluate(armed) is False
+        assert "zzz" in page.evaluate("document.getElementById('pattern-list').textContent")
+        page.click("#pattern-list p button:last-child")  # a pattern that only robots have
+        assert page.evaluate("swarm.actions.form.chosen.name") == "zzz"
+        type_name("disperson")
+        assert page.evaluate(armed) is False
+        page.click("#run")
+        page.click("#pattern-list p button")
+        assert page.evaluate("swarm.actions.form.chosen.name") == "dispersion"
+        assert page.evaluate("document.querySelectorAll('.answer').length") == 0
+        page.click("#run")
+        page.until(f"{LINE}.startsWith('run: 2 targeted, 2 applied')", "sent")
+        assert page.evaluate("document.getElementById('commands').hidden") is True
+
+
+def test_patterns_are_grouped_with_recent_ones_and_greyed_with_the_reason(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys, describe=described) as (_, (address,)):
+        ready(page, address, 2)
+        page.click("#run-open")
+        heads = "[...document.querySelectorAll('#pattern-list h3')].map((o) => o.textContent)"
+        page.until(f"{heads}.join() === 'gather,move together,yours'", "groups")
+        grey = "document.querySelector('#pattern-list [data-name=flocking]')"
+        assert page.evaluate(f"{grey}.getAttribute('aria-disabled')") == "true"
+        assert "lacks gripper" in page.evaluate(f"{grey}.textContent")
+        page.click("#pattern-list [data-name=flocking]")
+        assert page.evaluate("document.getElementById('run').disabled") is True
+        page.click("#pattern-list [data-name=drive]")
+        page.click("#run")
+        page.until(f"{heads}.join() === 'recent,gather,move together,yours'", "recent")
+
+
+def test_after_an_estop_the_page_tells_one_truth(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        page.until("swarm.plots.valueAt('active', swarm.plots.latest()) !== null", "running")
+        page.evaluate("swarm.actions.act('run', {targets: ['tb3-001'], pattern: 'disperson'})")
+        page.until(f"{LINE}.includes('disperson')", "a failure")
+        # From the acknowledgement on, before any status: what robots publish meanwhile is old.
+        page.evaluate(
+            "(() => { const { model, actions } = swarm, estopped = actions.estopped;"
+            " actions.estopped = function (message) { estopped.call(this, message);"
+            " if (message.is_final) window.told = [...model.robots.values()]"
+            ".map((one) => one.row.state); }; })()"
+        )
+        page.click("#estop")
+        page.until("window.told", "acknowledged")
+        assert page.evaluate("window.told") == ["estopped"] * 3
+        assert page.evaluate(LINE).startswith("estop: 3 targeted, 3 applied")
+        old = "{kind: 'rows', rows: {'tb3-001': {state: 'running'}}}"
+        page.evaluate(
+            "(() => { const one = swarm.model.robots.get('tb3-001');"
+            " one.acked = {row: {state: 'estopped'}, before: 'running', until: Infinity};"
+            f" swarm.model.rows({old}, performance.now()); }})()"
+        )
+        assert page.evaluate("swarm.model.robots.get('tb3-001').row.state") == "estopped"
+        page.until("swarm.plots.valueAt('active', swarm.plots.latest()) === null", "none runs")
+
+
+def test_places_of_odometry_have_a_caveat_until_they_are_aligned(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        caveat = "document.getElementById('caveat')"
+        page.until(f"{caveat}.checkVisibility()", "the caveat")
+        assert page.evaluate("document.getElementById('map').matches('.unaligned')")
+        page.evaluate("swarm.model.robots.get('tb3-001').offset = [1, 0, 0]")
+        page.until(f"{caveat}.hidden", "aligned")
+        assert not page.evaluate("document.getElementById('map').matches('.unaligned')")
+
+
+def test_near_events_have_one_tick_and_words_for_people(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.until("swarm.plots.latest() > 0 && swarm.plots.left", "a plot")
+        text = "stop to 2 robots, by anna@desk from handed on by 127.0.0.1: applied: commanded zero"
+        told = page.evaluate(
+            "(() => { const { model, plots } = swarm, now = plots.latest();"
+            f" model.marks = [0, 0.1, 0.2].map((at) => [now + at - 1, '{text}', ['a'], 1]);"
+            " const [tick] = plots.ticks((at) => 10 * (at - now + 1), now - 2, now);"
+            " plots.tell(tick.marks); return document.getElementById('mark-text').textContent; })()"
+        )
+        assert told.count("stop to 2 robots by anna: applied") == 3
+
+
+def test_the_slider_has_the_axis_of_the_plots(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.until("swarm.plots.left > 0", "plots")
+        ends = page.evaluate(
+            "['plots', 'back'].map((id) => document.getElementById(id).getBoundingClientRect())"
+            ".map((box) => [box.left, box.right])"
+        )
+        left, right = page.evaluate("[swarm.plots.left, swarm.plots.right]")
+        assert ends[1] == pytest.approx([ends[0][0] + left - 8, ends[0][1] - right + 8], abs=1.0)
+
+
+def test_names_cover_neither_each_other_nor_robots(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys) as (_, (address,)):
+        ready(page, address, 7)
+        boxes = page.evaluate(
+            "(() => { const { map, model } = swarm, robots = [...model.robots.values()];"
+            " robots.forEach((one, i) => { one.x = 0.4 * (i % 3); one.y = 0.1 * (i - i % 3); });"
+            " map.fit(); map.draw(); const boxes = [], { ctx } = map, fill = ctx.fillText;"
+            " ctx.fillText = function (text, x, y) { if (/^tb3/.test(text))"
+            " boxes.push([x, y, this.measureText(text).width / 2]); fill.call(this, text, x, y); };"
+            " map.draw(); delete ctx.fillText;"
+            " const places = robots.map((one) => map.toScreen(one.x, one.y));"
+            " return [boxes, 0.9 * map.nameSize * map.rem, places]; })()"
+        )
+        names, high, robots = boxes
+        assert names
+        for i, (x, y, half) in enumerate(names):
+            assert not any(abs(u - x) < half + w and abs(v - y) < high for u, v, w in names[:i])
+            assert not any(abs(u - x) < half and abs(v - y) < high for u, v in robots)

@@ -14,7 +14,7 @@ from swarmd.core.events import OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE
-from swarmd.protection.decision import Avoided, Decision
+from swarmd.protection.decision import Avoided, Decision, WayState
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.limits import FileLimits
@@ -94,7 +94,7 @@ def recorded(
 
 
 def test_the_reason_of_a_robot_that_gives_way_names_the_opening(tmp_path: Path) -> None:
-    path = recorded(tmp_path, "tb3-01", 50.0, 4.0, avoided=Avoided(0.2, 0.83, "wait"))
+    path = recorded(tmp_path, "tb3-01", 50.0, 4.0, avoided=Avoided(0.2, 0.83, WayState.WAIT))
     source = RecordingSource([path], clock=lambda: 0.0)
     source.playback.seek(1.05)
     row = source.rows()["tb3-01"]

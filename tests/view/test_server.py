@@ -20,7 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.view.access import Access
 from swarmd.view.client import MAX_UNACKED
-from swarmd.view.server import ViewServer
+from swarmd.view.server import ViewServer, overload
 from swarmd.view.source import CommandProgress, ShownRobot
 
 FRAMES = 150
@@ -227,6 +227,12 @@ async def test_a_page_that_looks_back_learns_of_new_robots_and_gets_plots() -> N
         server.source.revision = 2  # type: ignore[misc]
         assert (await message(page, "hello"))["swarm"] == "one"
         await message(page, "plots")
+
+
+def test_an_overloaded_computer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    assert overload(4.0) == ""
+    assert "load 31, 2 cores" in overload(31.0)
 
 
 async def test_nonsense_of_a_page_is_ignored() -> None:

@@ -77,6 +77,7 @@ def test_an_arrow_points_where_the_robot_heads(
 def test_map_keeps_the_shape_of_the_arena() -> None:
     assert map_size(Area((6.0, 3.0)), 40, 100) == (40, 10)
     assert map_size(Area((6.0, 6.0)), 100, 20) == (40, 20)
+    assert map_size(Area((6.0, 3.0)), 160, 60) == (160, 40)  # all that the terminal has
 
 
 @pytest.mark.parametrize(("width", "height"), [(140, 40), (100, 24), (80, 24), (80, 12), (40, 10)])

@@ -58,10 +58,10 @@ from swarmd.network.operator.operator_text import (
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.operator.repeat_timer import RepeatTimer
 from swarmd.network.operator.request_sender import REQUEST_WAIT, RequestSender, request_timeout
+from swarmd.network.operator.roster_follower import RosterFollower
+from swarmd.network.operator.stop_request import PendingStop, Renew, Select
+from swarmd.network.operator.stop_sender import StopSender
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.spread.roster_follower import RosterFollower
-from swarmd.network.stops.stop_request import PendingStop, Renew, Select
-from swarmd.network.stops.stop_sender import StopSender
 from swarmd.security.identity import Identity, authority_of
 
 if TYPE_CHECKING:
@@ -376,7 +376,7 @@ class Operator:
         )
         renew: Renew | None = None
         if self.identity is not None:
-            from swarmd.network.stops.stop_origin import StopOrigin
+            from swarmd.network.operator.stop_origin import StopOrigin
 
             numbers = StopOrigin(self.identity.folder)
             origin, counter = numbers.next()

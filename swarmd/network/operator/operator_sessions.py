@@ -14,8 +14,8 @@ from swarmd.network.datagram import Address
 from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
 from swarmd.network.operator.operator_datagrams import reachable
+from swarmd.network.operator.roster_follower import CLOSING
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.spread.roster_follower import CLOSING
 from swarmd.security.identity import Identity
 
 if TYPE_CHECKING:

@@ -1,6 +1,6 @@
-"""The outcome of a request: the targeted robots, their replies, and the exit code. Pure.
+"""The outcome of a request: the targeted robots and their replies. Pure.
 
-An empty list of acks is never success. `exit_codes.py` has the codes.
+An empty list of acks is never success. `exit_codes.py` decides the exit code.
 """
 
 from __future__ import annotations
@@ -12,16 +12,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
-from swarmd.network.exit_codes import (
-    APPLIED,
-    FAILED,
-    MISTAKES,
-    NO_TARGET,
-    PARTIAL,
-    REFUSED,
-    TIMEOUT,
-    USAGE,
-)
+from swarmd.network.operator.exit_codes import MISTAKES, code_of_outcome
 
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
@@ -94,18 +85,7 @@ class Outcome(Struct, frozen=True):
     @property
     def exit_code(self) -> int:
         """The exit code of swarmctl for this outcome."""
-        if not self.targeted:
-            return NO_TARGET
-        if self.mistake:
-            return USAGE
-        is_whole = not self.unlisted and not self.unlabelled
-        if len(self.applied) == self.targeted and is_whole:
-            return APPLIED
-        if self.applied:
-            return PARTIAL
-        if self.failed:
-            return FAILED
-        return TIMEOUT if self.missing else REFUSED
+        return code_of_outcome(self)
 
     def _with(self, code: Code) -> tuple[str, ...]:
         return tuple(sorted(name for name, reply in self.replies.items() if reply.code is code))

@@ -3,14 +3,15 @@
 import { Answers, made } from './answers.js';
 import { PatternForm } from './patterns.js';
 
+const MAX_SHORT = 8; // letters of a robot's name on a button
 const CONFIRM = 5000; // ms in which the second click on a reset counts
 const element = (id) => document.getElementById(id);
 let last = 0;
 
 export class Actions {
-  constructor(model, send) {
-    this.model = model;
-    this.send = send; // False without a link
+  // `send(message)`: false without a link. `ran()`: after a run that all robots applied.
+  constructor(model, send, ran) {
+    Object.assign(this, { model, send, ran });
     this.waiting = new Map(); // fields of commands without a final answer, by id
     this.answers = new Answers((proposal, button) => this.propose(proposal, button));
     this.form = new PatternForm(model);
@@ -24,8 +25,8 @@ export class Actions {
     on('estop-end', () => (this.isStopping ? this.send({ kind: 'act', id: '', verb: 'end_estop' }) : this.hideEstop()));
     element('run-form').addEventListener('submit', (event) => {
       event.preventDefault();
-      const { pattern } = this.form;
-      if (pattern) this.act('run', { targets: this.named(), pattern, params: this.form.params() });
+      const { chosen } = this.form;
+      if (chosen) this.act('run', { targets: this.named(), pattern: chosen.name, params: this.form.params() });
       else element('pattern').focus();
     });
     element('label-form').addEventListener('submit', (event) => {
@@ -47,7 +48,7 @@ export class Actions {
     const count = this.model.selected.size, all = this.model.robots.size;
     this.disarm();
     const targets = count === 1 ? this.chosen()[0] : count ? `the ${count} selected robots` : `all ${all} robots`;
-    const short = count === 1 ? this.chosen()[0] : count ? `${count} robots` : `all ${all}`;
+    const short = count > 1 ? `${count} robots` : !count ? `all ${all}` : targets.length > MAX_SHORT ? '1 robot' : targets;
     document.querySelector('.targets').textContent = targets;
     element('targets').textContent = `Commands go to ${targets}.`;
     for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset']]) element(id).textContent = `${verb} ${short}`;
@@ -79,8 +80,8 @@ export class Actions {
   propose({ pattern, reset }, button) {
     if (reset) this.reset(reset, button);
     else if (pattern) {
-      this.form.choose(pattern);
       if (element('commands').hidden) element('run-open').click();
+      this.form.choose(pattern);
     }
   }
 
@@ -99,10 +100,11 @@ export class Actions {
   }
 
   estop() {
-    this.isUnsent = !this.send({ kind: 'act', id: `estop-${Date.now().toString(36)}`, verb: 'estop', targets: null });
+    const id = `estop-${Date.now().toString(36)}`;
+    this.isUnsent = !this.send({ kind: 'act', id, verb: 'estop', targets: null });
     if (this.isUnsent) {
       this.showEstop('NOT SENT: no link to the server. It is sent when the link returns. Stop the robots by other means.', [], 'bad');
-    } else this.estopped({ is_final: false, missing: [] });
+    } else this.estopped({ id, is_final: false, missing: [], replies: [] });
   }
 
   connected() { if (this.isUnsent) this.estop(); }
@@ -130,14 +132,22 @@ export class Actions {
 
   answer(message) {
     if (message.id.startsWith('estop-') && !message.is_final) return; // shown above the map
-    this.answers.take(message, this.waiting.get(message.id));
-    if (message.is_final) this.waiting.delete(message.id);
+    const fields = this.waiting.get(message.id);
+    this.answers.take(message, fields);
+    if (!message.is_final) return;
+    this.waiting.delete(message.id);
+    if (fields && fields.verb === 'run' && message.is_good) { this.form.ran(fields.pattern); this.ran(); }
   }
 
   // The emergency stop under way, whichever page began it.
   estopped(message) {
     this.isCutOff = false;
     this.isStopping = !message.is_final;
+    if (this.isStopping) this.answers.show(message.id, 'estop ...'); // not the answer before
+    else this.answers.take(message);
+    const applied = message.replies.filter(([, code]) => code === 'applied').map(([name]) => name);
+    const others = [...this.model.robots.values()].filter((robot) => this.model.isHeard(robot, performance.now()) && !message.missing.includes(robot.name));
+    this.model.acknowledge(message.is_final ? applied : message.missing.length ? others.map((robot) => robot.name) : [], 'estopped', 'emergency stop');
     this.missing = message.missing;
     const lacks = message.missing.length;
     if (message.is_final) {

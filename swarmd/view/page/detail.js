@@ -35,7 +35,7 @@ export class Detail {
     set('detail-name', selected.size > 1 ? `${name}, and ${selected.size - 1} more` : name);
     const { row } = robot, detail = robot.detail || {};
     const isHeard = this.model.isHeard(robot, performance.now());
-    const reason = reasonOf(row), word = wordOf(row);
+    const reason = reasonOf(row, this.model.time), word = wordOf(row);
     const short = `${word || '?'}${reason ? `: ${reason}` : ''}${row.touches ? `; touches ${row.touches}` : ''}`;
     const age = this.model.age(robot, performance.now());
     const old = isHeard ? '' : `Not heard ${Number.isFinite(age) ? `for ${age.toFixed(0)} s` : 'at all'}; before that: `;
@@ -68,7 +68,7 @@ export class Detail {
     }));
     document.getElementById('events').replaceChildren(...(detail.events || []).map(([age, text]) => {
       const item = document.createElement('li');
-      item.textContent = `${age}: ${text}`;
+      item.textContent = `${age}: ${plain(text)}`;
       return item;
     }));
   }

@@ -12,8 +12,8 @@ const heard = (age) => (age < 2 ? 'now' : Number.isFinite(age) ? `${age.toFixed(
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
   ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? wordOf(robot.row) || '?' : 'silent')],
-  ['why', 'Why', (robot) => reasonOf(robot.row)],
-  ['pattern', 'Pattern', (robot) => robot.row.pattern || ''],
+  ['pattern', 'Pattern', (robot) => (robot.row.pattern || '').replaceAll('_', ' ')],
+  ['why', 'Why', (robot, now, model) => reasonOf(robot.row, model.time)],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
   ['battery', 'Battery', (robot) => number(robot.row.battery == null ? NaN : 100 * robot.row.battery, 0, ' %')],
   ['age', 'Heard', (robot, now, model) => heard(model.age(robot, now))],
@@ -81,7 +81,7 @@ export class RobotList {
     const now = performance.now();
     const matches = (robot) => {
       const { row } = robot;
-      const text = [robot.name, row.state, wordOf(row), reasonOf(row), row.lost ? 'base lost' : '', row.pattern, row.protection, row.presence, this.model.isHeard(robot, now) ? '' : 'silent', ...(row.labels || [])].join(' ').toLowerCase();
+      const text = [robot.name, row.state, wordOf(row), reasonOf(row, this.model.time), row.lost ? 'base lost' : '', row.pattern, row.protection, row.presence, this.model.isHeard(robot, now) ? '' : 'silent', ...(row.labels || [])].join(' ').toLowerCase();
       return this.words.every((word) => text.includes(word));
     };
     const robots = [...this.model.robots.values()].filter(matches);

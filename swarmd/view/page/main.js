@@ -19,16 +19,13 @@ const legend = new Legend(element('legend'), map, (robots) => model.select(robot
 const panels = new Panels(map);
 const banner = element('banner');
 const free = () => { // what the map shows by Fit is not covered
-  map.insets = ['tools', 'legend'].map((id) => (element(id).offsetHeight ? element(id).offsetHeight + 12 : 0));
+  map.insets = [['tools', 'hints'], ['legend']].map((ids) => ids.reduce((sum, id) => sum + (element(id).offsetHeight ? element(id).offsetHeight + 12 : 0), 0));
   document.documentElement.style.setProperty('--legend', `${map.insets[1]}px`);
   if (map.hasFitted && !map.isTouched) map.fit();
 };
-for (const id of ['tools', 'legend']) new ResizeObserver(free).observe(element(id));
-new ResizeObserver(() => { // on a phone the commands begin below the warnings
-  document.documentElement.style.setProperty('--notices', `${element('notices').offsetHeight}px`);
-}).observe(element('notices'));
+for (const id of ['tools', 'hints', 'legend']) new ResizeObserver(free).observe(element(id));
 
-const actions = new Actions(model, (message) => link.send(message));
+const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));
 const link = new Link(model, {
   connected() { banner.hidden = true; actions.connected(); choose(); },
   lost(why) {
@@ -45,6 +42,9 @@ const link = new Link(model, {
     else if (message.kind === 'programs') {
       show('programs', message.programs.length ? `Zenoh programs: ${message.programs.join(', ')}` : '');
       element('programs').hidden = !message.programs.length;
+    } else if (message.kind === 'overload') {
+      show('overload', message.text);
+      element('overload').hidden = !message.text;
     } else if (message.kind === 'detail') {
       const robot = model.robots.get(message.name);
       if (robot) robot.detail = message;
@@ -84,11 +84,13 @@ function counts() {
     else states.set(wordOf(row), (states.get(wordOf(row)) || 0) + 1);
   }
   const parts = [...states].sort(([one], [other]) => byOrder(one, other)).map(([state, count]) => `${count} ${state}`);
-  if (silent) parts.push(`${silent} silent`);
+  if (silent) parts.unshift(`${silent} silent`);
   const size = model.robots.size;
   show('counts', `${size} ${size === 1 ? 'robot' : 'robots'}: ${parts.join(', ') || '-'}`);
   show('clock', clock());
-  if (!map.mode) hint(isByOdometry() && model.overlaps() ? OVERLAP : '');
+  const isUnaligned = isByOdometry() && model.isUnaligned();
+  element('caveat').hidden = !isUnaligned || map.mode === 'align';
+  element('map').classList.toggle('unaligned', isUnaligned && map.mode !== 'align');
   legend.draw();
 }
 
@@ -137,7 +139,8 @@ model.addEventListener('hello', () => {
   document.title = element('title').textContent;
   document.body.classList.toggle('operator', model.role === 'operator' && !model.playback);
   element('align').hidden = !isByOdometry();
-  element('back-row').hidden = Boolean(model.playback);
+  element('back').hidden = Boolean(model.playback);
+  element('seek').hidden = !model.playback;
   const fields = Object.keys((model.arena || {}).fields || {});
   element('fields').hidden = !fields.length;
   fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
@@ -159,7 +162,6 @@ const HINTS = {
   measure: 'Drag from one place to another.',
   align: 'Odometry knows no common origin. Drag a robot to its place; drag beside the selected robots to turn them.',
 };
-const OVERLAP = 'Robots are drawn at one place: the odometry of each begins at 0 where it was switched on. Align places them. For simulated robots, sim up --web shows true positions.';
 function hint(text) {
   show('hint', text);
   element('hint').hidden = !text;

@@ -11,6 +11,8 @@ const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
+const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
+const BAR = 140; // pixels of the scale bar, at most
 const EDGE = 0.6; // m around what is shown by Fit
 const SMALL = 16; // pixels of a robot's radius below which its sign has its colour
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
@@ -170,13 +172,14 @@ export class SwarmMap {
     for (const robot of robots) if (model.selected.has(robot.name)) this.drawTracks(robot, zoom);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     this.drawNames(this.named(robots), text, dim, back);
+    this.drawScale(text, back);
     if (this.ruler) this.drawRuler(text);
   }
 
   grid(line, zoom) {
     const { ctx } = this;
     // Few lines wherever robots say they are: odometry may be 1e9 m off.
-    const step = [0.1, 0.5, 1, 5, 10, 50, 100, 500].find((one) => one * this.scale >= 45)
+    const step = STEPS.find((one) => one * this.scale >= 45)
       || 10 ** Math.ceil(Math.log10(45 / this.scale));
     const [w, h] = [this.canvas.width / zoom / 2, this.canvas.height / zoom / 2];
     ctx.lineWidth = 1 / zoom;
@@ -191,7 +194,6 @@ export class SwarmMap {
       ctx.moveTo(this.centre[0] - w, y); ctx.lineTo(this.centre[0] + w, y);
     }
     ctx.stroke();
-    this.step = step;
   }
 
   walls(text, dim, zoom) {
@@ -398,17 +400,46 @@ export class SwarmMap {
     ctx.lineJoin = 'round';
     ctx.font = `${this.nameSize * this.rem}px system-ui, sans-serif`;
     ctx.textAlign = 'center';
-    for (const robot of robots) {
-      const [x, y] = this.toScreen(robot.x, robot.y);
-      const isMarked = robot === this.hovered || this.model.selected.has(robot.name);
-      const below = y + Math.max(robot.radius * this.scale, LEAST) * this.ratio + 1.2 * this.nameSize * this.rem;
+    ctx.textBaseline = 'middle';
+    const size = this.nameSize * this.rem, high = 0.55 * size;
+    const isMarked = (robot) => robot === this.hovered || this.model.selected.has(robot.name);
+    const reach = (robot) => Math.max(robot.radius * this.scale, LEAST) * this.ratio;
+    const taken = robots.map((robot) => [...this.toScreen(robot.x, robot.y), 0.7 * reach(robot), 0.7 * reach(robot)]);
+    for (const robot of [...robots].sort((one, other) => isMarked(other) - isMarked(one))) {
+      const [x, y] = this.toScreen(robot.x, robot.y), far = reach(robot) * (isMarked(robot) || robot.row.lost ? 1.5 : 1); // its ring
       const word = robot === this.hovered ? ` ${this.model.isHeard(robot, performance.now()) ? wordOf(robot.row) : 'silent'}` : '';
+      const half = ctx.measureText(robot.name + word).width / 2, beside = far + half + 0.4 * size;
+      // Below, above or beside the robot, where no robot and no other name is; of a robot without room no name.
+      const places = [[x, y + far + 0.9 * size], [x, y - far - 0.8 * size], [x + beside, y], [x - beside, y]];
+      const isFree = ([u, v]) => taken.every(([a, b, width, height]) => Math.abs(u - a) > half + width || Math.abs(v - b) > high + height);
+      const place = places.find(isFree) || (isMarked(robot) ? places[0] : null);
+      if (!place) continue;
+      taken.push([...place, half, high]);
       ctx.lineWidth = 3 * this.ratio;
       ctx.strokeStyle = back;
-      ctx.strokeText(robot.name + word, x, below); // readable on trails and other robots
-      ctx.fillStyle = isMarked ? text : dim;
-      ctx.fillText(robot.name + word, x, below);
+      ctx.strokeText(robot.name + word, ...place); // readable on trails and other robots
+      ctx.fillStyle = isMarked(robot) ? text : dim;
+      ctx.fillText(robot.name + word, ...place);
     }
+    ctx.textBaseline = 'alphabetic';
+  }
+
+  // A bar of a round length above the legend.
+  drawScale(text, back) {
+    const { ctx, ratio } = this, length = STEPS.findLast((step) => step * this.scale <= BAR) || STEPS[0];
+    const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = 12 * ratio;
+    ctx.beginPath();
+    ctx.moveTo(x, y - 4 * ratio); ctx.lineTo(x, y); ctx.lineTo(x + width, y); ctx.lineTo(x + width, y - 4 * ratio);
+    ctx.textAlign = 'left';
+    ctx.font = `${0.72 * this.rem}px system-ui, sans-serif`;
+    for (const [colour, thick] of [[back, 5], [text, 2]]) {
+      ctx.strokeStyle = colour;
+      ctx.lineWidth = thick * ratio;
+      ctx.stroke();
+      if (colour === back) ctx.strokeText(`${length} m`, x, y - 7 * ratio);
+    }
+    ctx.fillStyle = text;
+    ctx.fillText(`${length} m`, x, y - 7 * ratio);
   }
 
   drawRuler(text) {

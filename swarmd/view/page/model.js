@@ -4,6 +4,7 @@ export const STALE = 5; // s without news after which a robot is shown as not he
 const TRAIL = 300; // places kept for each robot
 const TRAIL_STEP = 0.02; // m between two of them
 const KEPT = 300; // moments that are plotted of a living swarm
+const ACK_TIME = 3000; // ms from an acknowledgement to the status that follows, at most
 const MOST = 100; // values that are plotted: robots may report under other names each second
 
 export class Model extends EventTarget {
@@ -76,6 +77,8 @@ export class Model extends EventTarget {
       const robot = this.robots.get(name);
       if (!robot) continue;
       Object.assign(robot.row, row);
+      if (robot.acked && (row.state !== robot.acked.before || now > robot.acked.until)) robot.acked = null;
+      else if (robot.acked && this.past === null) Object.assign(robot.row, robot.acked.row);
       robot.heard = now;
       robot.age = 0;
     }
@@ -169,11 +172,21 @@ export class Model extends EventTarget {
     return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;
   }
 
-  // Two robots at one place, which no floor allows: their frames differ. Of many, the first are looked at.
-  overlaps() {
-    const known = [...this.robots.values()].filter((one) => one.x === one.x).slice(0, 60);
-    return known.some((one, i) => known.slice(i + 1).some((other) => (
-      Math.hypot(one.x - other.x, one.y - other.y) < 0.5 * Math.min(one.radius, other.radius))));
+  // True while two robots or more have places that the operator has not aligned; to one of them the
+  // others are aligned.
+  isUnaligned() {
+    const isFree = (robot) => robot.x === robot.x && robot.offset.every((value) => value === 0);
+    return [...this.robots.values()].filter(isFree).length > 1;
+  }
+
+  // Robots that acknowledged an emergency stop have its state until their next status, at most `ACK_TIME`.
+  acknowledge(names, state, why) {
+    for (const robot of names.map((name) => this.robots.get(name))) {
+      if (!robot || robot.row.state === state) continue;
+      robot.acked = { row: { state, why, stands: '', at: NaN }, before: robot.row.state, until: performance.now() + ACK_TIME };
+      Object.assign(robot.row, robot.acked.row);
+    }
+    this.tell('rows');
   }
 
   // The operator's alignment of a robot's odometry: x, y and yaw of its frame on the map.

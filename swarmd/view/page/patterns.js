@@ -1,24 +1,48 @@
-// The patterns, a line each, and a form of the parameters of the one that is chosen.
+// The patterns in groups, a line each, and a form of the parameters of the pattern that is chosen.
 
 import { made } from './answers.js';
 
 const element = (id) => document.getElementById(id);
 
+const LAST = ['yours', 'missions']; // groups after those of our patterns
+const MAX_RECENT = 4;
+const FAR = 0.5; // edits for each letter from which on a name is not proposed
+
+const wordsOf = (text) => text.toLowerCase().replace(/[_\s]+/g, ' ').trim();
+
 export class PatternForm {
   constructor(model) {
     this.model = model;
-    this.name = element('pattern'); // searches the list; a name that is not listed may be on the robots
+    this.name = element('pattern'); // searches the list
     this.list = element('pattern-list');
     this.fields = element('params');
+    this.named = new Set(); // patterns that the operator says robots have
     this.name.addEventListener('input', () => this.draw());
+    this.name.addEventListener('keydown', (event) => {
+      const rows = this.list.querySelectorAll('[data-name]');
+      if (event.key === 'Enter' && rows.length === 1) this.choose(rows[0].dataset.name);
+    });
     this.list.addEventListener('click', (event) => {
       const row = event.target.closest('[data-name]');
       if (row) this.choose(row.dataset.name);
     });
-    model.addEventListener('hello', () => this.draw());
+    for (const news of ['hello', 'selection']) model.addEventListener(news, () => this.draw());
+    this.draw();
   }
 
-  get pattern() { return this.name.value.trim(); }
+  // The pattern that is typed or chosen, as it is named or shown; undefined for any other text.
+  get chosen() {
+    const typed = wordsOf(this.name.value);
+    return this.patterns().find((one) => wordsOf(one.name) === typed);
+  }
+
+  // Those of this computer, those that robots run besides, and those that the operator says robots have.
+  patterns() {
+    const { patterns, robots } = this.model, names = new Set(patterns.map((one) => one.name));
+    const others = new Set([...robots.values()].map((one) => one.row.pattern).filter((name) => name && !names.has(name)));
+    for (const name of this.named) if (!names.has(name)) others.add(name);
+    return [...patterns, ...[...others].map((name) => ({ name, summary: 'On the robots, not on this computer.' }))];
+  }
 
   // As `run` takes them: only what was filled in, so that robots keep their own defaults.
   params() {
@@ -29,35 +53,80 @@ export class PatternForm {
   }
 
   choose(name) {
-    this.name.value = name;
+    this.name.value = name.replaceAll('_', ' ');
     this.draw();
     const row = this.list.querySelector('[aria-selected="true"]');
     if (row) row.scrollIntoView({ block: 'nearest' });
   }
 
+  // Remember a pattern that ran.
+  ran(name) {
+    try { localStorage.setItem('recent', JSON.stringify([name, ...this.recent().filter((one) => one !== name)].slice(0, MAX_RECENT))); } catch { /* not kept */ }
+    this.draw();
+  }
+
+  recent() { try { return JSON.parse(localStorage.getItem('recent')) || []; } catch { return []; } }
+
+  // Why robots that commands go to cannot run a pattern, and whether that is so of all of them.
+  refusal({ unfit = {} }) {
+    const { robots, selected } = this.model;
+    const platforms = new Set([...robots.values()].filter(({ name }) => !selected.size || selected.has(name)).map((one) => one.platform));
+    const some = [...platforms].filter((one) => unfit[one]);
+    return { text: some.map((one) => `${one}: ${unfit[one]}`).join('; '), isAll: some.length > 0 && some.length === platforms.size };
+  }
+
   draw() {
-    const typed = this.pattern, { patterns } = this.model;
-    const matches = patterns.filter((one) => `${one.name} ${one.summary || ''}`.toLowerCase().includes(typed.toLowerCase()));
-    const known = patterns.find((one) => one.name === typed);
-    const shown = known || !matches.length ? patterns : matches;
-    const key = JSON.stringify([typed, shown.length, patterns.map((one) => Boolean(one.summary))]);
+    const typed = wordsOf(this.name.value), known = this.chosen, all = this.patterns();
+    const matches = all.filter((one) => typed.split(' ').every((word) => wordsOf(`${one.name} ${one.group || ''} ${one.summary || ''}`).includes(word)));
+    const shown = known ? all : matches, recent = typed && !known ? [] : this.recent();
+    const { isAll } = known ? this.refusal(known) : {};
+    element('run').disabled = element('param').disabled = !known || isAll;
+    element('run').textContent = known ? `Run ${wordsOf(known.name)}` : 'Run ...';
+    const key = JSON.stringify([known ? known.name : typed, recent, shown.map((one) => [one.name, one.group, one.summary, this.refusal(one)])]);
     if (key === this.drawn) return; // a hello must not take the focus
     this.drawn = key;
-    this.list.replaceChildren(...shown.map((one) => {
-      const row = made('button', '');
-      row.type = 'button';
-      row.dataset.name = one.name;
-      row.setAttribute('role', 'option');
-      row.setAttribute('aria-selected', one.name === typed);
-      row.append(made('b', one.name.replaceAll('_', ' ')), made('span', one.summary || ''));
-      return row;
-    }));
-    element('run').textContent = typed ? `Run ${typed.replaceAll('_', ' ')}` : 'Run ...';
+    const groupOf = (one) => one.group || 'yours', isGrey = (one) => Number(this.refusal(one).isAll);
+    const order = (group) => `${Math.min(...shown.filter((one) => groupOf(one) === group).map(isGrey))}${LAST.indexOf(group) + 1}${group}`;
+    const groups = new Map([['recent', recent.map((name) => all.find((one) => one.name === name)).filter(Boolean)]]);
+    for (const group of [...new Set(shown.map(groupOf))].sort((one, other) => (order(one) < order(other) ? -1 : 1))) {
+      groups.set(group, shown.filter((one) => groupOf(one) === group).sort((one, other) => isGrey(one) - isGrey(other)));
+    }
+    const isGrouped = all.some((one) => one.group);
+    this.list.replaceChildren(...[...groups].flatMap(([group, some]) => (
+      some.length ? [...(isGrouped || group === 'recent' ? [made('h3', group)] : []), ...some.map((one) => this.rowOf(one, known))] : [])));
+    if (!shown.length) this.list.append(this.nothing(typed, all));
     this.drawFields(known);
   }
 
+  rowOf(one, known) {
+    const row = made('button', ''), { text, isAll } = this.refusal(one);
+    row.type = 'button';
+    row.dataset.name = one.name;
+    row.setAttribute('role', 'option');
+    row.setAttribute('aria-selected', one === known || Boolean(known) && one.name === known.name);
+    if (isAll) row.setAttribute('aria-disabled', true);
+    row.append(made('b', wordsOf(one.name)), made('span', one.summary || ''));
+    if (text) row.append(made('small', `Not on ${text}`));
+    return row;
+  }
+
+  // That no pattern matches, the pattern whose name is nearest, and that robots may have it.
+  nothing(typed, all) {
+    const note = made('p', `No pattern here matches "${typed}".`), name = typed.replaceAll(' ', '_');
+    const offer = (text, act) => {
+      const button = made('button', text);
+      button.type = 'button';
+      button.addEventListener('click', act);
+      note.append(button);
+    };
+    const [near] = all.map((one) => [edits(typed, wordsOf(one.name)), one.name]).sort(([one], [other]) => one - other);
+    if (near && near[0] < FAR * typed.length) offer(`Did you mean ${wordsOf(near[1])}?`, () => this.choose(near[1]));
+    offer('The robots have it', () => { this.named.add(name); this.choose(name); });
+    return note;
+  }
+
   drawFields(known) {
-    const key = JSON.stringify(known || Boolean(this.pattern));
+    const key = JSON.stringify(known || null);
     if (key === this.drawnFields) return;
     this.drawnFields = key;
     const note = element('params-note');
@@ -66,7 +135,7 @@ export class PatternForm {
       // What this pattern has first, then what patterns of its kind share.
       const order = [...known.params].sort((one, other) => Number(other.is_own) - Number(one.is_own));
       this.fields.replaceChildren(...order.map(fieldOf));
-    } else if (this.pattern) {
+    } else if (known) {
       const label = made('label', 'Parameters'), input = made('input', '');
       Object.assign(input, { name: 'free', placeholder: 'speed=0.1 turn=0', autocomplete: 'off', spellcheck: false });
       label.append(input);
@@ -111,3 +180,14 @@ function boundsOf({ ge, le, unit }) {
 }
 
 function shortOf(value) { return typeof value === 'number' ? String(Number(value.toPrecision(4))) : value === null ? 'none' : String(value); }
+
+// The least number of letters to insert, remove or replace from one text to the other (Levenshtein).
+function edits(from, to) {
+  let row = Array.from({ length: to.length + 1 }, (_, i) => i);
+  for (let i = 1; i <= from.length; i++) {
+    const next = [i];
+    for (let j = 1; j <= to.length; j++) next.push(Math.min(row[j] + 1, next[j - 1] + 1, row[j - 1] + (from[i - 1] !== to[j - 1])));
+    row = next;
+  }
+  return row[to.length];
+}

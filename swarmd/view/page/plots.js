@@ -1,10 +1,14 @@
-// What the swarm does over time: a lane for each value, a tick for each event, and the time shown.
+// What the swarm does over time: a lane for each value, a tick for events, and the time shown.
+
+import { plain } from './states.js';
 
 const SPAN = 300; // s of a living swarm
 const LEAST = 60; // s that are shown from the beginning on
 const NOW = 1.5; // s before the last moment that count as now
 const TITLES = { clusters: ['clusters', ''], speed: ['mean speed', ' m/s'], active: ['protection active', ' %'] };
-const NEAR = 7; // pixels between the mouse and the tick of an event
+const NEAR = 7; // pixels between the mouse and the tick of events
+const APART = 28; // pixels from a tick to the next one: nearer events have one tick
+const MAX_TOLD = 4; // events of a tick that are told
 const element = (id) => document.getElementById(id);
 
 const titleOf = (key) => (TITLES[key] || [key.replace(/^\w+:/, '')])[0];
@@ -28,7 +32,7 @@ export class Plots {
     for (const end of ['pointerup', 'pointercancel']) this.canvas.addEventListener(end, () => { this.isHeld = false; });
     this.canvas.addEventListener('pointerleave', () => this.tell(null));
     this.back.addEventListener('input', () => this.to(this.latest() + Number(this.back.value)));
-    for (const id of ['now', 'past-now']) element(id).addEventListener('click', () => model.lookAt(null));
+    element('past-now').addEventListener('click', () => model.lookAt(null));
     this.key.addEventListener('change', () => this.wake());
   }
 
@@ -66,20 +70,27 @@ export class Plots {
   // The values and events below the mouse.
   hover(event) {
     const box = this.canvas.getBoundingClientRect(), [from, until] = this.range(), time = this.at(event);
-    const reach = NEAR * (until - from) / Math.max(box.width - this.left - this.right, 1);
-    const found = this.model.marks.filter(([at]) => Math.abs(at - time) < reach);
-    this.tell(found.slice(-4), event.clientX - box.left, time);
+    const x = (at) => this.left + (at - from) / (until - from) * (box.width - this.left - this.right);
+    const near = this.ticks(x, from, until).find(({ place }) => Math.abs(place - x(time)) < NEAR);
+    this.tell(near ? near.marks : [], event.clientX - box.left, time);
   }
 
   tell(marks, x = 0, time = 0) {
     const note = element('mark-text');
     note.hidden = !marks;
     if (!marks) return;
-    const { times } = this.model.plots, index = times.findLastIndex((one) => one <= time);
-    const values = this.lanes().map((key) => [key, (this.model.plots.values[key] || [])[index]]);
-    const told = values.filter(([, value]) => value !== null && value !== undefined).map(([key, value]) => `${titleOf(key)} ${textOf(key, value)}`);
-    note.textContent = [`${this.clockOf(time)} ${told.join(', ')}`, ...marks.map(([at, text, robots, count]) => `${this.clockOf(at)} ${count > robots.length ? `${count} robots` : robots.join(', ')}: ${text}`)].join('\n');
+    const values = this.lanes().map((key) => [key, this.valueAt(key, time)]).filter(([, value]) => value !== null);
+    const told = values.map(([key, value]) => `${titleOf(key)} ${textOf(key, value)}`);
+    const lines = marks.slice(-MAX_TOLD).map(([at, text, robots, count]) => `${this.clockOf(at)} ${count > robots.length ? `${count} robots` : robots.join(', ')}: ${plain(text)}`);
+    if (marks.length > MAX_TOLD) lines.unshift(`${marks.length} events, of which the last:`);
+    note.textContent = [`${this.clockOf(time)} ${told.join(', ')}`, ...lines].join('\n');
     note.style.left = `${Math.min(Math.max(x, 20), Math.max(this.canvas.clientWidth - 320, 20))}px`;
+  }
+
+  // The value of a lane at a time; null where it had none.
+  valueAt(key, time) {
+    const { times, values } = this.model.plots;
+    return (values[key] || [])[times.findLastIndex((one) => one <= time + 0.05)] ?? null;
   }
 
   clockOf(time) {
@@ -115,6 +126,9 @@ export class Plots {
     const [text, dim, line, accent] = ['--text', '--dim', '--line', '--accent'].map((key) => style.getPropertyValue(key));
     const lanes = this.lanes(), axis = 1.1 * rem, height = (h - axis) / lanes.length, isNarrow = w < 600;
     [this.left, this.right] = [(isNarrow ? 9 : 12.5) * rem, 0.8 * rem];
+    // The slider has the same axis.
+    canvas.parentElement.style.setProperty('--axis-left', `${this.left}px`);
+    canvas.parentElement.style.setProperty('--axis-right', `${this.right}px`);
     const [from, until] = this.range(), width = w - this.left - this.right;
     const x = (time) => this.left + (time - from) / (until - from) * width;
     this.drawAxis({ x, from, until, text, dim, line, rem, h, axis, isNarrow });
@@ -163,6 +177,17 @@ export class Plots {
     return mark % 60 ? `-${ago(-mark)}` : `${mark / 60} min`;
   }
 
+  // The events by their ticks: `place` in pixels is that of the first event.
+  ticks(x, from, until) {
+    const ticks = [];
+    for (const mark of this.model.marks.filter(([at]) => at >= from && at <= until)) {
+      const place = Math.round(x(mark[0])), last = ticks.at(-1);
+      if (last && place - last.place < APART) last.marks.push(mark);
+      else ticks.push({ place, marks: [mark] });
+    }
+    return ticks;
+  }
+
   drawMarks(x, from, until, bottom, line, dim) {
     const { ctx } = this;
     ctx.fillStyle = dim;
@@ -171,12 +196,14 @@ export class Plots {
     ctx.lineWidth = 1;
     ctx.setLineDash([2, 3]);
     ctx.beginPath();
-    const places = new Set(this.model.marks.filter(([at]) => at >= from && at <= until).map(([at]) => Math.round(x(at))));
-    for (const place of places) { ctx.moveTo(place + 0.5, 0); ctx.lineTo(place + 0.5, bottom); }
+    const ticks = this.ticks(x, from, until);
+    for (const { place } of ticks) { ctx.moveTo(place + 0.5, 0); ctx.lineTo(place + 0.5, bottom); }
     ctx.stroke();
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
-    for (const place of places) {
+    ctx.textAlign = 'left';
+    for (const { place, marks } of ticks) {
+      if (marks.length > 1) ctx.fillText(marks.length, place + 5, bottom - 1);
       ctx.beginPath();
       ctx.moveTo(place - 4, bottom); ctx.lineTo(place + 4, bottom); ctx.lineTo(place, bottom - 6);
       ctx.fill();
@@ -186,12 +213,12 @@ export class Plots {
   drawLane(key, top, height, { x, from, until, text, dim, accent, line, rem, isNarrow }) {
     const { ctx } = this, { times } = this.model.plots, values = this.model.plots.values[key] || [];
     const factor = factorOf(key);
-    let most = key === 'active' ? 100 : 0, least = 0, now = null;
+    const now = this.valueAt(key, this.shown());
+    let most = key === 'active' ? 100 : 0, least = 0;
     values.forEach((value, i) => {
       if (value === null || value === undefined || times[i] < from) return;
       most = Math.max(most, factor * value);
       least = Math.min(least, factor * value);
-      if (times[i] <= this.shown() + 0.05) now = value;
     });
     if (most === least) most = least + 1;
     const y = (value) => top + height - 3 - (value * factor - least) / (most - least) * (height - 8);
@@ -233,8 +260,7 @@ export class Plots {
     const [from, until] = this.range();
     this.back.min = Math.round(from - until);
     if (document.activeElement !== this.back || !isPast) this.back.value = -back;
-    element('back-at').textContent = isPast ? `${ago(back)} ago` : 'now';
-    element('now').disabled = !isPast;
+    this.back.setAttribute('aria-valuetext', isPast ? `${ago(back)} ago` : 'now');
     element('past-note').hidden = !isPast;
     if (isPast) element('past-text').textContent = `The map shows the past: ${this.clockOf(past)}, ${ago(back)} ago.`;
   }

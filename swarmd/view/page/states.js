@@ -21,12 +21,23 @@ export function byOrder(one, other) { return ORDER.indexOf(one) - ORDER.indexOf(
 // The state of a row in one word: a robot that runs may stand, at rest or held.
 export function wordOf(row) { return row.stands || row.state || ''; }
 
-// Why a robot stands, in a few words.
-export function reasonOf(row) {
-  return row.stands === 'at rest' ? `settled: ${row.pattern || 'its pattern'} requests no motion` : row.why || '';
+// Why a robot stands and since when, in a few words; `time` on the clock of `row.at`.
+export function reasonOf(row, time = NaN) {
+  if (row.stands === 'at rest') return `settled: ${row.pattern || 'its pattern'} requests no motion`;
+  const passed = row.why && row.state !== 'running' ? time - row.at : NaN;
+  return plain(row.why || '') + (passed >= 0 ? `, ${ago(passed)}` : '');
 }
 
-// A text of swarmctl without its commands in backticks: the page has buttons.
+function ago(seconds) {
+  const [size, unit] = seconds < 60 ? [1, 's'] : seconds < 3600 ? [60, 'min'] : [3600, 'h'];
+  return `${Math.floor(seconds / size)} ${unit} ago`;
+}
+
+// A text of swarmctl or of a robot's log for people: the page has buttons instead of commands, and
+// addresses, hosts of operators, codes in parentheses and measured speeds are in the details.
 export function plain(text) {
-  return text.replace(/`swarmctl (\w)(\w*)[^`]*`/g, (_, first, rest) => `${first.toUpperCase()}${rest}`).replaceAll('`', '');
+  return text.replace(/`swarmctl (\w)(\w*)[^`]*`/g, (_, first, rest) => `${first.toUpperCase()}${rest}`).replaceAll('`', '')
+    .replace(/,? by (\S+) from (?:handed on by )?\S+?(?=: |$)/g, ' by $1').replace(/\bby ([\w.-]+)@[\w.-]+/g, 'by $1')
+    .replace(/: applied: .*$/, ': applied').replace(/ \((?:operator|estop|reset)\)/, '').replace(': from the page', ' from the page')
+    .replace(/held by (\w+)/, (_, reason) => `held: ${reason.replaceAll('_', ' ')}`);
 }

@@ -31,7 +31,7 @@ export class Timeline {
     if (!playback) return;
     this.run.replaceChildren(...runs.map((name) => new Option(name)));
     element('runs').hidden = runs.length < 2;
-    for (const one of this.bar.querySelectorAll('button, input, select')) one.disabled = role !== 'operator';
+    for (const one of [this.seek, ...this.bar.querySelectorAll('button, select')]) one.disabled = role !== 'operator';
     this.state();
   }
 

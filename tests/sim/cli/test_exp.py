@@ -245,6 +245,7 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
         (["run", "DUO", "--sweep", "duration=3,x"], "'x'"),
         (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "duration"),
         (["run", "DUO", "--metrics", "path_lenght"], "'path_length'"),
+        (["run", "DUO", "--metrics", "contacts"], "'robot_contacts'"),
         (["run", "DUO", "--set", "arena.size=[0.2, 0.2]"], "start"),
         (["run", "DUO", "--out", "."], "it holds duo"),
         (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
@@ -291,7 +292,7 @@ def test_parts_are_run_apart_and_joined(tmp_path: Path, duo: Path, swarmctl: Swa
 def test_the_job_script_of_the_documentation_runs_every_part(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
-    text = (Path(__file__).parents[3] / "docs" / "clusters.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "experiments.md").read_text()
     (script,) = [block for block in text.split("```") if block.lstrip().startswith("#!/bin/bash")]
     assert script.count("aggregation --seeds 2000") == 1
     job = tmp_path / "gather.sh"
@@ -332,6 +333,38 @@ def test_the_summary_tells_the_speed_and_which_code_ran(
     ]
     assert summary["wall"] == pytest.approx(sum(walls))
     assert summary["times_real_time"]["min"] == pytest.approx(0.1 / max(walls))
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compare", "x"),
+        ("compare", "x:speed=0.2", "x:speed=0.1", "--metrics", "path_length"),
+        ("compare", "x", "-o", "json"),
+        ("plot", "x", "--only", "intervals", "--metrics", "path_length"),
+        ("report", "x", "--metrics", "path_length"),
+        ("check", "x", "path_length > 0"),
+    ],
+)
+def test_an_answer_of_an_incomplete_experiment_says_so(
+    x: Path, swarmctl: Swarmctl, words: tuple[str, ...]
+) -> None:
+    lines = (x / "runs.csv").read_text().splitlines(keepends=True)
+    (x / "runs.csv").write_text("".join(lines[:-1]))
+    done = swarmctl("exp", *words)
+    assert (done.returncode, "5 of 6 runs are there" in done.stderr) == (1, True), done
+    assert done.stdout
+
+
+@pytest.mark.integration
+def test_plots_are_of_the_metrics_of_the_run(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+    words = ("--seeds", 2, "--set", "duration=0.5", "--metrics", "path_length", "--out", "y")
+    assert swarmctl("exp", "run", duo, *words).returncode == 0
+    for more, wanted in (((), "path_length"), (("--metrics", "mean_speed"), "mean_speed")):
+        done = swarmctl("exp", "plot", "y", "--only", "over_time", *more)
+        made = [Path(line).name for line in done.stdout.splitlines()]
+        assert made == [f"over_time_{wanted}.png"], done
 
 
 @pytest.mark.integration

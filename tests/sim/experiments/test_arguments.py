@@ -51,6 +51,12 @@ def test_invalid_seeds_are_named(text: str, subject: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_duration_takes_a_unit() -> None:
+    assert parse_sets(["duration=3min"]) == {"duration": 180.0}
+    assert parse_sweeps(["duration=30s,1m,90"]) == {"duration": [30.0, 60.0, 90]}
+    assert parse_sets(["name=3min"]) == {"name": "3min"}
+
+
 def test_values_are_read_as_in_a_file() -> None:
     assert parse_sets(["a.b=5", "c=real", "d=0.1", "e=true", "f=[1, 2]", "g=null"]) == {
         "a.b": 5, "c": "real", "d": 0.1, "e": True, "f": [1, 2], "g": None,

@@ -126,26 +126,31 @@ def test_without_patterns_the_candidates_are_run() -> None:
     assert not misfits
 
 
-def test_ranks_follow_the_direction_and_ties_share_one() -> None:
+def test_ranks_follow_the_direction_where_no_intervals_overlap() -> None:
     values = {
         ("a", "far"): {0: 1.0, 1: 3.0},
         ("b", "far"): {0: 2.0, 1: 2.0},
-        ("c", "far"): {0: 0.5},
+        ("c", "far"): {0: 0.5, 1: 0.6},
         ("d", "far"): {0: math.nan},
-        ("b", "good"): {0: 0.1},
-        ("c", "good"): {0: 0.9},
+        ("b", "good"): {0: 0.1, 1: 0.1},
+        ("c", "good"): {0: 0.9, 1: 0.9},
+        ("a", "one"): {0: 0.1},
+        ("b", "one"): {0: 0.9},
     }
-    table = benchmark.table_of(values, {"far": "less", "good": "more"})
+    table = benchmark.table_of(values, {"far": "less", "good": "more", "one": "less"})
     ranks = {row: {task: cell.rank for task, cell in cells.items()} for row, cells in table.items()}
     assert ranks == {
         "c": {"far": 1, "good": 1},
-        "b": {"far": 2, "good": 2},
-        "a": {"far": 2},
+        "b": {"far": None, "good": 2, "one": None},  # one run has no interval
+        "a": {"far": None, "one": None},
         "d": {"far": None},
     }
-    assert list(ranks) == ["c", "b", "a", "d"]
+    assert list(ranks) == ["a", "c", "b", "d"]
+    places = {row: cells["far"].place for row, cells in table.items()}
+    assert places == {"a": 2, "c": 1, "b": 2, "d": math.inf}
     assert table["a"]["far"].summary.median == 2.0
-    assert benchmark.cell_text(table["c"]["far"]) == "0.5 #1"
+    assert benchmark.cell_text(table["c"]["far"]) == "0.55 (0.5 to 0.6) #1"
+    assert benchmark.cell_text(table["b"]["far"]) == "2 (2 to 2)"
     assert benchmark.cell_text(table["d"]["far"]) == "-"
     some = benchmark.table_of({("e", "far"): {0: 1.0, 1: math.nan}}, {"far": "less"})
     assert benchmark.cell_text(some["e"]["far"]) == "1 #1 of 1/2"
@@ -254,6 +259,8 @@ def test_bench_prints_one_table_resumes_and_takes_other_results(tmp_path: Path) 
     assert head == ["PATTERN", "MINE"]
     assert [row[0] for row in rows] == ["argos", "drive", "random_walk"]
     assert rows[0][1:] == ["0.5", "(0.25", "to", "0.75)", "#1"]
+    assert "only 2 runs" in done.stderr
+    assert "4 runs, about " in done.stderr
     rerun = CliRunner().invoke(exp, [*words, "-o", "json"])
     assert rerun.exit_code == 0
     assert "4 of 4 runs are there" in rerun.stderr

@@ -12,7 +12,8 @@ import yaml
 
 from swarmd.core.errors import ConfigError
 from swarmd.kit.conditions import is_drawn
-from swarmd.mission.schema import conditions, read_document
+from swarmd.mission.document import read_document
+from swarmd.mission.schema import conditions
 from swarmd.sim.experiments.manifest import Manifest
 from swarmd.sim.experiments.mission_space import (
     MAX_STATES,

@@ -14,7 +14,7 @@ from swarmd.sim.cli.exp import exp
 from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.manifest import manifest_of
 from swarmd.sim.experiments.plan import Plan, Variant
-from swarmd.sim.experiments.requirements import check, missing_runs, parse_requirement
+from swarmd.sim.experiments.requirements import check, parse_requirement
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
 from swarmd.sim.experiments.store import Row, open_store
@@ -108,8 +108,8 @@ def test_a_metric_without_a_value_meets_no_requirement() -> None:
 
 
 def test_an_experiment_that_lacks_runs_is_not_complete() -> None:
-    assert missing_runs([side("minimum_gap", [*VALUES])]) == ""
-    assert "4 of 6" in missing_runs([side("minimum_gap", [*VALUES], lost=2)])
+    assert side("minimum_gap", [*VALUES]).results.lacking == ""
+    assert "4 of 6" in side("minimum_gap", [*VALUES], lost=2).results.lacking
 
 
 @pytest.fixture

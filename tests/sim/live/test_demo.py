@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 
@@ -77,6 +79,8 @@ def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) ->
         (["demo", "--layout", "circle"], "'circle'"),
         (["demo", "--seconds", "soon"], "'soon'"),
         (["demo", "-p", "speed"], "'speed'"),
+        (["demo", "-p", "sped=1"], "no parameter 'sped'"),
+        (["demo", "-p", "speed=99"], "speed is 99"),
         (["demo", "-n", "0"], "0"),
         (["demo", "--emulate", "ros2dd"], "'ros2dds'"),
         (["demo", "--emulate", "ros2dds", "--radio-range", "2"], "--radio-range"),
@@ -138,6 +142,39 @@ def test_without_matplotlib_only_the_picture_is_missing(
     assert captured.out.startswith("Summary\n")
     assert "pip install 'swarmd[sim,plot]'" in captured.err
     assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+
+
+@pytest.mark.evidence
+@pytest.mark.integration
+@pytest.mark.parametrize("wait", [0.25 * count for count in range(1, 13)])
+def test_ctrl_c_at_the_start_of_a_demo_is_one_line(tmp_path: Path, wait: float) -> None:
+    """At whatever instant: no cap depends on how far the demo is after `wait` s."""
+    command = [SWARMCTL, "demo", "-n", "3", "--headless"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, stdout=pipe, stderr=pipe, text=True, cwd=tmp_path, start_new_session=True
+    ) as process:
+        time.sleep(wait)
+        os.killpg(process.pid, signal.SIGINT)
+        out, errors = process.communicate(timeout=CAP)
+    told = [
+        line for line in errors.splitlines() if line and not line.startswith("Starting a world")
+    ]
+    assert (process.returncode, out, told) == (130, "", ["error: interrupted"])
+    logs = [path / "logs" for path in (tmp_path / "runs").glob("*")]
+    wait_until(lambda: not any(named("", one) for one in logs), "no process is left")
+    wait_until(lambda: not children_of_session(process.pid), "no process of the group is left")
+
+
+def children_of_session(session: int) -> list[int]:
+    """The living processes of a session."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            if fields[0] != "Z" and int(fields[3]) == session:
+                found.append(int(path.parent.name))
+    return found
 
 
 @pytest.mark.integration

@@ -1,0 +1,107 @@
+"""The document of a mission: reads the mission's file, and lists its faults by line."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from swarmd.core.errors import ConfigError
+from swarmd.mission.document_checks import (
+    check_names,
+    check_value,
+    check_whole,
+    is_part_name,
+    valid_names,
+)
+from swarmd.mission.schema import KINDS, Element, Map, MissionFile, Part, Reference
+from swarmd.settings.layered import Fault, Keys, read
+from swarmd.settings.yamlfile import key_lines, shown
+from swarmd.settings.yamlfile import read as read_yaml
+
+
+@dataclass(slots=True)
+class Document:
+    """A mission as its file has it, without what is faulty; `faults` lists that.
+
+    `root` is None if any element is faulty. `maps` holds the place of each map. `names` has all
+    parts, also faulty ones.
+    """
+
+    path: Path
+    description: str
+    parts: dict[str, Part]
+    names: Collection[str]
+    maps: list[tuple[Keys, Map]]
+    report: Mapping[str, Reference]
+    parameters: Mapping[str, Reference]
+    recovery: bool | None
+    root: Element | None
+    faults: list[Fault] = field(default_factory=list)
+
+
+def read_document(path: Path) -> Document:
+    """The mission of a file, with its faults; ConfigError if the file is not YAML."""
+    data = read_yaml(path)
+    own = {key: data[key] for key in MissionFile.__struct_fields__ if key in data}
+    rest = {key: value for key, value in data.items() if key not in own}
+    names = list(data["parts"]) if isinstance(data.get("parts"), dict) else []
+    maps: list[tuple[Keys, Map]] = []
+
+    def check(value: Any, keys: Keys) -> Iterator[Fault]:
+        found = list(check_value(value, keys, names))
+        if isinstance(value, Map) and not found:
+            maps.append((keys, value))
+        yield from found
+
+    file, faults = read(own, MissionFile, check)
+    expanded = _expanded(rest)
+    root, root_faults = read(expanded, Element, check)
+    root_faults += check_names(expanded, (), names)
+    document = Document(
+        path=path,
+        description=file.mission,
+        parts={name: part for name, part in file.parts.items() if is_part_name(name)},
+        names=names,
+        maps=maps,
+        report=dict(valid_names("report", file.report, names, faults)),
+        parameters=dict(valid_names("parameters", file.parameters, names, faults)),
+        recovery=file.recovery,
+        root=None if root_faults else root,
+        faults=faults + root_faults,
+    )
+    document.faults += check_whole(document, data)
+    return document
+
+
+def fault_lines(path: Path, faults: Iterable[Fault]) -> list[str]:
+    """A line for each fault, in the order of the file: file, line, key, what is wrong."""
+    lines = key_lines(path)
+    rows = [
+        (next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), 1), text)
+        for keys, text in faults
+    ]
+    ordered = sorted(rows, key=lambda row: row[0])
+    return [f"{shown(path)}:{line}: {text}" for line, text in ordered]
+
+
+def fault_error(path: Path, faults: Iterable[Fault]) -> ConfigError:
+    """The error for the first fault; it says how many more there are."""
+    first, *more = fault_lines(path, faults)
+    rest = f" (and {len(more)} more; swarmctl mission check shows all)" if more else ""
+    return ConfigError(first + rest)
+
+
+def _expanded(element: Any) -> Any:
+    """The data of an element in which `{part: NAME}` replaces the short form NAME."""
+    if isinstance(element, str):
+        return {"part": element}
+    if not isinstance(element, dict):
+        return element
+    return {
+        key: [_expanded(one) for one in value]
+        if key in KINDS and isinstance(value, list)
+        else value
+        for key, value in element.items()
+    }

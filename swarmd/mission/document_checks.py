@@ -1,0 +1,280 @@
+"""Checks of a mission's file that need no patterns: names, references, ends and transitions.
+
+`part_builder.py` checks what needs the patterns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from swarmd.core.errors import unknown
+from swarmd.core.keys import is_id
+from swarmd.kit.conditions import Done, Not, Reported, Settled, is_drawn
+from swarmd.mission.schema import (
+    KINDS,
+    NO_DRIVER,
+    Element,
+    Fallback,
+    Map,
+    Parallel,
+    Reference,
+    RunPart,
+    Sequence,
+    Switch,
+    parts_in,
+    report_of,
+    split,
+    tag_of,
+)
+from swarmd.settings.layered import Fault, Keys, fault_at
+
+if TYPE_CHECKING:
+    from swarmd.mission.document import Document
+
+_PARAMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_RESERVED_PARTS = (NO_DRIVER, "phase")
+_RESERVED_NAMES = ("recovery", "avoidance", "phase")
+_RECOVERY = "sets recovery, which is of the whole mission: set it beside parts, or -p recovery="
+_AVOIDANCE = "sets avoidance, which is of the whole mission: give it by -p avoidance="
+_DRAWN = (
+    "is drawn anew at each step; give it to until, fails or transitions, there alone or in any or"
+    " all"
+)
+_TRANSITIONS = "belongs to a step of a sequence; leave it out"
+_SHARED = {"recovery": _RECOVERY, "avoidance": _AVOIDANCE}
+
+
+def is_part_name(name: str) -> bool:
+    """True for a name that a part may have."""
+    return is_id(name) and name not in _RESERVED_PARTS
+
+
+def _can_end(element: Element) -> bool:
+    """Whether it can end: by its condition, or because all that runs last in it can."""
+    if element.until is not None:
+        return True
+    if isinstance(element, Sequence):
+        return element.then == "end"
+    if isinstance(element, Fallback):
+        return any(map(_can_end, element.children))
+    return isinstance(element, Parallel) and all(map(_can_end, element.children))
+
+
+def _can_fail(element: Element) -> bool:
+    """Whether it can fail: by its condition, or because what runs in it can."""
+    if element.fails is not None:
+        return True
+    if isinstance(element, Fallback):
+        return all(map(_can_fail, element.children))
+    return any(map(_can_fail, element.children))
+
+
+def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    """What the types of a struct cannot express."""
+    if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
+        yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
+    match value:
+        case Sequence():
+            yield from _check_sequence(value, keys)
+        case Parallel():
+            yield from _check_parallel(value, keys)
+        case Switch():
+            for index, branch in enumerate(value.children[:-1]):
+                if branch.when is None:
+                    text = "is missing; only the last branch may go without a condition"
+                    yield fault_at((*keys, "switch", index, "when"), text)
+            for index, branch in enumerate(value.children):
+                if branch.when is not None and is_drawn(branch.when):
+                    yield fault_at((*keys, "switch", index, "when"), _DRAWN)
+        case Fallback():
+            for index, item in enumerate(value.children[:-1]):
+                if not _can_fail(item):
+                    text = "never fails, and more items follow; give it a fails"
+                    yield fault_at((*keys, "fallback", index), text)
+        case Not() if is_drawn(value.condition):
+            yield fault_at((*keys, "not"), _DRAWN)
+        case Done():
+            yield from _check_part(value.part, (*keys, "done"), names)
+        case Settled() | Reported():
+            key = str(value.__struct_config__.tag)
+            yield from _check_reference(report_of(value) or "", (*keys, key), names)
+        case Map():
+            yield from _check_map(value, keys, names)
+        case _:
+            pass
+    if isinstance(value, Sequence | Parallel | Fallback):
+        for index, child in enumerate(value.children):
+            if child.when is not None:
+                text = "belongs to a branch of a switch; take until, or leave it out"
+                yield fault_at((*keys, tag_of(value), index, "when"), text)
+    if isinstance(value, Element) and not isinstance(value, RunPart | Sequence):
+        for index, child in enumerate(value.children):
+            if child.transitions is not None:
+                yield fault_at((*keys, tag_of(value), index, "transitions"), _TRANSITIONS)
+
+
+def check_names(element: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    """Unknown parts and steps in the data of an element, which may have other faults."""
+    if not isinstance(element, dict):
+        return
+    if element.get("part") and isinstance(element["part"], str):
+        yield from _check_part(element["part"], (*keys, "part"), names)
+    for kind in KINDS:
+        children = element.get(kind)
+        if not isinstance(children, list):
+            continue
+        if kind == "sequence":
+            yield from _check_transitions(children, (*keys, kind))
+        for index, child in enumerate(children):
+            yield from check_names(child, (*keys, kind, index), names)
+
+
+def _check_transitions(steps: list[Any], keys: Keys) -> Iterator[Fault]:
+    found = [one if isinstance(one, dict) else {} for one in steps]
+    labels = [one.get("name") or one.get("part") or "" for one in found]
+    named = Counter(map(str, labels))
+    for index, step in enumerate(found):
+        transitions = step.get("transitions")
+        for name in transitions if isinstance(transitions, dict) else ():
+            where = (*keys, index, "transitions", name)
+            if named[name] > 1:
+                text = f"is {name}, the name of two steps; give each a name of its own"
+                yield fault_at(where, text)
+            elif name not in named or not name:
+                yield fault_at(where, f"names {unknown('step', name, filter(None, named))}")
+
+
+def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
+    *before, last = sequence.children
+    place = (*keys, "sequence", len(before))
+    for index in sorted({*range(len(sequence.children))} - _reached(sequence)):
+        text = "is never reached; name it in a transition, or give the step before it an until"
+        yield fault_at((*keys, "sequence", index), text)
+    for index, step in enumerate(before):
+        if not _can_end(step) and step.transitions is None:
+            text = "never ends, and more steps follow; give it an until"
+            yield fault_at((*keys, "sequence", index), text)
+    if sequence.then == "stay" and last.until is not None:
+        text = "is the until of the last step, and then is stay; leave it out, or take end"
+        yield fault_at((*place, "until"), text)
+    is_left = last.transitions is not None and sequence.then == "repeat"
+    if sequence.then != "stay" and not _can_end(last) and not is_left:
+        text = f"never ends, and then is {sequence.then}; give it an until, or take stay"
+        yield fault_at(place, text)
+
+
+def _reached(sequence: Sequence) -> set[int]:
+    """The steps that can be the present one, if each transition can hold.
+
+    The step after one without an end and without transitions counts: it has a fault of its own.
+    """
+    steps = sequence.children
+    indices = {step.label: index for index, step in enumerate(steps)}
+    found: set[int] = set()
+    todo = [0]
+    while todo:
+        index = todo.pop()
+        if index in found or index == len(steps):
+            continue
+        found.add(index)
+        targets = steps[index].transitions
+        if _can_end(steps[index]) or targets is None:
+            todo.append(index + 1)
+        todo += [indices[name] for name in targets or () if name in indices]
+    return found
+
+
+def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
+    labels = [child.label for child in parallel.children]
+    used = [part for child in parallel.children for part in parts_in(child)]
+    for part in sorted({part for part in used if used.count(part) > 1}):
+        yield fault_at(keys, f"steps part {part} twice at once; name it once, or make two parts")
+    drives = parallel.drives
+    if labels.count(drives) > 1:
+        text = f"is {drives}, the name of two items; give each a name of its own"
+        yield fault_at((*keys, "drives"), text)
+    elif drives not in (*labels, NO_DRIVER):
+        text = f"names {unknown('item', drives, filter(None, labels))} (or {NO_DRIVER})"
+        yield fault_at((*keys, "drives"), text)
+
+
+def _check_map(one: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    yield from _check_reference(one.source, (*keys, "from"), names)
+    yield from _check_reference(one.target, (*keys, "to"), names)
+    (source, _), (target, param) = split(one.source), split(one.target)
+    if param in _SHARED:
+        yield fault_at((*keys, "to"), _SHARED[param])
+    if source == target:
+        yield fault_at((*keys, "to"), f"is a parameter of {source} itself; expected another part's")
+    if (one.values is None) == (one.base is None):
+        yield fault_at(keys, "needs either values, or base and step")
+    elif one.base is not None and one.step is None:
+        yield fault_at((*keys, "step"), "is missing; expected a number, as base is there")
+    elif one.base is None and (one.step, one.count) != (None, None):
+        yield fault_at(keys, "has step or count, which go with base, beside values")
+
+
+def _check_part(part: str, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    if part not in names:
+        yield fault_at(keys, f"names {unknown('part', part, names)}")
+
+
+def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    part, key = split(reference)
+    if not key:
+        yield fault_at(keys, f"is {reference!r}; expected PART.KEY, such as vote.opinion")
+    else:
+        yield from _check_part(part, keys, names)
+
+
+def valid_names(
+    key: str, found: Mapping[str, str], names: Collection[str], faults: list[Fault]
+) -> Iterator[tuple[str, Reference]]:
+    """The valid entries of `report` or `parameters`; the faults of the others are appended."""
+    for own, reference in found.items():
+        wrong = list(_check_reference(reference, (key, own), names))
+        if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
+            text = (
+                "is not a valid name; expected letters, digits and _, but not recovery, avoidance"
+                " or phase"
+            )
+            wrong = [fault_at((key, own), text)]
+        faults += wrong
+        if not wrong:
+            yield own, split(reference)
+
+
+def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
+    """Faults between the keys of the file."""
+    if "mission" not in data:
+        yield fault_at(("mission",), "is missing; expected a line that says what the mission does")
+    if not data.get("parts"):
+        yield fault_at(("parts",), "is missing; expected parts, such as move: {pattern: NAME}")
+    if document.root is not None and document.root.when is not None:
+        yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
+    if document.root is not None and document.root.transitions is not None:
+        yield fault_at(("transitions",), _TRANSITIONS)
+    used = set(document.names) if document.root is None else parts_in(document.root)
+    for name in document.names:
+        if not is_part_name(name):
+            text = f"is not a valid name of a part; expected letters, digits and _, not {NO_DRIVER}"
+            yield fault_at(("parts", name), text)
+        elif name not in used:
+            yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")
+        elif "avoidance" in (document.parts[name].params if name in document.parts else ()):
+            yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
+    setters: dict[Reference, str] = {}
+    for keys, one in document.maps:
+        if split(one.target) in setters:
+            yield fault_at((*keys, "to"), f"is {one.target}, which another map sets; keep one")
+        setters[split(one.target)] = "a map"
+    for own, reference in document.parameters.items():
+        if reference[1] in _SHARED:
+            yield fault_at(("parameters", own), _SHARED[reference[1]])
+        if reference in setters:
+            text = f"is {'.'.join(reference)}, which {setters[reference]} sets too; keep one"
+            yield fault_at(("parameters", own), text)
+        setters.setdefault(reference, own)

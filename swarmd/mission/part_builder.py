@@ -1,0 +1,224 @@
+"""Builds the parts of a mission and its setters, and tries every value that a setter can set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import msgspec
+
+from swarmd.core.bounds import BoundedScalar
+from swarmd.core.errors import ParameterError, SwarmError, unknown
+from swarmd.core.values import Inputs
+from swarmd.kit.behavior import Make, Pattern
+from swarmd.kit.combined import outer_name
+from swarmd.kit.conditions import simple_conditions
+from swarmd.kit.params import build, schema
+from swarmd.kit.voting_pattern import OPINION, VotingPattern
+from swarmd.mission.document import Document
+from swarmd.mission.schema import Map, Reference, conditions, report_of, split
+from swarmd.settings.layered import Fault, Keys, fault_at
+
+Parts = Mapping[str, Pattern[Any]]
+Table = Mapping[BoundedScalar, BoundedScalar]
+T = TypeVar("T")
+_NOT_MADE = "cannot be made: "
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PartBuilder:
+    """Builds parts by name and collects the faults that this shows.
+
+    `exposed`: by part, the values of the mission's own parameters.
+    """
+
+    document: Document
+    make: Make
+    exposed: Mapping[str, Mapping[str, Any]]
+    faults: list[Fault]
+
+    def __call__(self, name: str, **changes: Any) -> Pattern[Any]:
+        """A new part, with some parameters changed; SwarmError if a value is refused."""
+        part = self.document.parts[name]
+        params = {**part.params, **self.exposed.get(name, {}), **changes}
+        return self.make(part.pattern, part=name, private=part.private, **params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setter:
+    """Sets a parameter of the target by what the source reports; every value is tried."""
+
+    source: Reference
+    target: Reference
+    table: Table
+
+
+def build_parts(builder: PartBuilder) -> dict[str, Pattern[Any]]:
+    """All parts, those with a refused parameter without it, but not those that raise an error."""
+    built = {name: _built(builder, name) for name in list(builder.document.parts)}
+    parts = {name: part for name, part in built.items() if part is not None}
+    senders: dict[str, str] = {}
+    for name, part in parts.items():
+        for channel in sorted(outer_name(part, channel) for channel in part.channels):
+            sender = senders.setdefault(channel, name)
+            if sender != name:
+                text = f"sends on {channel} as {sender} does; make one private or leave it out"
+                builder.faults.append(fault_at(("parts", name), text))
+                break
+    return parts
+
+
+def build_setters(
+    builder: PartBuilder, parts: Parts, opinions: Mapping[str, int] | None = None
+) -> list[Setter]:
+    """A setter for each map between these parts.
+
+    Each value is tried on a part that starts with the value, and on a part that is changed to the
+    value. `opinions` overrides the number of opinions of a part.
+    """
+    setters = []
+    for keys, mapping in builder.document.maps:
+        source, target = split(mapping.source), split(mapping.target)
+        if source[0] not in parts or target[0] not in parts:
+            continue
+        known = [spec.name for spec in schema(parts[target[0]].params_type)]
+        if target[1] not in known:  # once, not for each value
+            text = f"names {unknown('parameter', target[1], known)} (of {target[0]})"
+            builder.faults.append(fault_at((*keys, "to"), text))
+            continue
+        count = (opinions or {}).get(source[0], getattr(parts[source[0]].params, "opinions", 0))
+        is_opinion = isinstance(parts[source[0]], VotingPattern) and source[1] == OPINION
+        table: dict[BoundedScalar, BoundedScalar] = {}
+        for reported, value in _values(
+            builder, keys, mapping, count if is_opinion else None
+        ).items():
+            prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
+            tried = _noting(builder, keys, partial(_tried, builder, target, value), prefix)
+            if tried is not None:
+                table[reported] = tried
+        setters.append(Setter(source, target, table))
+    return setters
+
+
+def check_reports(builder: PartBuilder, parts: Parts) -> None:
+    """Find reports that a part does not have.
+
+    A part without reports in its first step may have any later.
+    """
+    document = builder.document
+    known = {name: _reports(builder, name) for name in parts}
+
+    def check(keys: Keys, reference: Reference, more: set[str]) -> None:
+        part, key = reference
+        if known.get(part) and key not in known[part] | more:
+            text = f"names {unknown('report', key, known[part] | more)} (of {part})"
+            builder.faults.append(fault_at(keys, text))
+
+    for keys, mapping in document.maps:
+        check((*keys, "from"), split(mapping.source), set())
+    for own, reference in document.report.items():
+        part = parts.get(reference[0])
+        params = {spec.name for spec in schema(part.params_type)} if part is not None else set()
+        check(("report", own), reference, params)
+    for keys, condition in conditions(document.root):
+        for simple in simple_conditions(condition):
+            name = report_of(simple)
+            if name is not None:
+                check(keys, split(name), set())
+
+
+def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
+    """A new part; a fault for each parameter that it refuses, which the part then does not get."""
+    parts, exposed = builder.document.parts, builder.exposed.get(name, {})
+    while True:
+        part = parts[name]
+        try:
+            return builder(name)
+        except ParameterError as error:
+            key = error.parameter
+            if key in part.params and key not in exposed:
+                text = f"is refused: {error_text(error)}"
+                builder.faults.append(fault_at(("parts", name, "params", key), text))
+                rest = {k: value for k, value in part.params.items() if k != key}
+                parts[name] = msgspec.structs.replace(part, params=rest)
+                continue
+            builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
+        except RecursionError:
+            raise  # a part made of itself: each of its copies would append it
+        except (Exception, SystemExit) as error:  # a plugin may raise anything
+            builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
+        return None
+
+
+def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> Any:
+    """A part's parameters with some of them changed; ConfigError if one is wrong."""
+    whole = {**msgspec.structs.asdict(part.params), **values}
+    return build(type(part.params), ((source, whole),))[0]
+
+
+def error_text(error: BaseException) -> str:
+    """An exception on one line; with its type unless it is a SwarmError."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"
+
+
+def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None) -> Table:
+    """The values of a map by report; {} with a fault if some are missing.
+
+    `opinions`: the number of opinions of the source; None if the source is no opinion of a vote.
+    """
+    table: dict[BoundedScalar, BoundedScalar]
+    if mapping.values is not None:
+        rows = (
+            enumerate(mapping.values)
+            if isinstance(mapping.values, list)
+            else mapping.values.items()
+        )
+        table = dict(rows)
+    else:
+        count = mapping.count or opinions
+        if count is None:
+            text = (
+                f"has base and step, but {mapping.source} is not the opinion of a vote; give count"
+            )
+            builder.faults.append(fault_at(keys, text))
+            return {}
+        table = {
+            number: (mapping.base or 0.0) + (mapping.step or 0.0) * number
+            for number in range(count)
+        }
+    missing = [number for number in range(opinions or 0) if number not in table]
+    if missing:
+        text = f"has no value for opinion {missing[0]}; {split(mapping.source)[0]} has {opinions}"
+        builder.faults.append(fault_at((*keys, "values"), f"{text} opinions"))
+        return {}
+    return table
+
+
+def _tried(builder: PartBuilder, target: Reference, value: BoundedScalar) -> BoundedScalar:
+    """The value as the target's parameter holds it; SwarmError if the target refuses the value."""
+    part, name = target
+    started = builder(part, **{name: value})
+    changed = builder(part)
+    changed.update(with_values(changed, {name: value}, "map"))
+    return msgspec.to_builtins(getattr(started.params, name))  # type: ignore[no-any-return]
+
+
+def _reports(builder: PartBuilder, name: str) -> set[str]:
+    try:
+        return set(builder(name).step(Inputs(now=0.0, dt=0.0)).report)
+    except (Exception, SystemExit):  # a plugin may raise anything; its reports are not known
+        return set()
+
+
+def _noting(builder: PartBuilder, keys: Keys, call: Callable[[], T], prefix: str) -> T | None:
+    """The result of the call; None, and a fault, if it raises."""
+    try:
+        return call()
+    except RecursionError:
+        raise  # a part made of itself: each of its copies would append it
+    except (Exception, SystemExit) as error:  # a plugin may raise anything
+        builder.faults.append(fault_at(keys, f"{prefix}{error_text(error)}"))
+    return None

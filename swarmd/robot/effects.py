@@ -1,0 +1,61 @@
+"""The effects of one event on a robot, gathered before they become `Actions`.
+
+A kernel (see `core/kernels.py`), in one library with ticker.py.
+"""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from swarmd.core.host_messages import KillHost, Load, SetParams, Step
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+
+_NO_MESSAGES = cython.declare(object, MappingProxyType({}))
+
+
+@cython.final
+@cython.auto_pickle(False)
+@cython.cclass
+class Effects:
+    """The effects of one event at `now`, gathered until the robot settles them into `Actions`.
+
+    `is_routine`: the event is a tick, a scan or the answer to a step, and has not changed the
+    lifecycle, but for the requested command. The others are as in `Actions`.
+    """
+
+    now = cython.declare(cython.double, visibility="readonly")
+    is_tick = cython.declare(cython.bint, visibility="public")
+    is_routine = cython.declare(cython.bint, visibility="public")
+    is_latched = cython.declare(cython.bint, visibility="public")
+    is_new_scan = cython.declare(cython.bint, visibility="public")
+    is_new_run = cython.declare(cython.bint, visibility="public")
+    trial = cython.declare(object, visibility="public")
+    messages = cython.declare(object, visibility="public")
+    replies = cython.declare(tuple, visibility="public")
+    host = cython.declare(object, visibility="public")
+    failed_code = cython.declare(object, visibility="public")
+    ended = cython.declare(object, visibility="public")
+    grip = cython.declare(object, visibility="public")
+
+    def __init__(self, now: cython.double) -> None:
+        self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""
+
+    def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
+        """Choose the one command of this event for the pattern host.
+
+        KillHost and Load decide which pattern the host holds, so the later of them wins; a Load
+        after a KillHost asks for a fresh host. SetParams and Step are meant for the pattern that
+        the host holds now, so they never replace another command.
+        """
+        if isinstance(command, (SetParams, Step)) and self.host is not None:
+            return
+        if isinstance(command, Load) and isinstance(self.host, KillHost):
+            command = replace(command, is_fresh=True)
+        self.host = command

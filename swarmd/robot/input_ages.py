@@ -1,0 +1,208 @@
+"""The ages of a robot's inputs: the holds that follow from them, and the context of decisions.
+
+A kernel (see `core/kernels.py`), in one library with ticker.py; `Sensors` extends it by the work
+that is rarer than a tick. Times are in s on the robot's clock. The time of an input that has not
+arrived is -inf.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import Inputs, Neighbor
+from swarmd.protection.decision import DecisionContext
+from swarmd.robot import timeouts
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, floor
+else:
+    from swarmd.core.cython_shadow import INFINITY, floor
+
+_ODOMETRY_TIMEOUT = cython.declare(cython.double, timeouts.ODOMETRY_TIMEOUT)
+_NEIGHBOR_TIMEOUT = cython.declare(cython.double, timeouts.NEIGHBOR_TIMEOUT)
+_AGE_UPDATE_PERIOD = cython.declare(cython.double, timeouts.AGE_UPDATE_PERIOD)
+# A name of C is found at once, one of the module in a dict.
+HAZARD = cython.declare(object, Reason.HAZARD)
+_Context = cython.declare(object, DecisionContext)
+_Inputs = cython.declare(object, Inputs)
+
+
+@cython.cclass
+class InputAges:
+    """The arrival of inputs, the holds that follow, and the context of decisions.
+
+    `problem`: why the last scan does not count. `peers_due`: the time until which no peer holds the
+    robot, `hazards_until` that until which a hazard does. `ring`: that of range sensors, or None.
+    """
+
+    odometry = cython.declare(object, visibility="public")
+    scan = cython.declare(object, visibility="public")
+    readings = cython.declare(object, visibility="public")
+    detections = cython.declare(object, visibility="public")
+    pose = cython.declare(object, visibility="public")
+    pose_until = cython.declare(cython.double, visibility="public")
+    scan_delay = cython.declare(object, visibility="public")
+    is_driver_up = cython.declare(cython.bint, visibility="public")
+    driver_hold = cython.declare(object, visibility="public")
+    permitted_delay = cython.declare(cython.double, visibility="public")
+    _scan_at = cython.declare(cython.double, visibility="public")
+    _odometry_at = cython.declare(cython.double, visibility="public")
+    _added = cython.declare(cython.double, visibility="public")
+    _is_late = cython.declare(cython.bint, visibility="public")
+    _is_clock_set = cython.declare(cython.bint, visibility="public")
+    _stale_after = cython.declare(cython.double, visibility="public")
+    _max_delay = cython.declare(cython.double, visibility="public")
+    _needs_odometry = cython.declare(cython.bint, visibility="public")
+    _problem = cython.declare(object, visibility="public")
+    _ring = cython.declare(object, visibility="public")
+    _peers_due = cython.declare(cython.double, visibility="public")
+    _teller = cython.declare(object, visibility="public")
+    _hazards_until = cython.declare(cython.double, visibility="public")
+    _ends_run = cython.declare(cython.bint, visibility="public")
+    _is_new_scan = cython.declare(cython.bint, visibility="public")
+    _history = cython.declare(object, visibility="public")
+    _inbox = cython.declare(object, visibility="public")
+    _neighbors = cython.declare(tuple, visibility="public")
+    _neighbors_at = cython.declare(cython.double, visibility="public")
+    # The neighbours with their ages, and how often they were brought up to date.
+    _aged = cython.declare(tuple, visibility="public")
+    _renewals = cython.declare(cython.double, visibility="public")
+    _context = cython.declare(object, visibility="public")
+    _context_at: cython.double
+
+    def __init__(self) -> None:
+        self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
+        self._peers_due = INFINITY
+        self._neighbors = self._aged = ()
+
+    @cython.ccall
+    def on_odometry(self, odometry, now: cython.double):
+        """Take in a measured pose and twist.
+
+        A reading with an old stamp does not renew the age. The robot ignores an invalid reading.
+        """
+        is_new = self._history.take(odometry, now)
+        if is_new is None:
+            return
+        self._context, self.odometry = None, odometry
+        if is_new:
+            self._odometry_at = now
+
+    @cython.ccall
+    def neighbors(self, now: cython.double) -> tuple:
+        """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
+        past: cython.double = now - self._neighbors_at
+        if past > _NEIGHBOR_TIMEOUT:
+            return ()
+        renewals: cython.double = floor(past / _AGE_UPDATE_PERIOD)
+        if renewals != self._renewals:
+            self._renewals, past = renewals, renewals * _AGE_UPDATE_PERIOD
+            self._aged = tuple(
+                [
+                    Neighbor(n.id, n.age + past, n.distance, n.bearing, n.heading)
+                    for n in self._neighbors
+                ]
+            )
+        return self._aged
+
+    @cython.ccall
+    def inputs(self, now: cython.double, dt: cython.double):
+        """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
+        inputs = _Inputs(
+            now,
+            dt,
+            self.scan,
+            self._is_new_scan != 0,
+            self.odometry,
+            InputAges.neighbors(self, now),
+            self._take_messages(now) if self._inbox else (),
+            self.readings,
+            None if self._ring is None else self._ring.scan,
+            self.detections,
+            self.pose if now <= self.pose_until else None,
+        )
+        self._is_new_scan = False
+        return inputs
+
+    @cython.ccall
+    def context(self, now: cython.double) -> DecisionContext:
+        """The context of a decision at `now`: the same object for the same time and inputs."""
+        if self._context is None or self._context_at != now:
+            self._context_at = now
+            self._context = _Context(
+                now,
+                None if self._scan_at == -INFINITY else now - self._scan_at,
+                self.odometry,
+                None if self._odometry_at == -INFINITY else now - self._odometry_at,
+                self._added,
+                () if self._teller is None else self._teller.told(now),
+                () if self._ring is None else self._ring.obstacles(now),
+            )
+        return self._context
+
+    @cython.ccall
+    def hold(self, now: cython.double) -> Reason | None:
+        """The reason why the sensors forbid motion; None if they do not."""
+        if not self.is_driver_up:
+            return Reason.DRIVER_LOST
+        if self.driver_hold is not None:
+            return self.driver_hold
+        if now < self._hazards_until:
+            return HAZARD
+        if self._scan_at == -INFINITY:
+            return self._problem or Reason.NO_SCAN
+        age: cython.double = now - self._scan_at
+        if self._is_late and self._added > self.permitted_delay and age <= self._stale_after:
+            return Reason.CLOCK_SET if self._is_clock_set else Reason.LATE_SCAN
+        if age > self._longest_age():
+            return self._problem or Reason.STALE_SCAN
+        if self._ring is not None:
+            reason = self._ring.hold(now)
+            if reason is not None:
+                return reason
+        if self._needs_odometry and now - self._odometry_at > _ODOMETRY_TIMEOUT:
+            return Reason.STALE_ODOMETRY
+        return Reason.INCOMPATIBLE_PEER if now > self._peers_due else None
+
+    @cython.ccall
+    def hold_due_at(self) -> float:
+        """A time until which `hold` stays None, if it is None now and nothing arrives."""
+        due: cython.double = self._peers_due
+        if self._scan_at > -INFINITY:
+            due = min(due, self._scan_at + self._stale_after - self._added)
+        if self._needs_odometry and self._odometry_at > -INFINITY:
+            due = min(due, self._odometry_at + _ODOMETRY_TIMEOUT)
+        if self._ring is not None:
+            stale_at = self._ring.stale_at
+            if stale_at is not None:
+                due = min(due, stale_at)
+        return due
+
+    @cython.ccall
+    def stale_at(self) -> float | None:
+        """The time at which the present scan, or that of the ring, becomes too old.
+
+        None before the first.
+        """
+        if self._scan_at == -INFINITY:
+            return None
+        stale_at = self._scan_at + self._longest_age()
+        ring_at = None if self._ring is None else self._ring.stale_at
+        return stale_at if ring_at is None else min(stale_at, ring_at)
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def _longest_age(self) -> cython.double:
+        """The age in s beyond which a scan is stale: age and delay count together.
+
+        A permitted delay beyond the platform's bound takes nothing more of it.
+        """
+        added: cython.double = self._added
+        if added <= self.permitted_delay and self._max_delay < added:
+            added = self._max_delay
+        return self._stale_after - added

@@ -1,0 +1,352 @@
+"""The hot path of one robot: its inputs, holds, deadlines and ticks become actions.
+
+A kernel (see `core/kernels.py`), in one library with effects.py, pattern_run.py and input_ages.py:
+`Robot` extends `Ticker` by the work that is rarer than a tick. Times are in s on the robot's clock.
+A deadline that is not set is inf.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmd.core.clock import STALL_TIMEOUT
+from swarmd.core.events import HostInput
+from swarmd.core.host_messages import Step, Stepped
+from swarmd.core.messages import Reason, State
+from swarmd.robot import timeouts
+from swarmd.robot.actions import Actions
+from swarmd.robot.effects import Effects
+from swarmd.robot.input_ages import HAZARD, InputAges
+from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, later
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+
+    from swarmd.core.events import Input, ScanInput, TickInput
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY
+else:
+    from swarmd.core.cython_shadow import INFINITY
+
+_MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
+_STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
+_STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
+# A name of C is found at once, one of the module in a dict.
+_RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
+_Actions = cython.declare(object, Actions)
+_HostInput = cython.declare(object, HostInput)
+_Step, _Stepped = cython.declare(object, Step), cython.declare(object, Stepped)
+_STALE_MARGIN = cython.declare(cython.double, 1e-4)  # s after a scan is stale until the alarm
+
+
+@cython.cclass
+class StateField:
+    """The state of a robot, which `StateMachine` changes."""
+
+    state = cython.declare(object, visibility="public")
+
+
+@cython.final
+@cython.cclass
+class DutyCycle:
+    """Ticks in `running` since the last run request, and the ticks with active protection."""
+
+    decisions = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    active = cython.declare(cython.Py_ssize_t, visibility="readonly")
+
+    @property
+    def share(self) -> float:
+        """Between 0 and 1; 0 before the first tick."""
+        return self.active / float(self.decisions) if self.decisions else 0.0
+
+
+@cython.cclass
+class Ticker:
+    """Ticks and settles the inputs of one robot.
+
+    Quiet ticks: the first tick after an event finds until when nothing is due. Each event but a
+    quiet tick resets `_quiet_until`. An event that may change the lifecycle resets `_due_at`, too.
+    Odometry, neighbours, readings and messages reset neither.
+    """
+
+    decision = cython.declare(object, visibility="public")
+    decided_at = cython.declare(cython.double, visibility="public")
+    _sensors = cython.declare(InputAges, visibility="public")
+    _run = cython.declare(PatternRun, visibility="public")
+    _lifecycle = cython.declare(object, visibility="public")
+    _machine = cython.declare(StateField, visibility="public")
+    _kept_goals = cython.declare(object, visibility="public")
+    _requests = cython.declare(object, visibility="public")
+    _protection = cython.declare(object, visibility="public")
+    _duty = cython.declare(DutyCycle, visibility="public")
+    _last_tick = cython.declare(cython.double, visibility="public")
+    # Before it only a step or the status can be due.
+    _due_at = cython.declare(cython.double, visibility="public")
+    # Before it nothing is due: a tick only decides.
+    _quiet_until = cython.declare(cython.double, visibility="public")
+    _published_at = cython.declare(cython.double, visibility="public")
+    # The lifecycle may have changed since the last look at it.
+    _is_status_due = cython.declare(cython.bint, visibility="public")
+    _blind: object  # the blind sectors that were logged
+    _restarts: cython.Py_ssize_t  # of the scan delay, that were logged
+    # The base does not follow its commands.
+    _is_off_command = cython.declare(cython.bint, visibility="public")
+    # What takes each type of input: of the robot, the input, the time.
+    _handlers = cython.declare(dict, visibility="public")
+    # That of the last event; under a hold no tick is quiet.
+    _hold = cython.declare(object, visibility="public")
+    _settled: object  # the actions of the last event but a quiet tick
+
+    def __init__(self) -> None:
+        self.decided_at = self._due_at = self._quiet_until = self._published_at = -INFINITY
+        self._hold, self._is_status_due, self._blind = Reason.NO_SCAN, True, ""
+
+    def step(self, input: Input, now: cython.double) -> Actions | None:
+        """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
+        if type(input) is _HostInput and type(input.event) is _Stepped:
+            effects = Ticker._begin(self, now)
+            self._lifecycle.on_stepped(input.event, effects)
+            return self._settled_after(effects)
+        return self._handlers[type(input)](self, input, now)
+
+    @cython.ccall
+    def _begin(self, now: cython.double) -> Effects:
+        """Begin the effects of an event. After a stall of the loop the run ends first."""
+        effects = Effects(now)
+        late = now - self._last_tick
+        if late > _STALL_TIMEOUT:
+            self._last_tick = now
+            self._due_at = -INFINITY
+            self._lifecycle.stall(late, effects)
+        return effects
+
+    def _on_tick(self, one: TickInput, now: cython.double) -> Actions:
+        actions = self._tick(now)
+        if actions is not None:
+            return actions
+        last, decision = self._settled, self.decision
+        seq, is_idle, is_stopped = last.requested_scan_seq, last.is_idle, last.is_stopped
+        return _Actions(decision.safe, decision, seq, is_idle, is_stopped, True)
+
+    @cython.cfunc
+    def _tick(self, now: cython.double):
+        """Check all deadlines: 20 times a second, at rest 10 times, and at `wake_at`.
+
+        None after a quiet tick, which decides only.
+        """
+        if now >= self._quiet_until:
+            self._look_ahead()
+        is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
+        effects = None if is_quiet else Ticker._begin(self, now)
+        self._last_tick = now
+        if self._machine.state is _RUNNING:
+            duty = self._duty
+            duty.decisions += 1
+            duty.active += self.decision.is_active
+        if effects is None:
+            Ticker._decide(self, None, now)
+            return None
+        effects.is_tick = effects.is_routine = True
+        return self._settled_after(effects)
+
+    def _settle(self, effects: Effects) -> Actions:
+        """The actions that follow from an event."""
+        return self._settled_after(effects)
+
+    @cython.cfunc
+    def _settled_after(self, effects: Effects):
+        now: cython.double = effects.now
+        sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
+        is_routine: cython.bint = effects.is_routine
+        running = run.running
+        sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
+        hold = InputAges.hold(sensors, now)
+        hazards = text = ""
+        if hold is HAZARD or sensors._ends_run:
+            text = sensors.hazards.text(now)
+            hazards = text if hold is HAZARD else ""
+        if sensors._ends_run:
+            lifecycle.on_hazard(text, effects)
+        if hold is not None or now >= self._due_at or not is_routine:
+            self._requests.advance(effects)
+            hold = lifecycle.advance(hold, effects, hazards)
+            self._is_status_due, self._due_at = True, -INFINITY
+        self._quiet_until, self._hold = -INFINITY, hold
+        decision = Ticker._decide(self, hold, now)
+        machine = self._machine
+        if run.restart_at < INFINITY:
+            self._restart(effects)
+        state = machine.state
+        host = effects.host
+        if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
+            inputs = InputAges.inputs(sensors, now, run.stepping(now))
+            host = _Step(run.running.generation, inputs)
+        # Replies go first: a status may wait for the tick, an emergency stop may not.
+        is_latched: cython.bint = effects.is_latched
+        has_status: cython.bint = effects.is_tick or is_latched
+        if has_status:
+            has_status = (
+                self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING
+            ) and self._has_new_status(now)
+        running = run.running
+        actions = self._settled = _Actions(
+            decision.safe,
+            decision,
+            -1 if running is None else running.scan_seq,
+            sensors.is_driver_up and state is _IDLE,
+            state is not _IDLE and state is not _RUNNING,
+            False,
+            lifecycle.latches.record() if is_latched else None,
+            self._kept_goals.take_record() if self._kept_goals.is_changed else None,
+            effects.trial,
+            host,
+            effects.messages,
+            has_status,
+            effects.replies,
+            effects.failed_code,
+            effects.ended,
+            effects.grip,
+        )
+        return actions
+
+    @cython.cfunc
+    def _look_ahead(self):
+        """Find until when nothing is due if no event comes; a hold is looked at in each tick."""
+        if self._hold is not None:
+            return
+        due: cython.double = self._lifecycle_due_at()
+        if self._machine.state is _RUNNING:
+            due = min(due, InputAges.hold_due_at(self._sensors))
+        self._due_at = due - ROUNDING
+        if not self._is_status_due:
+            due = min(due, self._run.step_due_at(), self._published_at + _STATUS_PERIOD)
+            self._quiet_until = due - ROUNDING
+
+    @cython.cfunc
+    def _lifecycle_due_at(self) -> cython.double:
+        """A time before which `advance` without a hold changes nothing; inf without one."""
+        lifecycle = self._lifecycle
+        if lifecycle.params_request is not None or lifecycle.trial is not None:
+            return -INFINITY
+        due: cython.double = self._run.lifecycle_due_at()
+        if self._kept_goals.lease_until is not None and self._kept_goals.lease_ends is not None:
+            due = min(due, self._kept_goals.lease_ends)
+        return due
+
+    @property
+    def is_at_rest(self) -> bool:
+        """True if only events change the state: no run, load or trial, and no answer due.
+
+        False without the base: another node may drive it, and a stopped robot then sends zero.
+        """
+        is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
+        return bool(self._sensors.is_driver_up) and not is_due
+
+    def _on_scan(self, one: ScanInput, now: cython.double) -> Actions:
+        effects: Effects = Ticker._begin(self, now)
+        sensors, protection = self._sensors, self._protection
+        effects.is_routine, effects.is_new_scan = True, sensors.on_scan(one.scan, now)
+        self._look_at_stamps(now)
+        blind = sensors.blind_text
+        if blind != self._blind:
+            self._blind = blind
+            text = blind or "all sectors return something again"
+            self._lifecycle.log(f"scan: {text}", now)
+        if effects.is_new_scan:
+            protection.observe(sensors.scan, InputAges.context(sensors, now))
+            if protection.events:
+                self._log_protection(now)
+        return self._settled_after(effects)
+
+    @cython.cfunc
+    def _look_at_stamps(self, now: cython.double):
+        """Log that stamps jumped."""
+        restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
+        if restarts != self._restarts:
+            self._restarts = restarts
+            text = "stamps of odometry or scan jumped: the scan delay is measured anew"
+            self._events.log("stamps that jump", text, now)
+
+    @cython.ccall
+    def _take_odometry(self, odometry, now: cython.double):
+        sensors, protection = self._sensors, self._protection
+        InputAges.on_odometry(sensors, odometry, now)
+        self._look_at_stamps(now)
+        if sensors.odometry is odometry:
+            protection.on_odometry(odometry)
+            if protection.events:
+                self._log_protection(now)
+            text = protection.not_following
+            if bool(text) != self._is_off_command:
+                self._log_following(text, now)
+
+    @cython.ccall
+    def _decide(self, hold, now: cython.double):
+        running = self._run.running
+        context = InputAges.context(self._sensors, now)
+        if running is None:
+            decision = self._protection.decide(None, context, False, hold)
+        else:
+            decision = self._protection.decide(
+                running.requested,
+                context,
+                self._machine.state is _RUNNING,
+                hold,
+                # Nothing is permitted under a hold, and a pattern that restarts is held.
+                running.permit if hold is None else NOTHING_PERMITTED,
+            )
+        self.decided_at, self.decision = now, decision
+        return decision
+
+    def wake_at(self, now: cython.double) -> float | None:
+        """The next deadline for which the robot must be woken between ticks; None without one.
+
+        Deadlines of the pattern run, the run lease, the scans and the longest hold. Odometry,
+        peers and hazards are checked at ticks.
+        """
+        soonest: cython.double = self._run.next_deadline(now)
+        if self._machine.state is _RUNNING:
+            if self._kept_goals.lease_until is not None:
+                lease_ends = self._kept_goals.lease_ends
+                if lease_ends is not None:
+                    soonest = min(soonest, later(lease_ends, now))
+            stale_at = InputAges.stale_at(self._sensors)
+            if stale_at is not None:
+                soonest = min(soonest, later(stale_at + _STALE_MARGIN, now))
+            soonest = min(soonest, later(self._lifecycle.hold_since + _MAX_HOLD_TIME, now))
+        return soonest if soonest < INFINITY else None
+
+
+def tick_many(
+    robots: list, rows: list, commands: cython.double[:, ::1], now: cython.double
+) -> list[tuple[int, Actions]]:
+    """Tick robots: the place in `robots` and the actions of each tick that is not quiet.
+
+    The command of a quiet tick goes into the robot's row of `commands`: linear, angular, lateral.
+    """
+    found: list = []
+    robot: Ticker
+    i: cython.Py_ssize_t
+    row: cython.Py_ssize_t
+    for i in range(len(robots)):
+        robot = robots[i]
+        actions = robot._tick(now)
+        if actions is None:
+            row, twist = rows[i], robot.decision.safe
+            commands[row, 0], commands[row, 1] = twist.linear, twist.angular
+            commands[row, 2] = twist.lateral
+        else:
+            found.append((i, actions))
+    return found
+
+
+def odometry_many(robots: list, readings: list, now: cython.double) -> None:
+    """Hand its reading of odometry to each robot; None in place of a robot that is not there."""
+    robot: Ticker
+    i: cython.Py_ssize_t
+    for i in range(len(robots)):
+        robot = robots[i]
+        if robot is not None:
+            robot._take_odometry(readings[i], now)

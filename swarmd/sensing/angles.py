@@ -1,0 +1,51 @@
+"""Arithmetic of angles in rad, for the kernels of this folder."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import fabs, fmod
+else:
+    from swarmd.core.cython_shadow import fabs, fmod
+
+PI = cython.declare(cython.double, math.pi)
+TURN = cython.declare(cython.double, 2.0 * math.pi)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def mod_turn(angle: cython.double) -> cython.double:
+    """The angle modulo a full turn, with the bits of numpy's %."""
+    if 0.0 <= angle < TURN:
+        return angle
+    if -TURN < angle < 0.0:  # as fmod, which is exact and slow
+        return angle + TURN
+    if TURN <= angle < 2.0 * TURN:
+        return angle - TURN
+    rest: cython.double = fmod(angle, TURN)
+    if rest < 0.0:
+        rest += TURN
+    return rest
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def wrap(angle: cython.double) -> cython.double:
+    """The angle within [-pi, pi)."""
+    return mod_turn(angle + PI) - PI
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def angle_between(first: cython.double, second: cython.double) -> cython.double:
+    """The angle between two directions."""
+    return fabs(wrap(first - second))

@@ -1,0 +1,273 @@
+"""The delay of scans by stamps, where scan and odometry are stamped by one clock.
+
+The fastest odometry of the last second tells the time of that clock. The stamp of a scan is the
+time of its oldest ray, as in ROS. The delay of odometry itself goes unnoticed, and so does one that
+both have for more than a second.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING
+
+from swarmd.core.messages import DelayFigure
+from swarmd.core.values import Scan, ScanSpec
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY
+else:
+    from swarmd.core.cython_shadow import INFINITY
+
+LONGEST_SHARED = 5.0
+"""Seconds: a scan with a greater age by its stamp counts as stamped by another clock."""
+MAX_LEAD = -0.05
+"""Seconds: a scan with a lower age by its stamp counts as stamped by another clock."""
+
+_STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans of which the third-latest is the delay
+_MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
+# Odometry whose lowest lags are kept: so many periods of so many s.
+_PERIODS = cython.declare(cython.Py_ssize_t, 4)
+_PERIOD = cython.declare(cython.double, 0.5)
+# s after which stamps tell again whether scan and odometry share a clock.
+_RESTART_TIME = cython.declare(cython.double, 2.5)
+# s between periods: beyond it from each period to the next, the clock is no real time.
+_MAX_DRIFT = cython.declare(cython.double, 0.005)
+# s by which odometry gets later at once, or earlier: its clock was set then.
+_SHIFT = cython.declare(cython.double, 0.1)
+_MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
+# s: what a clock that was set shows at most, so that a status can tell it.
+_LONGEST_AGE = cython.declare(cython.double, 1000.0)
+_MAX_LEAD = cython.declare(cython.double, MAX_LEAD)
+
+
+@cython.cclass
+class DelayByStamps:
+    """The delay of one sensor's scans by stamps. Times in s."""
+
+    offset: cython.double  # the least arrival minus stamp of recent odometry; inf: none
+    # Stamps jumped a moment ago, and whether scan and odometry share a clock is not known yet. A
+    # scan that seems late counts as late meanwhile.
+    is_restarting: cython.bint
+    _spec: object
+    _restart_ends: cython.double
+    _scans: cython.Py_ssize_t  # that came since the restart
+    _stamp: cython.double  # of the last reading of odometry
+    _scan_stamp: cython.double
+    # Lags of odometry: its arrival minus its stamp.
+    _lowest: cython.double  # of this period
+    _before: cython.double  # of the two periods before it
+    _until: cython.double  # the end of this period
+    _drifts: cython.bint
+    _minima: cython.double[4]  # of the last periods
+    _periods: cython.Py_ssize_t
+    # Ages of the last scans, the oldest at `_oldest`; when the last one arrived.
+    _ages: cython.double[20]
+    _count: cython.Py_ssize_t
+    _oldest: cython.Py_ssize_t
+    _at: cython.double
+    _is_shared: cython.bint  # scan and odometry have one clock
+    _why: object  # stamps tell no delay
+    _ages_of_rays: object  # those of the last scan
+    _lead: cython.double  # of scans with these ages
+
+    def __init__(self, spec) -> None:
+        self._spec, self._why = spec, "no odometry yet"
+        self.offset = self._lowest = self._before = INFINITY
+        self._restart_ends = self._stamp = self._scan_stamp = self._until = -INFINITY
+        self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
+
+    def check_indices(self) -> None:
+        """ValueError unless its counts are of its arrays; see `recall`."""
+        is_of_ages: cython.bint = 0 <= self._count <= _STAMPS and 0 <= self._oldest < _STAMPS
+        if not (is_of_ages and 0 <= self._periods <= _PERIODS):
+            raise ValueError(f"{self._count} ages from {self._oldest}, {self._periods} periods")
+
+    @cython.cfunc
+    def read(self, stamp: cython.double, now: cython.double) -> cython.bint:
+        """Take in the stamp of a reading; true if its clock was set."""
+        if stamp == self._stamp:
+            return False
+        lag: cython.double = now - stamp
+        is_set: cython.bint = stamp < self._stamp or lag < self.offset - _SHIFT < INFINITY
+        self._stamp = stamp
+        if is_set:
+            self._periods = 0
+            self._lowest = self._before = INFINITY
+            self._until = now + _PERIOD
+            self._drifts = False
+            self._restart(now)
+        elif now >= self._until:
+            self._end_period(now)
+        self._lowest = min(lag, self._lowest)
+        self.offset = min(self._lowest, self._before)
+        return is_set
+
+    @cython.cfunc
+    def forget_scans(self) -> cython.int:
+        """Tell the delay by the scans that come."""
+        self._count = 0
+        return 0
+
+    @cython.cfunc
+    def goes_back(self, stamp: cython.double, now: cython.double) -> cython.bint:
+        """Take in the stamp of a scan; true if its clock was set back."""
+        is_back: cython.bint = stamp < self._scan_stamp
+        self._scan_stamp = stamp
+        if is_back:
+            self._restart(now)
+        return is_back
+
+    @cython.cfunc
+    def _restart(self, now: cython.double) -> cython.int:
+        self._count = self._scans = 0
+        self.is_restarting, self._restart_ends = True, now + _RESTART_TIME
+        return 0
+
+    @cython.cfunc
+    def _end_period(self, now: cython.double) -> cython.int:
+        """Keep the lowest lag of a period, and begin the next one."""
+        k: cython.Py_ssize_t
+        change: cython.double
+        if self._lowest < INFINITY:
+            if self._periods == _PERIODS:
+                self._periods -= 1
+                for k in range(self._periods):
+                    self._minima[k] = self._minima[k + 1]
+            self._minima[self._periods] = self._lowest
+            self._periods += 1
+        self._lowest, self._until = INFINITY, now + _PERIOD
+        before: cython.double = self._before
+        self._before = INFINITY
+        for k in range(max(self._periods - 2, 0), self._periods):
+            self._before = min(self._before, self._minima[k])
+        if before + _SHIFT < self._before < INFINITY:
+            self._count = 0  # scan and odometry were late together, or their clock was set back
+        # A clock that is not real time, as that of a slow simulator.
+        rises: cython.int = 0
+        falls: cython.int = 0
+        for k in range(1, self._periods):
+            change = self._minima[k] - self._minima[k - 1]
+            rises += change > _MAX_DRIFT
+            falls += change < -_MAX_DRIFT
+        self._drifts = rises == _PERIODS - 1 or falls == _PERIODS - 1
+        return 0
+
+    @cython.cfunc
+    def take(self, scan, now: cython.double) -> cython.double:
+        """Take in a scan; the delay that counts, or 0 if stamps do not tell it."""
+        if self.offset == INFINITY:
+            return 0.0
+        ages = scan.ages
+        if ages is not self._ages_of_rays:  # mostly they are those of the last scan
+            self._ages_of_rays, self._lead = ages, lead(scan, self._spec)
+        stamp: cython.double = scan.stamp
+        age: cython.double = now - self.offset - stamp - self._lead
+        self._scans += 1
+        if self.is_restarting and now > self._restart_ends and self._scans > _MIN_STAMPS:
+            self.is_restarting = self._is_shared = False
+        if self._drifts:
+            self._forget("the stamps of odometry do not run at real time")
+        elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
+            self._forget(wrong_stamps(age, self._lead))
+        else:
+            self._keep(min(max(age, 0.0), _LONGEST_AGE))
+            self._at = now
+        if not self._is_shared and (self._count < _MIN_STAMPS or self._periods < _PERIODS):
+            return 0.0
+        self._is_shared = self._count > 0
+        return self._delay()
+
+    @cython.cfunc
+    def _keep(self, age: cython.double) -> cython.int:
+        """Keep the age of a scan, in place of the oldest one if the array is full."""
+        if self._count < _STAMPS:
+            self._ages[(self._oldest + self._count) % _STAMPS] = age
+            self._count += 1
+        else:
+            self._ages[self._oldest] = age
+            self._oldest = (self._oldest + 1) % _STAMPS
+        return 0
+
+    @cython.cfunc
+    def _delay(self) -> cython.double:
+        """The third-latest of the last scans, and at least that of the last one."""
+        # The three greatest ages so far.
+        first: cython.double = -INFINITY
+        second: cython.double = -INFINITY
+        third: cython.double = -INFINITY
+        age: cython.double = 0.0
+        k: cython.Py_ssize_t
+        for k in range(self._count):
+            age = self._ages[(self._oldest + k) % _STAMPS]
+            if age > first:
+                third = second
+                second, first = first, age
+            elif age > second:
+                third, second = second, age
+            elif age > third:
+                third = age
+        if self._count < 3:
+            third = second if self._count == 2 else first
+        return max(third, age)
+
+    @cython.cfunc
+    def figure(self, now: cython.double):
+        """The mean delay of the last scans, with its deviation."""
+        if not self._is_shared or not self._count:
+            why = "too few scans yet" if self._count else self._why
+            return DelayFigure(method="stamps", text=why)
+        ages = [self._ages[(self._oldest + k) % _STAMPS] for k in range(self._count)]
+        return figure_of(ages, max(now - self._at, 0.0))
+
+    @cython.cfunc
+    def _forget(self, why):
+        self._count, self._is_shared = 0, False
+        self._why = why
+
+
+def delay_by_stamps(
+    scans: Iterable[tuple[float, float]],
+    odometries: Iterable[tuple[float, float]],
+    scan: Scan | None,
+    spec: ScanSpec,
+) -> DelayFigure:
+    """The delay of a few scans, from arrivals and stamps; `scan` is one of them."""
+    offset = min((at - stamp for at, stamp in odometries), default=math.inf)
+    ages = [at - offset - stamp for at, stamp in scans]
+    if not ages or scan is None or offset == math.inf:
+        return DelayFigure(method="stamps", text="no scan, or no odometry")
+    ahead = lead(scan, spec)
+    ages = [age - ahead for age in ages]
+    if not MAX_LEAD <= min(ages) <= max(ages) <= LONGEST_SHARED:
+        return DelayFigure(method="stamps", text=wrong_stamps(ages[len(ages) - 1], ahead))
+    return figure_of(ages, 0.0)
+
+
+def lead(scan: Scan, spec: ScanSpec) -> float:
+    """How much later than the stamp the mean ray was measured, in s."""
+    if scan.ages is None or not len(scan.ages):
+        return 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
+    return float(scan.ages.max() - scan.ages.mean())
+
+
+def wrong_stamps(age: float, ahead: float) -> str:
+    """Why stamps tell no delay of a scan whose mean ray seems `age` s old, with its `lead`."""
+    if MAX_LEAD - ahead <= age < MAX_LEAD:
+        return (
+            f"scans are stamped {-age:.2g} s or more after their oldest ray, as at their"
+            " publication, or their clock is ahead of that of odometry"
+        )
+    return f"scan and odometry have different clocks, {age:.3g} s apart"
+
+
+def figure_of(ages: Collection[float], since: float) -> DelayFigure:
+    """The mean delay by stamps, with its deviation; the last of `ages` is `since` s old."""
+    mean = sum(ages) / len(ages)
+    spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
+    mean = max(mean, 0.0)
+    return DelayFigure(method="stamps", delay=mean, spread=spread, samples=len(ages), age=since)

@@ -1,0 +1,421 @@
+"""The delay of scans by turns of the robot.
+
+The turn between two scans, by circular correlation of their ranges, is compared with the turn by
+odometry at candidate delays, in least squares with a free scale of the odometry. It needs a rate of
+turn that changes: at a constant rate all delays explain the turns alike, and then there is no
+figure. After the temporal calibration of sensors by correlated rotations (Rehder, Siegwart and
+Furgale, IEEE T-RO 2016), with one axis and a grid.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.core.messages import DelayFigure
+from swarmd.sensing.angles import TURN
+from swarmd.sensing.buffers import new_doubles, view_of
+from swarmd.sensing.measured_sweep import Headings
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        INFINITY,
+        NAN,
+        ceil,
+        fabs,
+        floor,
+        hypot,
+        isnan,
+        remainder,
+        sqrt,
+    )
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        NAN,
+        ceil,
+        fabs,
+        floor,
+        hypot,
+        isnan,
+        remainder,
+        sqrt,
+    )
+
+# Candidate delays: 0 to _LONGEST s.
+_CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
+_LONGEST = cython.declare(cython.double, 1.2)
+_STEP = cython.declare(cython.double, 1.2 / 48)
+# Headings that are kept, and s between two of them, at least.
+_HISTORY = cython.declare(cython.Py_ssize_t, 96)
+_SPACING = cython.declare(cython.double, 0.02)
+# The rate of turn changes by so many rad/s from its mean, which follows by this share a reading.
+_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)
+_FOLLOWING = cython.declare(cython.double, 0.1)
+_CHANGE_LASTS = cython.declare(cython.double, 1.2 + 0.5)  # s for which such a change counts
+_MAX_APART = cython.declare(cython.double, 0.5)  # s from one scan to the next
+# rad by which candidates must differ for a pair of scans to tell anything.
+_MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
+# rad by which the search for the turn goes beyond the turns of all candidates.
+_SEARCHED = cython.declare(cython.double, 0.25)
+# rad; beyond it a square room looks like itself.
+_MAX_SEARCHED = cython.declare(cython.double, 1.2)
+# m between two scans: a shift of near things looks like a turn.
+_MAX_SHIFT = cython.declare(cython.double, 0.03)
+_MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
+# Rays are even if each step differs by less than this share from the mean, and if they miss a full
+# turn by less than so many steps.
+_UNEVEN_SHARE = cython.declare(cython.double, 0.1)
+_MISSED_STEPS = cython.declare(cython.double, 1.5)
+# m; farther returns count as if they were there.
+_MAX_RANGE = cython.declare(cython.double, 6.0)
+# m, standard deviation of ranges below which a scene has no features.
+_MIN_RELIEF = cython.declare(cython.double, 0.1)
+# Correlation of two scans at the turn that was measured.
+_MIN_LIKENESS = cython.declare(cython.double, 0.6)
+# Weight of earlier pairs, for each new one: some 50 count.
+_FORGETTING = cython.declare(cython.double, 0.98)
+_MIN_PAIRS = cython.declare(cython.double, 8.0)
+# rad of one measured turn: things that move by themselves turn a scene by that, for seconds.
+_MIN_SPREAD = cython.declare(cython.double, 0.025)
+# Factor on the spread, as errors of pairs are not independent: 1.7 in simulation.
+_ALIKE = cython.declare(cython.double, 2.0)
+_MIN_DELAY_SPREAD = cython.declare(cython.double, 0.005)  # s
+_SQUARED_DEVIATIONS = cython.declare(cython.double, 9.0)  # three deviations
+# s of candidates within three deviations: a wider one is no figure.
+_MAX_INTERVAL = cython.declare(cython.double, 0.2)
+_LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
+_HIGHEST_SCALE = cython.declare(cython.double, 1.15)
+_MIN_SQUARE = cython.declare(cython.double, 1e-12)  # rad2: a scale needs turns
+# Pairs after which only each fourth scan is compared with the one before it.
+_ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
+
+
+@cython.cclass
+class DelayByTurns:
+    """The delay of one sensor's scans by turns. Times in s, angles in rad, ranges in m."""
+
+    delay: cython.double  # NaN while not known
+    spread: cython.double
+    at: cython.double  # when the last pair of scans was compared
+    pairs: cython.Py_ssize_t  # of scans compared
+    why: object  # the delay is not known
+    pose: object  # the last one by odometry
+    # The headings kept: places `_first` to `_end` of the arrays.
+    _headings: object
+    _times: cython.double[::1]
+    _yaws: cython.double[::1]  # turned since the start, not wrapped
+    _first: cython.Py_ssize_t
+    _end: cython.Py_ssize_t
+    _stamp: cython.double  # of the last heading
+    _yaw: cython.double
+    _total: cython.double  # turned so far
+    _slow_rate: cython.double
+    _changed_at: cython.double
+    _bearings: object
+    _n: cython.Py_ssize_t
+    _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
+    # The last scan: when it arrived on the clock of odometry, where, and its ranges about their
+    # mean, twice in a row, with their norm. Then the same of the one before.
+    _scans: cython.Py_ssize_t
+    _has_last: cython.bint
+    _scan_at: cython.double
+    _x: cython.double
+    _y: cython.double
+    _relief: cython.double[::1]
+    _norm: cython.double
+    _old_relief: cython.double[::1]
+    _old_norm: cython.double
+    # By candidate delay: the turn by odometry, and the squared error of all pairs.
+    _turn_of: cython.double[49]
+    _error_of: cython.double[49]
+    # Sums over pairs: of measured turns m, and of turns p that candidates predict.
+    _mm: cython.double
+    _mp: cython.double[49]
+    _pp: cython.double[49]
+    _weight: cython.double
+
+    def __init__(self):
+        self.delay, self.why = NAN, "it has not turned at a changing rate yet"
+        self._headings = np.empty((2, 4 * _HISTORY))
+        self._times, self._yaws = map(memoryview, self._headings)
+        self._stamp = self._changed_at = -INFINITY
+        self._relief = self._old_relief = new_doubles(0)
+
+    def check_indices(self) -> None:
+        """ValueError unless its ranges are those of its rays, as `_likeness` reads them."""
+        ray: cython.double = fabs(self._ray)
+        lengths = len(self._relief), len(self._old_relief), 2 * self._n
+        is_even: cython.bint = ray == 0.0 or fabs(ray * self._n - TURN) < _MISSED_STEPS * ray
+        if self._n < 0 or min(lengths) != max(lengths) or not is_even:
+            raise ValueError(f"{self._n} rays at steps of {ray} rad, {lengths} ranges")
+
+    @cython.cfunc
+    def figure(self, now: cython.double):
+        """The delay, or why it is not known."""
+        if isnan(self.delay):
+            return DelayFigure(method="turns", text=self.why)
+        return DelayFigure(
+            method="turns",
+            delay=self.delay,
+            spread=self.spread,
+            samples=self.pairs,
+            age=max(now - self.at, 0.0),
+        )
+
+    @cython.cfunc
+    def forget(self):
+        """Measure anew."""
+        k: cython.Py_ssize_t
+        self.delay, self.pairs = NAN, 0
+        self._mm = self._weight = 0.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = self._pp[k] = 0.0
+        self.why = "its last figure was older than a minute"
+
+    @cython.cfunc
+    def forget_headings(self):
+        """The clock of odometry was set."""
+        self._first = self._end = 0
+        self._stamp, self._has_last = -INFINITY, False
+
+    @cython.cfunc
+    def headings(self):
+        """A copy of the headings kept."""
+        return Headings(*self._headings[:, self._first : self._end].copy())
+
+    @cython.cfunc
+    def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
+        """Keep a heading."""
+        self._slow_rate += _FOLLOWING * (rate - self._slow_rate)
+        if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
+            self._changed_at = stamp
+        self.pose = pose
+        if stamp - self._stamp < _SPACING:
+            return
+        if self._end == 4 * _HISTORY:
+            self._times[:_HISTORY] = self._times[3 * _HISTORY :]
+            self._yaws[:_HISTORY] = self._yaws[3 * _HISTORY :]
+            self._first, self._end = 0, _HISTORY
+        if self._end > self._first:
+            self._total += remainder(yaw - self._yaw, TURN)
+        self._times[self._end], self._yaws[self._end] = stamp, self._total
+        self._yaw, self._stamp = yaw, stamp
+        self._end += 1
+        self._first = max(self._first, self._end - _HISTORY)
+
+    @cython.cfunc
+    def compare(self, scan, at: cython.double, now: cython.double):
+        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
+        had_last: cython.bint = self._has_last
+        self._has_last = False
+        if at - self._changed_at > _CHANGE_LASTS:
+            return
+        if scan.bearings is not self._bearings:
+            self._set_bearings(scan.bearings)
+            had_last = False
+        if self._ray == 0.0:
+            return
+        self._scans += 1
+        if self.pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
+            return
+        before: cython.double = self._scan_at
+        x_before: cython.double = self._x
+        y_before: cython.double = self._y
+        self._keep(scan)
+        self._scan_at, self._has_last = at, True
+        self._x, self._y = self.pose.x, self.pose.y
+        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
+            return
+        if at - before > _MAX_APART or self._end == self._first:
+            return
+        if before - _LONGEST < self._times[self._first]:
+            return
+        if hypot(self._x - x_before, self._y - y_before) > _MAX_SHIFT:
+            return
+        self._predict_turns(before, at)
+        k: cython.Py_ssize_t
+        low: cython.double = INFINITY
+        high: cython.double = -INFINITY
+        for k in range(_CANDIDATES):
+            low, high = min(low, self._turn_of[k]), max(high, self._turn_of[k])
+        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
+            return
+        turn: cython.double = self._measured(low - _SEARCHED, high + _SEARCHED)
+        if not isnan(turn):
+            self._add(turn)
+            self.at = now
+
+    @cython.cfunc
+    def _predict_turns(self, before: cython.double, at: cython.double) -> cython.int:
+        """Set the turn by odometry between the arrivals of two scans, for each candidate delay."""
+        k: cython.Py_ssize_t
+        begin: cython.Py_ssize_t = self._end - 1
+        end: cython.Py_ssize_t = self._end - 1
+        delay: cython.double
+        for k in range(_CANDIDATES):
+            delay = _STEP * k
+            while end > self._first and self._times[end] > at - delay:
+                end -= 1
+            while begin > self._first and self._times[begin] > before - delay:
+                begin -= 1
+            self._turn_of[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
+        return 0
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        """Take other bearings, with the angle from one ray to the next if they are even."""
+        self._bearings, self._n = bearings, len(bearings)
+        self._ray = 0.0
+        steps = np.diff(np.unwrap(bearings))
+        if self._n >= _MIN_RAYS:
+            step: cython.double = steps.mean()
+            is_even: cython.bint = np.abs(steps - step).max() < _UNEVEN_SHARE * fabs(step)
+            if is_even and fabs(fabs(step) * self._n - TURN) < _MISSED_STEPS * fabs(step):
+                self._ray = step
+        if self._ray == 0.0:
+            self.why = "its rays do not cover a full turn evenly"
+        self._relief, self._old_relief = new_doubles(2 * self._n), new_doubles(2 * self._n)
+
+    @cython.cfunc
+    def _keep(self, scan):
+        """Keep the ranges of a scan about their mean; a ray without a return tells nothing.
+
+        As far away, it would be a feature: lost rays and a blind sector do not turn with the room.
+        """
+        ranges: cython.const[cython.double][::1] = view_of(
+            np.ascontiguousarray(scan.ranges, np.float64)
+        )
+        least: cython.double = scan.range_min
+        most: cython.double = scan.range_max
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        returns: cython.Py_ssize_t = 0
+        mean: cython.double = 0.0
+        square: cython.double = 0.0
+        self._relief, self._old_relief = self._old_relief, self._relief
+        self._old_norm = self._norm
+        relief: cython.double[::1] = self._relief
+        for i in range(n):
+            if least <= ranges[i] <= most:
+                mean += min(ranges[i], _MAX_RANGE)
+                returns += 1
+        mean /= max(returns, 1)
+        for i in range(n):
+            is_return: cython.bint = least <= ranges[i] <= most
+            relief[i] = min(ranges[i], _MAX_RANGE) - mean if is_return else 0.0
+            relief[n + i] = relief[i]
+            square += relief[i] * relief[i]
+        self._norm = sqrt(square)
+
+    @cython.cfunc
+    def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
+        """The heading at a time, which is not before that of heading k and before the next one."""
+        before: cython.double = self._times[k]
+        if at <= before or k == self._end - 1:
+            return self._yaws[k]
+        slope: cython.double = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
+        return slope * (at - before) + self._yaws[k]
+
+    @cython.cfunc
+    def _measured(self, low: cython.double, high: cython.double) -> cython.double:
+        """The turn in rad from one scan to the next, between `low` and `high`; NaN: unclear.
+
+        A turn by k rays to the left moves all that is seen k rays to the right.
+        """
+        least: cython.double = _MIN_RELIEF * sqrt(self._n)
+        if min(self._norm, self._old_norm) < least:
+            self.why = "it sees no features to tell a turn by"
+            return NAN
+        ray: cython.double = fabs(self._ray)
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / ray))
+        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / ray))
+        shift: cython.Py_ssize_t
+        best: cython.Py_ssize_t = first
+        most: cython.double = -INFINITY
+        for shift in range(first, last + 1):
+            likeness = self._likeness(shift)
+            if likeness > most:
+                most, best = likeness, shift
+        if not first < best < last or most < _MIN_LIKENESS * self._old_norm * self._norm:
+            return NAN
+        # The top of the parabola through the best shift and those beside it.
+        a: cython.double = self._likeness(best - 1)
+        c: cython.double = self._likeness(best + 1)
+        return (best + 0.5 * (a - c) / (a - 2.0 * most + c)) * ray
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def _likeness(self, shift: cython.Py_ssize_t) -> cython.double:
+        """The correlation of the last two scans at a turn by so many rays, at most n."""
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
+        if first < 0:
+            first += n
+        old: cython.double[::1] = self._old_relief
+        new: cython.double[::1] = self._relief
+        i: cython.Py_ssize_t
+        a: cython.double = 0.0
+        b: cython.double = 0.0
+        c: cython.double = 0.0
+        d: cython.double = 0.0
+        for i in range(0, n - 3, 4):  # four sums: a processor adds to them at the same time
+            a += old[first + i] * new[i]
+            b += old[first + i + 1] * new[i + 1]
+            c += old[first + i + 2] * new[i + 2]
+            d += old[first + i + 3] * new[i + 3]
+        for i in range(n - n % 4, n):
+            a += old[first + i] * new[i]
+        return (a + b) + (c + d)
+
+    @cython.cfunc
+    def _add(self, turn: cython.double):
+        """Add a measured turn, and what odometry says of it for each candidate."""
+        k: cython.Py_ssize_t
+        best: cython.Py_ssize_t = 0
+        self._mm = _FORGETTING * self._mm + turn * turn
+        self._weight = _FORGETTING * self._weight + 1.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turn_of[k]
+            self._pp[k] = _FORGETTING * self._pp[k] + self._turn_of[k] * self._turn_of[k]
+            scale = self._mp[k] / max(self._pp[k], _MIN_SQUARE)
+            scale = min(max(scale, _LOWEST_SCALE), _HIGHEST_SCALE)
+            self._error_of[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
+            if self._error_of[k] < self._error_of[best]:
+                best = k
+        self.pairs += 1
+        self.delay = NAN
+        if self._weight < _MIN_PAIRS:
+            self.why = "too few turns yet"
+            return
+        self.why = "its turns do not tell one delay from another"
+        self._set_delay(best)
+
+    @cython.cfunc
+    def _set_delay(self, best: cython.Py_ssize_t) -> cython.int:
+        """Set delay and spread by the errors about the best candidate, if few others fit."""
+        variance: cython.double = self._error_of[best] / (self._weight - 2.0)
+        variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
+        limit: cython.double = self._error_of[best] + _SQUARED_DEVIATIONS * variance
+        low: cython.Py_ssize_t = 0
+        high: cython.Py_ssize_t = _CANDIDATES - 1
+        while self._error_of[low] > limit:
+            low += 1
+        while self._error_of[high] > limit:
+            high -= 1
+        if high == _CANDIDATES - 1 or (high - low) * _STEP > _MAX_INTERVAL:
+            return 0
+        best = max(best, 1)
+        a: cython.double = self._error_of[best - 1]
+        c: cython.double = self._error_of[best + 1]
+        bend: cython.double = a - 2.0 * self._error_of[best] + c
+        if bend > 0.0:
+            self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
+            spread: cython.double = _ALIKE * _STEP * sqrt(2.0 * variance / bend)
+            self.spread = max(spread, _MIN_DELAY_SPREAD)
+        return 0

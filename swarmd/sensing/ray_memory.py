@@ -1,0 +1,490 @@
+"""The memory of each ray: the meaning of raw ranges, and what fills unknown rays.
+
+The zeros of an LDS mean a near obstacle, no return or a lost packet: the last returns of a ray and
+of those beside it tell which.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.sensing.angles import PI, TURN, angle_between, mod_turn, wrap
+from swarmd.sensing.buffers import new_doubles, new_flags, view_of, wrapped_index
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, NAN, fabs, isfinite, isnan, rint
+else:
+    from swarmd.core.cython_shadow import INFINITY, NAN, fabs, isfinite, isnan, rint
+
+PACKET_RAYS = 6  # rays that an LDS loses together
+
+_SMALL_ANGLE = cython.declare(cython.double, 1e-9)  # rad, of rounding
+_UNEVEN = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
+_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which they may miss a full turn
+_GUESSED_FROM = cython.declare(cython.Py_ssize_t, 3)  # places from the hint on that are tried first
+# Far returns that do not vanish from one scan to the next: so many, and this share of the rays.
+# Fewer may vanish: those of a ring of few sensors.
+_BLIND_RETURNS = cython.declare(cython.double, 8.0)
+_BLIND_SHARE = cython.declare(cython.double, 0.1)
+# Share of range_max up to which returns count as far ones: those beyond may vanish.
+_FAR_SHARE = cython.declare(cython.double, 0.8)
+# m above range_min: an LDS ray this near may turn into a zero.
+_NEAR_MARGIN = cython.declare(cython.double, 0.10)
+# s for which a near ray explains zeros.
+_NEAR_MEMORY = cython.declare(cython.double, 1.0)
+# rad beside a near ray in which zeros may mean near.
+_NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
+_PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
+
+
+@cython.cfunc
+def _nearest_angle(
+    rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double, hint: cython.Py_ssize_t
+) -> cython.Py_ssize_t:
+    """The place of the nearest of n rising angles; that of the last call is a good `hint`."""
+    angle: cython.double = mod_turn(wanted)
+    low: cython.Py_ssize_t = 0
+    high: cython.Py_ssize_t = n
+    middle: cython.Py_ssize_t
+    for middle in range(hint, min(hint + _GUESSED_FROM, n)):
+        if rising[middle] >= angle and (middle == 0 or rising[middle - 1] < angle):
+            low = high = middle
+            break
+    while low < high:
+        middle = (low + high) // 2
+        if rising[middle] < angle:
+            low = middle + 1
+        else:
+            high = middle
+    after: cython.Py_ssize_t = low if low < n else 0
+    before: cython.Py_ssize_t = after - 1 if after else n - 1
+    if angle_between(rising[before], wanted) < angle_between(rising[after], wanted):
+        return before
+    return after
+
+
+_ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}
+
+
+@cython.cclass
+class RayMemory:
+    """The memory of each ray, and what it makes of a scan's ranges.
+
+    `known_at`: see `ScanConditioner`. Times in s, angles in rad, ranges in m.
+    """
+
+    known_at = cython.declare(cython.double, visibility="readonly")
+    _range_min: cython.double
+    _range_max: cython.double
+    _max_gap: cython.double
+    _stale_after: cython.double
+    _zero: cython.double  # the meaning of a range of 0
+    _is_lds: cython.bint
+    _guesses_near: cython.bint
+    _near_below: cython.double  # the range of a ray that may turn into a zero
+    _step: cython.double  # from one ray to the next
+    _yaw: cython.double  # to which the memory is turned
+    _far_returns: cython.Py_ssize_t  # of the last scan with returns
+    _given: object  # the array of the bearings
+    _n: cython.Py_ssize_t
+    _bearings: cython.double[::1]
+    _direction: cython.double  # 1.0 if bearings rise, -1.0 if they fall
+    _is_even: cython.bint  # rays cover a full turn, one each `_step`
+    _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
+    _rising: cython.double[::1]
+    _place: cython.longlong[::1]
+    # By the places of rays, which begin at `_turned`: a robot that turns moves no memory.
+    _ranges: cython.double[::1]
+    _seen_at: cython.double[::1]
+    _near_at: cython.double[::1]
+    _turned: cython.Py_ssize_t
+    _is_zero: cython.uchar[::1]
+    _is_lost: cython.uchar[::1]
+
+    def __init__(self, spec, *, guesses_near):
+        self.known_at = -INFINITY
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._max_gap, self._stale_after = spec.max_gap + _SMALL_ANGLE, spec.stale_after
+        self._zero, self._is_lds = _ZEROS[spec.zero], spec.zero == "lds"
+        self._guesses_near = guesses_near
+        self._near_below = spec.range_min + _NEAR_MARGIN
+        self._step = TURN / max(len(spec.bearings), 1)
+        self._yaw, self._far_returns = NAN, 0
+        self._given, self._n = None, 0
+        self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = None
+        self._order = self._place = self._is_zero = self._is_lost = None
+
+    def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
+        """The conditioned ranges (n,) of a scan; None if it is invalid.
+
+        Bearings (n,) that are the same object as before are not looked at again. `yaw` of the
+        robot in rad, NaN if unknown; `now` in s.
+        """
+        ranges = np.array(raw, dtype=np.float64, order="C")
+        return ranges if self.interpret(view_of(ranges), bearings, yaw, now) else None
+
+    @cython.cfunc
+    def interpret(
+        self, out: cython.double[::1], bearings, yaw: cython.double, now: cython.double
+    ) -> cython.bint:
+        """Replace raw ranges by conditioned ones; false if the scan is invalid."""
+        n: cython.Py_ssize_t = out.shape[0]
+        if self._goes_blind(out):
+            return False
+        turned: cython.double = self._turn_of(yaw)
+        if bearings is not self._given and self._n and np.array_equal(bearings, self._bearings):
+            self._given = bearings
+        if bearings is not self._given:
+            self._set_bearings(bearings, turned)
+        elif turned != 0.0 and self._is_even:
+            self._turned += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
+            self._turned += n if self._turned < 0 else -n if self._turned >= n else 0
+        elif turned != 0.0:
+            self._recall(self._rising, turned)
+        if self._interpret(out):
+            self._interpret_zeros(out, now)
+        unknown: cython.Py_ssize_t = self._remember(out, now)
+        if 2 * unknown > n:  # fewer than half of the rays are known
+            return False
+        self.known_at = now
+        if unknown == 0:
+            return True
+        self.known_at = self._lost_since(now)
+        return self._fill_from_memory(out, now) == 0 or self._bridge(out)
+
+    @cython.cfunc
+    def _fill_from_memory(self, out: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
+        """Fill unknown rays with their last ranges, if not stale; the number of those left."""
+        left: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for i in range(out.shape[0]):
+            if isnan(out[i]):
+                k = self._at(i)
+                if self._seen_at[k] >= now - self._stale_after:
+                    out[i] = self._ranges[k]
+                if isnan(out[i]):
+                    left += 1
+        return left
+
+    @cython.cfunc
+    def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
+        """Store the known rays; the number of unknown rays, which keep their memory."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        unknown: cython.Py_ssize_t = 0
+        near_below: cython.double = self._near_below
+        known: cython.double[::1] = self._ranges
+        seen_at: cython.double[::1] = self._seen_at
+        is_zero: cython.uchar[::1] = self._is_zero
+        is_lost: cython.uchar[::1] = self._is_lost
+        for i in range(ranges.shape[0]):
+            distance = ranges[i]
+            if isnan(distance):
+                unknown += 1
+                is_lost[i] = not (self._is_lds and is_zero[i])
+                continue
+            is_lost[i], k = False, self._at(i)
+            known[k], seen_at[k] = distance, now
+            # A zero is no near ray: one passing obstacle would make an open field near for good.
+            if distance < near_below and not is_zero[i]:
+                self._near_at[k] = now
+        return unknown
+
+    @cython.cfunc
+    @cython.inline
+    def _at(self, ray: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """Where the memory of a ray is."""
+        return wrapped_index(self._place[ray] + self._turned, self._n)
+
+    @cython.cfunc
+    def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
+        """True if the scan has no return although the last one with returns had many far ones.
+
+        Then the sensor is blind; the robot has not reached an open field. An obstacle in the blind
+        zone may hide everything else, but then its returns were near before.
+        """
+        i: cython.Py_ssize_t
+        far: cython.Py_ssize_t = 0
+        has_return: cython.bint = False
+        near_below: cython.double = self._near_below
+        range_max: cython.double = self._range_max
+        far_below: cython.double = _FAR_SHARE * self._range_max
+        for i in range(raw.shape[0]):
+            distance = raw[i]
+            if (0.0 < distance <= range_max) or distance == -INFINITY:
+                has_return = True
+                if near_below < distance < far_below:
+                    far += 1
+        if has_return:
+            self._far_returns = far
+            return False
+        least: cython.double = max(_BLIND_SHARE * raw.shape[0], _BLIND_RETURNS)
+        return self._far_returns >= least
+
+    @cython.cfunc
+    def _turn_of(self, yaw: cython.double) -> cython.double:
+        """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
+        turned: cython.double = wrap(yaw - self._yaw)
+        if not isfinite(turned):
+            self._yaw = yaw
+            return 0.0
+        turned = self._step * rint(turned / self._step)
+        self._yaw += turned
+        return turned
+
+    @cython.cfunc
+    def _set_bearings(self, bearings, turned: cython.double):
+        """Take over the memory of other bearings."""
+        i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = len(bearings)
+        had: cython.Py_ssize_t = self._n
+        step: cython.double = self._step
+        rising: cython.double[::1] = self._rising
+        values = np.array(bearings, dtype=np.float64, order="C")
+        order = np.argsort(values % TURN, kind="stable")
+        self._given, self._n = bearings, n
+        self._direction = 1.0
+        self._bearings, self._order = memoryview(values), memoryview(order)
+        self._rising = memoryview(values[order] % TURN)
+        self._place = memoryview(np.argsort(order))
+        if n > 1:
+            last = math.remainder(values[n - 1] - values[n - 2], TURN)
+            self._direction = math.copysign(1.0, last)
+        self._is_even = fabs(n * step - TURN) < _TURN_ERROR * step
+        for i in range(n):
+            if fabs(self._rising[i] - self._rising[0] - i * step) > _UNEVEN * step:
+                self._is_even = False
+        self._is_zero, self._is_lost = new_flags(n), new_flags(n)
+        if had:
+            self._recall(rising, turned)
+            return
+        self._set_empty_memory()
+
+    @cython.cfunc
+    def _set_empty_memory(self) -> cython.int:
+        i: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._n
+        self._ranges, self._seen_at = new_doubles(n), new_doubles(n)
+        self._near_at = new_doubles(n)
+        for i in range(n):
+            self._ranges[i] = NAN
+            self._seen_at[i] = self._near_at[i] = -INFINITY
+        return 0
+
+    @cython.cfunc
+    def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
+        """Give each ray the old memory of the ray that was nearest to it before the turn."""
+        n: cython.Py_ssize_t = self._n
+        had: cython.Py_ssize_t = rising.shape[0]
+        ranges: cython.double[::1] = self._ranges
+        seen_at: cython.double[::1] = self._seen_at
+        near_at: cython.double[::1] = self._near_at
+        too_far: cython.double = 2.0 * TURN / had
+        place: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        at: cython.Py_ssize_t
+        self._set_empty_memory()
+        for i in range(n):
+            wanted = mod_turn(self._bearings[i] + turned)
+            place = _nearest_angle(rising, had, wanted, place)
+            is_far = angle_between(rising[place], wanted) > too_far
+            k, at = wrapped_index(place + self._turned, had), self._place[i]
+            self._ranges[at] = ranges[k]
+            self._seen_at[at] = -INFINITY if is_far else seen_at[k]
+            self._near_at[at] = -INFINITY if is_far else near_at[k]
+        self._turned = 0
+        return 0
+
+    @cython.cfunc
+    def _interpret(self, out: cython.double[::1]) -> cython.bint:
+        """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
+        i: cython.Py_ssize_t
+        range_min: cython.double = self._range_min
+        range_max: cython.double = self._range_max
+        is_zero: cython.uchar[::1] = self._is_zero
+        has_zeros: cython.bint = False
+        for i in range(out.shape[0]):
+            value = out[i]
+            is_zero[i] = value == 0.0
+            if range_min <= value <= range_max:
+                continue
+            if value == 0.0:
+                if self._is_lds:
+                    has_zeros = True
+                else:
+                    out[i] = self._zero
+            elif (0.0 < value < range_min) or value == -INFINITY:
+                out[i] = -INFINITY
+            else:
+                out[i] = INFINITY if value > range_max else NAN
+        return has_zeros
+
+    @cython.cfunc
+    def _interpret_zeros(self, out: cython.double[::1], now: cython.double) -> cython.int:
+        """The meaning of the zeros of an LDS that are left in `out`."""
+        n: cython.Py_ssize_t = out.shape[0]
+        first: cython.Py_ssize_t = 0
+        while first < n and out[first] == 0.0:
+            first += 1
+        begin: cython.Py_ssize_t = first
+        end: cython.Py_ssize_t = first + n
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        run: cython.Py_ssize_t
+        while begin < end:  # runs of zeros, the one around the end of the array last
+            if first < n and out[wrapped_index(begin, n)] != 0.0:
+                begin += 1
+                continue
+            run = 0
+            while run < n and begin + run < end and out[wrapped_index(begin + run, n)] == 0.0:
+                run += 1
+            for k in range(begin, begin + run):
+                i = wrapped_index(k, n)
+                out[i] = self._meaning(i, run, now)
+            begin += run
+        return 0
+
+    @cython.cfunc
+    def _meaning(
+        self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
+    ) -> cython.double:
+        """The meaning of a zero in a run of so many; NaN: a drop-out."""
+        at: cython.Py_ssize_t = self._at(ray)
+        had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
+            self._ranges[at]
+        )
+        # A short run over recent returns is a lost packet; a near obstacle hides more rays.
+        if not (had_return and run <= _PACKET_RAYS) and self._was_near(ray, now):
+            return -INFINITY
+        return NAN if had_return else INFINITY
+
+    @cython.cfunc
+    def _was_near(self, ray: cython.Py_ssize_t, now: cython.double) -> cython.bint:
+        """True beside a ray that was near lately."""
+        if not self._guesses_near:
+            return False
+        since: cython.double = now - _NEAR_MEMORY
+        direction: cython.Py_ssize_t
+        step: cython.Py_ssize_t
+        beside: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._n
+        for direction in range(-1, 2, 2):
+            for step in range(n):
+                beside = self._order[(self._place[ray] + direction * step + n) % n]
+                if angle_between(self._bearings[ray], self._bearings[beside]) > _NEAR_SECTOR:
+                    break
+                if self._near_at[self._at(beside)] >= since:
+                    return True
+        return False
+
+    @cython.cfunc
+    def _lost_since(self, now: cython.double) -> cython.double:
+        """The latest time from which on no sector wider than `max_gap` is lost."""
+        if self._widest(INFINITY) <= self._max_gap:
+            return now
+        before: cython.double = INFINITY
+        i: cython.Py_ssize_t
+        while True:
+            latest = -INFINITY
+            for i in range(self._n):
+                if self._is_lost[i] and latest < self._seen_at[self._at(i)] < before:
+                    latest = self._seen_at[self._at(i)]
+            if latest == -INFINITY or self._widest(latest) <= self._max_gap:
+                return latest
+            before = latest
+
+    @cython.cfunc
+    def _widest(self, before: cython.double) -> cython.double:
+        """The widest sector of lost rays that were last known before a time, between others."""
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = 0
+        while first < n and self._is_lost[first] and self._seen_at[self._at(first)] < before:
+            first += 1
+        if first == n:
+            return INFINITY
+        widest: cython.double = 0.0
+        last: cython.Py_ssize_t = first
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        for k in range(first + 1, first + n + 1):
+            i = wrapped_index(k, n)
+            if self._is_lost[i] and self._seen_at[self._at(i)] < before:
+                continue
+            if k - last > 1:
+                step = self._bearings[wrapped_index(last, n)] - self._bearings[i]
+                widest = max(widest, TURN - mod_turn(self._direction * step))
+            last = k
+        return widest
+
+    @cython.cfunc
+    def _bridge(self, out: cython.double[::1]) -> cython.bint:
+        """Fill unknown sectors up to `max_gap` with the nearer edge; false if one is left."""
+        n: cython.Py_ssize_t = out.shape[0]
+        first: cython.Py_ssize_t = 0
+        while first < n and isnan(out[first]):
+            first += 1
+        if first == n:
+            return False
+        # The angle unwraps as in numpy.unwrap, from a known ray on.
+        start: cython.double = self._bearings[first]
+        angle: cython.double = start
+        before: cython.double = start  # the angle of the last known ray
+        edge: cython.double = out[first]
+        last: cython.Py_ssize_t = first
+        shift: cython.double = 0.0
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        is_filled: cython.bint = True
+        for k in range(first + 1, first + n):
+            i = wrapped_index(k, n)
+            step = self._bearings[i] - self._bearings[wrapped_index(k - 1, n)]
+            if fabs(step) >= PI:
+                wrapped_step = wrap(step)
+                if wrapped_step == -PI and step > 0.0:
+                    wrapped_step = PI
+                shift += wrapped_step - step
+            angle = self._bearings[i] + shift
+            if isnan(out[i]):
+                continue
+            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[i]):
+                is_filled = False
+            last, before = k, angle
+            edge = out[i]
+        if last < first + n - 1:
+            after = start + math.copysign(TURN, angle - start)
+            if not self._fill(out, last, first + n, before, after, edge, out[first]):
+                is_filled = False
+        return is_filled
+
+    @cython.cfunc
+    def _fill(
+        self,
+        out: cython.double[::1],
+        last: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        before: cython.double,
+        after: cython.double,
+        range_last: cython.double,
+        range_end: cython.double,
+    ) -> cython.bint:
+        """Fill the rays between the known rays `last` and `end` with the smaller of their ranges.
+
+        `range_last`, `range_end`: these ranges in m. `before`, `after`: the angles of the two rays
+        in rad.
+        False, and nothing is filled, if the angles differ by more than `max_gap`.
+        """
+        if not fabs(after - before) <= self._max_gap:
+            return False
+        k: cython.Py_ssize_t
+        for k in range(last + 1, end):
+            out[wrapped_index(k, out.shape[0])] = min(range_last, range_end)
+        return True

@@ -1,0 +1,219 @@
+"""What `rays.py` finds in a scan: the nearest return, closest points, objects."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.sensing.angles import PI, TURN, wrap
+from swarmd.sensing.scan_layout import ScanLayout, layout_of
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, cos, fabs, hypot, sin, sqrt
+else:
+    from swarmd.core.cython_shadow import INFINITY, cos, fabs, hypot, sin, sqrt
+
+# m: the range given to rays without a return, so that they form runs.
+_UNSEEN = cython.declare(cython.double, 1e9)
+
+
+def nearest(scan, bearing: cython.double, half_width: cython.double):
+    """Range and bearing of the ray that `rays.nearest` finds; None without one."""
+    layout: ScanLayout = layout_of(scan)
+    if layout is None:
+        return None
+    ranges: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
+    least: cython.double = scan.range_min
+    lowest: cython.double = INFINITY
+    index: cython.Py_ssize_t = -1
+    is_sector: cython.bint = half_width < PI
+    i: cython.Py_ssize_t
+    for i in range(n):
+        distance = ranges[i]
+        if distance < least:
+            distance = least
+        if distance < lowest:
+            if is_sector and fabs(wrap(layout.wrapped[i] - bearing)) > half_width:
+                continue
+            lowest, index = distance, i
+    return None if index < 0 else (lowest, layout.wrapped[index])
+
+
+def unit_vectors(bearings):
+    """See `rays.unit_vectors`."""
+    given: cython.const[cython.double][::1] = np.ascontiguousarray(bearings, np.float64)
+    vectors = np.empty((given.shape[0], 2))
+    out: cython.double[:, ::1] = vectors
+    if not cython.compiled:
+        given, out = memoryview(given), memoryview(vectors)
+    i: cython.Py_ssize_t
+    for i in range(given.shape[0]):
+        angle = given[i]
+        out[i, 0], out[i, 1] = cos(angle), sin(angle)
+    return vectors
+
+
+def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
+    """See `rays.closest_points`."""
+    if count < 1:  # C ends the process where it divides by zero
+        raise ValueError(f"count is {count}; expected at least 1 sector")
+    layout: ScanLayout = layout_of(scan)
+    if layout is None:
+        return np.empty((0, 2))
+    ranges: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
+    layout.set_sectors(count)
+    least: cython.double = scan.range_min
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    lowest: cython.double[::1] = layout.lowest
+    is_seen: cython.bint = False
+    for k in range(count):
+        lowest[k], layout.nearest_ray[k] = INFINITY, 0
+    for i in range(n):
+        distance = ranges[i]
+        if distance < least:
+            distance = least
+        if distance <= within:
+            is_seen = True
+            k = layout.sector[i]
+            if distance <= lowest[k]:
+                lowest[k], layout.nearest_ray[k] = distance, i
+    if not is_seen:
+        return np.empty((0, 2))
+    points: cython.Py_ssize_t = _keep_local_minima(layout, count) if count >= 3 else 0
+    if points == 0:
+        points = _keep_least(layout, count)
+    return layout.points[:points].copy()
+
+
+@cython.cfunc
+def _keep_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Keep a point for each sector that is nearer than those beside it; their number."""
+    lowest: cython.double[::1] = layout.lowest
+    before: cython.double = lowest[count - 1]
+    points: cython.Py_ssize_t = 0
+    k: cython.Py_ssize_t
+    for k in range(count):
+        after = lowest[k + 1] if k + 1 < count else lowest[0]
+        if lowest[k] < before and lowest[k] <= after:
+            _keep_point(layout, points, k)
+            points += 1
+        before = lowest[k]
+    return points
+
+
+@cython.cfunc
+def _keep_least(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Keep a point for each sector that is as near as the nearest one; their number."""
+    lowest: cython.double[::1] = layout.lowest
+    least: cython.double = INFINITY
+    points: cython.Py_ssize_t = 0
+    k: cython.Py_ssize_t
+    for k in range(count):
+        least = min(least, lowest[k])
+    for k in range(count):
+        if lowest[k] == least and least < INFINITY:
+            _keep_point(layout, points, k)
+            points += 1
+    return points
+
+
+@cython.cfunc
+def _keep_point(
+    layout: ScanLayout, place: cython.Py_ssize_t, sector: cython.Py_ssize_t
+) -> cython.int:
+    layout.point[place, 0] = layout.lowest[sector]
+    layout.point[place, 1] = layout.wrapped[layout.nearest_ray[sector]]
+    return 0
+
+
+@cython.boundscheck(False)
+def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
+    """The arrays of `rays.RayClusters`; None without a return."""
+    layout: ScanLayout = layout_of(scan)
+    if layout is None:
+        return None
+    given: cython.const[cython.double][::1] = layout.known
+    n: cython.Py_ssize_t = layout.n
+    layout.set_grazing(grazing)
+    ranges: cython.double[::1] = layout.work
+    least: cython.double = scan.range_min
+    is_seen: cython.bint = False
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    order: cython.longlong[::1] = layout.order
+    slopes: cython.double[::1] = layout.slopes
+    is_apart: cython.uchar[::1] = layout.is_apart
+    is_last: cython.uchar[::1] = layout.is_last
+    for i in range(n):
+        distance = given[order[i]]
+        if distance < least:
+            distance = least
+        if distance > within:
+            distance = _UNSEEN
+        else:
+            is_seen = True
+        ranges[i] = distance
+    if not is_seen:
+        return None
+    shift: cython.Py_ssize_t = 0
+    for i in range(n):
+        distance, after = ranges[i], ranges[i + 1] if i + 1 < n else ranges[0]
+        is_last[i] = is_apart[i] or (
+            fabs(distance - after) > jump + (after if after < distance else distance) * slopes[i]
+        )
+        if shift == 0 and is_last[i]:
+            shift = i + 1
+    # Start behind a break, so that no object spans the end of the arrays.
+    is_whole: cython.bint = shift == 0
+    if is_whole:
+        shift = 1
+    objects: cython.Py_ssize_t = 0
+    first: cython.Py_ssize_t = shift
+    lowest: cython.double = INFINITY
+    for i in range(shift, shift + n):
+        k = i - n if i >= n else i
+        if ranges[k] < lowest:
+            lowest = ranges[k]
+        if is_last[k] or (is_whole and i == shift + n - 1):
+            if lowest < _UNSEEN:
+                _measure(layout, objects, first, i, lowest)
+                objects += 1
+            first, lowest = i + 1, INFINITY
+    distances, middles, widths = layout.sizes[:, :objects].copy()
+    counts, is_free = layout.object_counts[:objects].copy(), layout.object_is_free[:objects].copy()
+    return distances, middles, widths, counts, is_free
+
+
+@cython.cfunc
+def _measure(
+    layout: ScanLayout,
+    place: cython.Py_ssize_t,
+    first: cython.Py_ssize_t,
+    last: cython.Py_ssize_t,
+    lowest: cython.double,
+) -> cython.int:
+    """Keep the object of the rays `first` to `last` at a place; rays count on beyond n."""
+    n: cython.Py_ssize_t = layout.n
+    begin: cython.Py_ssize_t = first % n
+    end: cython.Py_ssize_t = last % n
+    start: cython.double = layout.rising[begin] + (TURN if first >= n else 0.0)
+    stop: cython.double = layout.rising[end] + (TURN if last >= n else 0.0)
+    near: cython.double = layout.work[begin]
+    far: cython.double = layout.work[end]
+    spread: cython.double = stop - start
+    chord: cython.double = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
+    layout.ranges[place] = lowest
+    layout.bearings[place] = wrap(start + 0.5 * spread)
+    layout.widths[place] = max(chord, spread * lowest) + lowest * min(layout.spacing, PI)
+    layout.counts[place] = last - first + 1
+    layout.is_free[place] = (
+        layout.work[(begin + n - 1) % n] > near and layout.work[(end + 1) % n] > far
+    )

@@ -1,0 +1,272 @@
+"""The layout of a scan: its bearings and what derives from them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.sensing.angles import PI, TURN, wrap
+from swarmd.sensing.buffers import new_doubles, new_flags, new_indices, wrapped_index
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, NAN, isfinite, isnan, rint, tan
+    from cython.cimports.libc.string import memcmp
+else:
+    from swarmd.core.cython_shadow import INFINITY, NAN, isfinite, isnan, rint, tan
+
+_MAX_LAYOUTS = cython.declare(cython.int, 8)  # that are kept
+_MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object
+_MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)  # after which bearings count as unsorted
+
+
+@cython.auto_pickle(False)
+@cython.cclass
+class ScanLayout:
+    """The bearings of a scan and what derives from them; buffers for the features of a scan.
+
+    A robot that moves has other bearings in each scan, so the buffers are used again.
+    """
+
+    n: cython.Py_ssize_t
+    capacity: cython.Py_ssize_t  # of the buffers
+    given: cython.double[::1]  # bearings
+    angles: object  # the array of `wrapped`
+    wrapped: cython.double[::1]  # bearings within [-pi, pi)
+    scan: object  # the last one of these bearings, if nothing can change it
+    known: cython.const[cython.double][::1]  # ranges of that scan
+    # By rising bearing, see `set_grazing`.
+    is_ordered: cython.bint
+    order: cython.longlong[::1]
+    rising: cython.double[::1]
+    steps: cython.double[::1]  # to the next ray
+    spacing: cython.double  # the median step
+    grazing: cython.double
+    slopes: cython.double[::1]
+    is_apart: cython.uchar[::1]
+    # Of `count` equal sectors.
+    count: cython.Py_ssize_t
+    sector: cython.longlong[::1]  # of each ray
+    lowest: cython.double[::1]  # range in each sector
+    nearest_ray: cython.Py_ssize_t[::1]
+    points: object  # (count, 2) closest points: range and bearing
+    point: cython.double[:, ::1]  # the view of `points`
+    # Of the objects in a scan.
+    work: cython.double[::1]  # ranges by rising bearing
+    is_last: cython.uchar[::1]  # rays at whose end an object ends
+    sizes: object  # (3, n): the arrays of ranges, bearings and widths
+    ranges: cython.double[::1]
+    bearings: cython.double[::1]
+    widths: cython.double[::1]
+    object_counts: object  # the array of `counts`
+    counts: cython.longlong[::1]
+    object_is_free: object  # the array of `is_free`
+    is_free: cython.uchar[::1]
+
+    def __init__(self, n):
+        """For up to n bearings."""
+        self.capacity = n
+        self.angles, self.given = np.empty(n), new_doubles(n)
+        self.steps = new_doubles(n)
+        self.wrapped, self.work = memoryview(self.angles), new_doubles(n)
+        self.rising, self.slopes = new_doubles(n), new_doubles(n)
+        self.order, self.sector = new_indices(n), new_indices(n)
+        self.is_apart, self.is_last = new_flags(n), new_flags(n)
+        self.sizes, self.object_counts = np.empty((3, n)), np.empty(n, np.int64)
+        self.object_is_free = np.empty(n, np.bool_)
+        self.ranges, self.bearings, self.widths = map(memoryview, self.sizes)
+        self.counts = memoryview(self.object_counts)
+        self.is_free = memoryview(self.object_is_free.view(np.uint8))
+
+    @cython.cfunc
+    def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:
+        """True if these are its bearings."""
+        n: cython.Py_ssize_t = self.n
+        if bearings.shape[0] != n:
+            return False
+        if cython.compiled:
+            return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
+        return bearings == self.given[:n]
+
+    @cython.cfunc
+    def set_bearings(self, bearings: cython.const[cython.double][::1]) -> cython.int:
+        """Take other bearings."""
+        i: cython.Py_ssize_t
+        self.n = bearings.shape[0]
+        for i in range(self.n):
+            if not isfinite(bearings[i]):
+                raise ValueError(f"bearing {i} of a scan is {bearings[i]}; expected a finite angle")
+            self.given[i] = bearings[i]
+            self.wrapped[i] = wrap(bearings[i])
+        self.is_ordered, self.grazing = False, NAN
+        self.count = -1
+        return 0
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def set_grazing(self, grazing: cython.double):
+        """Set the order of rising bearings, the steps to the next, and what a surface makes.
+
+        `slopes`: of a surface at `grazing` rad to the next ray. `is_apart`: rays that are too far
+        apart; up to two rays may be unknown in the middle of an object.
+        """
+        n: cython.Py_ssize_t = self.n
+        i: cython.Py_ssize_t
+        if not self.is_ordered:
+            if not self.has_sorted():
+                order: cython.longlong[::1] = np.argsort(self.angles[:n], kind="stable")
+                self.order[:n] = order
+            for i in range(n):
+                self.rising[i] = self.wrapped[self.order[i]]
+            for i in range(n - 1):
+                self.steps[i] = self.rising[i + 1] - self.rising[i]
+            self.steps[n - 1] = self.rising[0] - self.rising[n - 1] + TURN
+            self.slopes[:n] = self.steps[:n]
+            self.spacing = _smallest(self.slopes, n, n // 2)
+            self.is_ordered = True
+        if grazing != self.grazing:
+            slope: cython.double = tan(grazing)
+            least: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
+            for i in range(n):
+                self.slopes[i] = self.steps[i] / slope if slope else INFINITY
+                self.is_apart[i] = self.steps[i] >= least
+            self.grazing = grazing
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def has_sorted(self) -> cython.bint:
+        """False if bearings neither rise nor fall almost everywhere, and `order` is not set.
+
+        Insertion from the smallest one on: a sensor measures its rays one after the other.
+        """
+        n: cython.Py_ssize_t = self.n
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t = 0
+        for i in range(n):
+            if self.wrapped[i] < self.wrapped[ray]:
+                ray = i
+        step: cython.Py_ssize_t = 1
+        if self.wrapped[(ray + n - 1) % n] < self.wrapped[(ray + 1) % n]:
+            step = n - 1  # they fall
+        moves: cython.Py_ssize_t = _MOVES_A_RAY * n
+        for i in range(n):
+            angle, k = self.wrapped[ray], i
+            while k > 0 and (
+                self.rising[k - 1] > angle
+                or (self.rising[k - 1] == angle and self.order[k - 1] > ray)
+            ):
+                self.rising[k], self.order[k] = self.rising[k - 1], self.order[k - 1]
+                k, moves = k - 1, moves - 1
+            self.rising[k], self.order[k] = angle, ray
+            if moves < 0 or not isfinite(angle):
+                return False
+            ray = wrapped_index(ray + step, n)
+        return True
+
+    @cython.cfunc
+    def set_sectors(self, count: cython.Py_ssize_t):
+        """Set the sector of each ray."""
+        if count == self.count:
+            return
+        if self.points is None or len(self.points) != count:
+            self.points = np.empty((count, 2))
+            self.point = memoryview(self.points)
+            self.lowest = new_doubles(count)
+            self.nearest_ray = memoryview(np.empty(count, np.intp))
+        share: cython.double = count / TURN
+        i: cython.Py_ssize_t
+        sector: cython.longlong
+        for i in range(self.n):
+            sector = cython.cast(cython.longlong, rint(self.wrapped[i] * share)) % count
+            self.sector[i] = sector + count if sector < 0 else sector
+        self.count = count
+
+
+@cython.cfunc
+@cython.boundscheck(False)
+def _smallest(
+    values: cython.double[::1], n: cython.Py_ssize_t, k: cython.Py_ssize_t
+) -> cython.double:
+    """The element of rank k of the first n, which get another order (Hoare's algorithm FIND)."""
+    low: cython.Py_ssize_t = 0
+    high: cython.Py_ssize_t = n - 1
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    while low < high:
+        middle, i, j = values[k], low, high
+        while i <= j:
+            while values[i] < middle:
+                i += 1
+            while middle < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if j < k:
+            low = i
+        if k < i:
+            high = j
+    return values[k]
+
+
+_layouts: list = []  # a cache of the latest ones: most sensors keep their bearings
+
+
+@cython.cfunc
+def layout_of(scan) -> ScanLayout:
+    """The layout of the known rays of a scan, with their ranges; None without any."""
+    layout: ScanLayout
+    for layout in _layouts:
+        if layout.scan is scan:
+            return layout
+    ranges, bearings = _known_rays(scan)
+    if not len(bearings):
+        return None
+    view: cython.const[cython.double][::1] = bearings
+    for layout in _layouts:
+        if layout.is_of(view):
+            break
+    else:
+        layout = _new_layout(view)
+    is_fixed = not (scan.ranges.flags.writeable or scan.bearings.flags.writeable)
+    layout.scan, layout.known = scan if is_fixed else None, ranges
+    return layout
+
+
+@cython.cfunc
+def _new_layout(view: cython.const[cython.double][::1]) -> ScanLayout:
+    """The layout of other bearings, in place of the oldest one."""
+    layout: ScanLayout = (
+        _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else ScanLayout(view.shape[0])
+    )
+    if layout.capacity < view.shape[0]:
+        layout = ScanLayout(view.shape[0])
+    layout.set_bearings(view)
+    _layouts.insert(0, layout)
+    return layout
+
+
+@cython.cfunc
+def _known_rays(scan):
+    """The known ranges and their bearings."""
+    ranges = np.ascontiguousarray(scan.ranges, np.float64)
+    bearings = np.ascontiguousarray(scan.bearings, np.float64)
+    if ranges.shape != bearings.shape or ranges.ndim != 1:
+        raise ValueError(
+            f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
+        )
+    if not cython.compiled:
+        ranges, bearings = memoryview(ranges), memoryview(bearings)
+    view: cython.const[cython.double][::1] = ranges
+    i: cython.Py_ssize_t
+    for i in range(view.shape[0]):
+        if isnan(view[i]):
+            is_known = ~np.isnan(ranges)
+            ranges, bearings = np.array(ranges)[is_known], np.array(bearings)[is_known]
+            return (ranges, bearings) if cython.compiled else map(memoryview, (ranges, bearings))
+    return ranges, bearings

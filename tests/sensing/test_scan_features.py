@@ -1,0 +1,55 @@
+"""Features of scans: as recorded, and malformed scans are refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Array, Scan
+from tests.support.recorded_scans import KERNEL, SPECS, assert_same, recorded
+
+
+def test_features_are_as_recorded() -> None:
+    for case in recorded("features"):
+        ranges, bearings = case["scan"].astype(np.float64)
+        range_min, range_max, within, count = case["how"].tolist()
+        scan = Scan(0, 0.0, ranges, bearings, range_min, range_max)
+        found = [KERNEL.nearest(scan, 0.0, math.pi), KERNEL.nearest(scan, 0.5, 1.0)]
+        assert_same([case["nearest"]], [np.array([one or (math.nan,) * 2 for one in found])])
+        assert_same([case["closest"]], [KERNEL.closest_points(scan, within, int(count))])
+        objects = KERNEL.clusters(scan, within, 0.06, math.radians(10.0))
+        objects = np.empty((5, 0)) if objects is None else objects
+        assert_same(case["clusters"], [np.asarray(values, np.float64) for values in objects])
+
+
+def test_malformed_scan_or_count_is_refused_and_ends_no_process() -> None:
+    bearings = SPECS[0].bearings
+    n = len(bearings)
+
+    def scan(ranges: Array, bearings: Array) -> Scan:
+        return Scan(1, 1.0, ranges, bearings, 0.1, 3.5)
+
+    odd = np.array(bearings)
+    odd[n // 2] = math.nan
+    malformed = {
+        "both \\(n,\\)": [
+            scan(np.ones(n), bearings[:0]),
+            scan(np.ones(n), bearings[:3]),
+            scan(np.ones(n - 1), bearings),
+            scan(np.ones((2, n)), np.stack((bearings, bearings))),
+        ],
+        "a finite angle": [scan(np.ones(n), odd)],
+    }
+    for text, scans in malformed.items():
+        for one in scans:
+            with pytest.raises(ValueError, match=text):
+                KERNEL.nearest(one, 0.0, math.pi)
+            with pytest.raises(ValueError, match=text):
+                KERNEL.clusters(one, 2.0, 0.06, 0.2)
+            with pytest.raises(ValueError, match=text):
+                KERNEL.closest_points(one, 2.0, 24)
+    for count in (0, -1):
+        with pytest.raises(ValueError, match="at least 1 sector"):
+            KERNEL.closest_points(scan(np.ones(n), bearings), 2.0, count)
