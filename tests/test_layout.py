@@ -350,6 +350,12 @@ def test_python_uses_kernels_as_cython_permits() -> None:
     assert found == []
 
 
+def module_of(path: str) -> str:
+    """The import name of a file, by its path in the repository."""
+    inside = path if path.startswith(("swarmd/", "tests/")) else f"swarmd/{path}"
+    return inside.removesuffix(".py").replace("/", ".")
+
+
 def methods_of(node: ast.AST | None, decorator: str = "") -> set[str]:
     """The methods of a class, or those with a decorator."""
     return {

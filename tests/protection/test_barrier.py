@@ -14,13 +14,14 @@ from hypothesis.extra.numpy import arrays
 from msgspec import structs
 
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED, SLOW_REQUEST
+from swarmd.protection.barrier import SLOW_REQUEST
+from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.decision import DecisionContext, Permit, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
-from tests.support.barrier_parts import interpreted, separation
+from tests.support.barrier_parts import outline_of, separation
 from tests.support.filter_sim import decided, outline_point, under_barrier
 
 TICK = 0.05
@@ -407,6 +408,7 @@ def within(platform: Platform, scan: Scan, ray: int, zone: TouchZone) -> bool:
     way = np.array([math.cos(bearing), math.sin(bearing)])
     is_seen = math.isfinite(scan.ranges[ray])
     place = platform.scan.offset + scan.ranges[ray] * way if is_seen else edge_along(platform, way)
-    _, x, y = separation(interpreted(platform), *place.tolist())
+    outline = outline_of(platform.footprint, platform.scan.offset)
+    x, y = separation(outline, *place.tolist()).direction
     off = math.remainder(math.atan2(y, x) - zone.bearing, 2.0 * math.pi)
     return abs(off) <= zone.half_width + 1e-6

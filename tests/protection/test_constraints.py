@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -16,8 +16,9 @@ from msgspec import structs
 from swarmd.core.clock import TICK
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED, SIDE_RESERVE
+from swarmd.protection.barrier_assumptions import SIDE_RESERVE
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
+from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
@@ -27,24 +28,25 @@ from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import (
     braking,
     envelope,
-    hidden_gap,
     nearest,
     nearest_feasible,
+    outline_of,
     passive_cap,
     reciprocal_cap,
     separation,
-    with_outline,
 )
 from tests.support.filter_sim import decided, under_barrier
 from tests.support.kernel_forms import interpreted
 
 KERNEL = "swarmd.protection.barrier"
 if TYPE_CHECKING:
-    from swarmd.protection.barrier import Barrier, linear_limit, touch_directions
+    from swarmd.protection.barrier import Barrier
+    from swarmd.protection.constraints import linear_limit
+    from swarmd.protection.touch_zone import touch_directions
 else:
     Barrier = interpreted(KERNEL, because="a method of C is replaced, fields are read").Barrier
-    kernel = load_kernel(KERNEL)
-    linear_limit, touch_directions = kernel.linear_limit, kernel.touch_directions
+    linear_limit = load_kernel("swarmd.protection.constraints").linear_limit
+    touch_directions = load_kernel("swarmd.protection.touch_zone").touch_directions
 
 
 @pytest.mark.parametrize(
@@ -249,16 +251,19 @@ def test_touch_directions_cover_the_zone_within_1_percent(
 
 
 def test_reported_constraints_bind_and_have_a_return() -> None:
-    one = with_outline(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
-    one._count = one._rows = 4
-    one._all, one._point_x, one._point_y = 5, 1.0, 0.0  # the last row is of the envelope
-    one._row_cap = [0.3, 0.1, 0.2, 0.0, 0.0]
-    one._row_x, one._row_y = [0.3, 0.0, 0.2, 0.0, 0.0], [0.0] * 5  # all but the second are tight
-    one._row_gap, one._source = [0.9, 1.9, 2.9, math.inf, 0.0], list(range(5))
-    one._placed_x, one._placed_y = [1.0, 2.0, 3.0, 4.0], [0.0] * 4
-    found = one._report()
-    assert [(row.cap, row.bearing) for row in found] == [(0.2, 0.0), (0.3, 0.0)]
-    assert [row.gap for row in found] == pytest.approx([2.9, 0.9])
+    square = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+    barrier = Barrier(replace(KINDS[0], footprint=square))
+    constraints = barrier._feasible.constraints
+    rows, placed = constraints.rows, constraints.placed
+    placed.seen = rows.count = 4
+    rows.all = 5  # the last row is of the envelope
+    rows.cap = [0.3, 0.1, 0.2, 0.0, 0.0]
+    rows.x, rows.y = [0.3, 0.0, 0.2, 0.0, 0.0], [0.0] * 5  # all but the second are tight
+    rows.gap, rows.source = [0.9, 1.9, 2.9, math.inf, 0.0], list(range(5))
+    placed.x, placed.y = [1.0, 2.0, 3.0, 4.0], [0.0] * 4
+    reported = barrier._limiting.report(1.0, 0.0)
+    assert [(row.cap, row.bearing) for row in reported] == [(0.2, 0.0), (0.3, 0.0)]
+    assert [row.gap for row in reported] == pytest.approx([2.9, 0.9])
 
 
 def test_constraint_across_the_motion_brakes_by_its_lever_only() -> None:
@@ -289,12 +294,21 @@ BEGIN = 10.0
 FAR = 100.0
 
 
-class SeesAll(Barrier):
+def sees_all(platform: Platform) -> Any:
     """A barrier that considers every return."""
+    barrier = Barrier(platform)
+    feasible = barrier._feasible
+    assumptions = feasible.assumptions
 
-    def _binding_range(self, age: float) -> float:
-        assert super()._binding_range(age) < FAR
-        return FAR
+    class SeesAll(type(assumptions)):  # type: ignore[misc]  # the class has no name for mypy
+        def binding_range(self, age: float) -> float:
+            assert super().binding_range(age) < FAR
+            return FAR
+
+    patient = SeesAll(platform, barrier_settings(platform))
+    feasible.assumptions = feasible.near._assumptions = patient
+    feasible.constraints._assumptions = patient
+    return barrier
 
 
 def driving(twist: Twist, seconds: float) -> Odometry:
@@ -346,7 +360,7 @@ def test_returns_beyond_the_binding_range_of_their_age_change_nothing(
     age = share * platform.scan.stale_after
     twist = Twist(v * platform.limits.linear, w * platform.limits.angular)
     some = decided_by(Barrier(platform), platform, returns, twist, age, sweep)
-    every = decided_by(SeesAll(platform), platform, returns, twist, age, sweep)
+    every = decided_by(sees_all(platform), platform, returns, twist, age, sweep)
     assert (some.linear, some.angular) == pytest.approx((every.linear, every.angular), abs=1e-9)
 
 
@@ -361,20 +375,18 @@ def test_what_is_farther_than_the_hidden_gap_is_beyond_range_min(
     angles = 2.0 * np.pi * np.cumsum(sectors) / sum(sectors)
     ring = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     lidar = (ahead, left)
-    robot = with_outline(radius * ring, lidar, blind)
+    outline = outline_of(radius * ring, lidar)
     towards = np.array((math.cos(bearing), math.sin(bearing)))
     for way in (0.0, 0.02, 0.1, 0.5, 2.0):
         place = np.array(lidar) + (blind + way) * towards
-        gap, nx, ny = separation(robot, *place.tolist())
-        hidden = hidden_gap(robot, *place.tolist())
+        gap, direction, hidden = separation(outline, *place.tolist(), blind)
+        normal = np.array(direction)
         if gap == 0.0:
             continue
         if way == 0.0:  # where an obstacle enters the blind zone, it may be in contact
             assert gap <= hidden + 1e-6
-        on = place - gap * np.array((nx, ny))
-        beyond, within = (
-            math.dist(on + (hidden + more) * np.array((nx, ny)), lidar) for more in (1e-6, -1e-6)
-        )
+        on = place - gap * normal
+        beyond, within = (math.dist(on + (hidden + more) * normal, lidar) for more in (1e-6, -1e-6))
         assert beyond >= blind
         assert hidden < 2e-6 or within <= blind
 
@@ -386,18 +398,22 @@ def test_hidden_gap_of_a_burger(ahead: float, left: float, hidden: float) -> Non
     burger = load_platform("burger")
     corner = burger.footprint.max(axis=0)
     place = (corner * (ahead, left) + (0.04 * ahead, 0.04 * left)).tolist()
-    robot = with_outline(burger.footprint, burger.scan.offset, burger.scan.range_min)
-    assert hidden_gap(robot, *place) == pytest.approx(hidden, abs=1e-3)
+    outline = outline_of(burger.footprint, burger.scan.offset)
+    separated = separation(outline, *place, burger.scan.range_min)
+    assert separated.hidden == pytest.approx(hidden, abs=1e-3)
 
 
 def test_a_decision_leaves_out_what_cannot_have_come_near_enough_since_its_own_ray() -> None:
     """Of a sweep, the same range counts where it was measured first, and not where last."""
     platform = KINDS[0]
-    one = Barrier(platform)
-    gap = one._binding_range(0.5 * platform.scan.latency + 0.1 + REACTION_TIME)
+    barrier = Barrier(platform)
+    feasible = barrier._feasible
+    binding_range = feasible.assumptions.binding_range
+    gap = binding_range(0.5 * platform.scan.latency + 0.1 + REACTION_TIME)
     ring = [(0, 360, gap + float(np.hypot(*platform.footprint.T).min()) - platform.scan.range_min)]
-    decided_by(one, platform, ring, Twist(0.1), 0.0, 0.2)
-    passed = one._now - one._taken + REACTION_TIME
-    points = list(zip(one._gap, one._age, strict=True))[: one._points]
-    assert one._count == sum(gap < one._binding_range(passed + age) for gap, age in points)
-    assert one._count < sum(gap < one._binding_range(passed + 0.2) for gap, _ in points)
+    decided_by(barrier, platform, ring, Twist(0.1), 0.0, 0.2)
+    passed = feasible.situation.now - feasible.motion.taken + REACTION_TIME
+    near, seen = feasible.near.points, feasible.constraints.placed.seen
+    points = list(zip(near.gap, near.age, strict=True))[: near.count]
+    assert seen == sum(gap < binding_range(passed + age) for gap, age in points)
+    assert seen < sum(gap < binding_range(passed + 0.2) for gap, _ in points)

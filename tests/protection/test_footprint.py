@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.protection.footprint import Footprint, ScanGeometry
-from tests.support.barrier_parts import separation, with_outline
+from tests.support.barrier_parts import outline_of, separation
 
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
@@ -21,9 +21,9 @@ def test_gap_equals_the_distance_to_an_axis_aligned_box(x: float, y: float) -> N
 
 @pytest.mark.parametrize("point", [(0.1, 0.0), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0), (-0.19, 0.0)])
 def test_contact_has_a_unit_normal(point: tuple[float, float]) -> None:
-    gap, nx, ny = separation(with_outline(BOX.corners), *point)
-    assert gap == 0.0
-    assert np.hypot(nx, ny) == pytest.approx(1.0)
+    separated = separation(outline_of(BOX.corners), *point)
+    assert separated.gap == 0.0
+    assert np.hypot(*separated.direction) == pytest.approx(1.0)
 
 
 def test_points_start_at_the_sensor() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Platform, Pose
-from swarmd.protection.barrier import NEGLIGIBLE_SPEED
+from swarmd.protection.stopping import NEGLIGIBLE_SPEED
 from swarmd.settings.platforms import load_platform
 from tests.support.barrier_parts import after_stop_check
 from tests.support.filter_sim import outline_point, placed

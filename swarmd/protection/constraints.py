@@ -1,0 +1,674 @@
+"""The constraints of mode `barrier` in the plane of the two speeds, and the points behind them.
+
+Part of the library of barrier.py. A row is a constraint a x + b y <= cap on the two speeds, each
+over its limit. Units: m, s, rad, in the predicted base frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from swarmd.core.values import Limits
+from swarmd.protection.barrier_assumptions import REACTION, Assumptions
+from swarmd.protection.buffers import (
+    checked,
+    checked_indices,
+    doubles,
+    indices,
+    maximum,
+)
+from swarmd.protection.closing_speed import (
+    CREEP_SPEED,
+    DECISION_PERIOD,
+    closing_cap,
+    closing_deceleration,
+    reciprocal_cap,
+)
+from swarmd.protection.dead_reckoning import PlanarPose
+from swarmd.protection.obstacles import NearObstacles, Points
+from swarmd.protection.outline import CHUNK, Chunk, Outline
+from swarmd.protection.touch_zone import TouchSector
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, cos, fabs, sin, sqrt
+else:
+    from swarmd.core.cython_shadow import INFINITY, cos, fabs, sin, sqrt
+
+SIDE_ANGLE = math.radians(60.0)
+"""rad between a return and its two side constraints."""
+ROWS_OF_A_POINT = cython.declare(cython.Py_ssize_t, 6)
+"""Rows that a point has at most, beside those of the corners."""
+ENVELOPE_ROWS = cython.declare(cython.Py_ssize_t, 48)
+"""Rows of the envelope of speeds."""
+
+_SLACK = cython.declare(cython.double, 1e-6)  # far beyond BINDING_TOLERANCE
+_NEAREST = cython.declare(cython.double, 1e-9)  # m: a point at a corner or at the lidar
+_side_cos = cython.declare(cython.double, math.cos(SIDE_ANGLE))
+_side_sin = cython.declare(cython.double, math.sin(SIDE_ANGLE))
+
+
+@cython.final
+@cython.cclass
+class SpeedAxes:
+    """The plane of the two speeds: the direction of the linear speed, and the limit of each."""
+
+    along_x: cython.double
+    along_y: cython.double
+    limit: cython.double  # m/s, of the linear speed in its direction
+    angular_limit: cython.double  # rad/s
+
+
+def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
+    """The limit of the linear speed in m/s in the direction of a unit vector."""
+    ahead, aside = abs(along_x), abs(along_y)
+    return min(
+        limits.linear / ahead if ahead else math.inf, limits.lateral / aside if aside else math.inf
+    )
+
+
+@cython.final
+@cython.cclass
+class Rows:
+    """Rows of constraints: those with a point first, then those of the envelope."""
+
+    count: cython.Py_ssize_t  # without the envelope
+    all: cython.Py_ssize_t  # with it
+    # a, b and cap of a x + b y <= cap; for reports the gap in m, and the index of the point.
+    x: cython.double[::1]
+    y: cython.double[::1]
+    cap: cython.double[::1]
+    gap: cython.double[::1]
+    source: cython.longlong[::1]
+
+    def __init__(self) -> None:
+        self._allocate(384)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def reserve(self, room: cython.Py_ssize_t) -> cython.int:
+        """Make the arrays as long; what they hold is lost where they are not."""
+        if len(self.x) < room:
+            self._allocate(room + room // 2)
+        return 0
+
+    def _allocate(self, room):
+        """Make all arrays anew."""
+        self.x, self.y = doubles(room), doubles(room)
+        self.cap, self.gap = doubles(room), doubles(room)
+        self.source = indices(room)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def add(
+        self,
+        x: cython.double,
+        y: cython.double,
+        cap: cython.double,
+        gap: cython.double,
+        source: cython.Py_ssize_t,
+    ) -> cython.int:
+        """Add a row; there must be room."""
+        at: cython.Py_ssize_t = self.count
+        self.x[at], self.y[at] = x, y
+        self.cap[at], self.gap[at], self.source[at] = cap, gap, source
+        self.count = at + 1
+        return 0
+
+
+@cython.final
+@cython.cclass
+class PlacedPoints:
+    """The points of one decision in the predicted base frame: seen ones, then told discs."""
+
+    seen: cython.Py_ssize_t
+    contacts: cython.Py_ssize_t  # the first of the seen points
+    discs: cython.Py_ssize_t
+    x: cython.double[::1]
+    y: cython.double[::1]
+    gap: cython.double[::1]  # m from the outline
+    free: cython.double[::1]  # m that must stay free
+    age: cython.double[::1]  # s
+    contact: cython.double[::1]  # m: within this gap the obstacle may touch the robot unseen
+    scan_gap: cython.double[::1]  # m, of a seen point when it was measured
+    radius: cython.double[::1]  # m, of a disc
+    normal_x: cython.double[::1]  # the unit vector from the outline
+    normal_y: cython.double[::1]
+    first_row: cython.longlong[::1]
+    in_touch_zone: cython.longlong[::1]  # 1 for a seen point that the robot may touch
+
+    def __init__(self) -> None:
+        self._allocate(96)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def reserve(self, room: cython.Py_ssize_t) -> cython.int:
+        """Make the arrays as long; what they hold is lost where they are not."""
+        if len(self.x) < room:
+            self._allocate(room + room // 2)  # or they would be made anew with each point more
+        return 0
+
+    def _allocate(self, room):
+        """Make all arrays anew."""
+        self.x, self.y = doubles(room), doubles(room)
+        self.gap, self.free = doubles(room), doubles(room)
+        self.age, self.radius = doubles(room), doubles(room)
+        self.contact, self.scan_gap = doubles(room), doubles(room)
+        self.normal_x, self.normal_y = doubles(room), doubles(room)
+        self.first_row, self.in_touch_zone = indices(room), indices(room)
+
+
+@cython.final
+@cython.cclass
+class Constraints:
+    """The rows of one decision, made of the placed points."""
+
+    rows: Rows
+    placed: PlacedPoints
+    axes: SpeedAxes
+    touch: TouchSector
+    _chunk: Chunk
+    _outline: Outline
+    _assumptions: Assumptions
+
+    def __init__(self, assumptions: Assumptions, outline: Outline, touch: TouchSector) -> None:
+        self._assumptions, self._outline = assumptions, outline
+        self.rows, self.placed, self.axes = Rows(), PlacedPoints(), SpeedAxes()
+        self.touch, self._chunk = touch, Chunk()
+        self.axes.angular_limit = assumptions.angular_limit
+
+    def check_indices(self) -> None:
+        """ValueError unless the counts of rows and of points are within the arrays."""
+        rows: Rows = self.rows
+        placed: PlacedPoints = self.placed
+        if not (0 <= rows.count <= len(rows.x) and 0 <= rows.all <= len(rows.x)):
+            raise ValueError(f"{rows.count} rows of {rows.all} in {len(rows.x)}")
+        counts = placed.contacts, placed.seen, placed.discs
+        if min(counts) < 0 or placed.seen + placed.discs > len(placed.x):
+            raise ValueError(f"contacts, seen points and discs are {counts}, in {len(placed.x)}")
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def begin(
+        self, near: NearObstacles, discs: cython.Py_ssize_t, furthest: cython.double
+    ) -> cython.int:
+        """Drop all rows; make room for those of near points within `furthest` m, and of discs."""
+        points: Points = near.points
+        count: cython.Py_ssize_t = 0
+        while count < points.count and not (points.gap[count] >= furthest):
+            count += 1
+        contacts: cython.Py_ssize_t = min(near.contacts, count)
+        touch_rows: cython.Py_ssize_t = len(self.touch.corners) if self.touch.is_granted else 0
+        of_a_point: cython.Py_ssize_t = ROWS_OF_A_POINT + self._outline.edges
+        self.placed.reserve(count + discs)
+        self.rows.reserve((count + discs) * of_a_point + contacts + touch_rows + ENVELOPE_ROWS)
+        self.rows.count = 0
+        self.placed.seen, self.placed.contacts, self.placed.discs = count, contacts, discs
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def add_seen(
+        self,
+        near: NearObstacles,
+        frame: PlanarPose,
+        age: cython.double,
+        free: cython.double,
+    ) -> cython.int:
+        """Add the rows of near obstacles, whose scan was taken at `frame` in the base frame.
+
+        `age` in s: of the newest ray when the command takes effect; `free` m stay free around each
+        point. The points of `begin` are placed; those that cannot bind are left out.
+        """
+        chunk: Chunk = self._chunk
+        placed: PlacedPoints = self.placed
+        assumptions: Assumptions = self._assumptions
+        count: cython.Py_ssize_t = placed.seen
+        first: cython.Py_ssize_t = 0
+        point: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        c: cython.double = cos(frame.yaw)
+        s: cython.double = sin(frame.yaw)
+        gaps: cython.p_double = checked(near.points.gap, count)
+        ages: cython.p_double = checked(near.points.age, count)
+        xs: cython.p_double = checked(near.points.x, count)
+        ys: cython.p_double = checked(near.points.y, count)
+        while point < count:
+            i = 0
+            while point < count and i < CHUNK:
+                # A later ray leaves an obstacle less time to come near: a tenth drops out.
+                if not (gaps[point] >= assumptions.binding_range(age + ages[point])):
+                    x: cython.double = xs[point]
+                    y: cython.double = ys[point]
+                    chunk.x[i] = frame.x + c * x - s * y
+                    chunk.y[i] = frame.y + s * x + c * y
+                    chunk.free[i], chunk.age[i] = free, age + ages[point]
+                    chunk.radius[i] = 0.0
+                    placed.scan_gap[first + i] = gaps[point]
+                    i += 1
+                point += 1
+            chunk.count = i
+            self._add_chunk(first, assumptions.blind)
+            if assumptions.unseen_extent > 0.0:
+                self._add_corners(first, max(placed.contacts - first, 0))
+            if assumptions.has_keep_out():
+                self._add_keep_out(first)
+            first += chunk.count
+        placed.seen = first
+        return self._add_contacts(near.rays, c, s)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_contacts(
+        self, rays: Points, cos_yaw: cython.double, sin_yaw: cython.double
+    ) -> cython.int:
+        """Stop all motion towards contacts, and along the rays that do not measure them."""
+        i: cython.Py_ssize_t
+        axes: SpeedAxes = self.axes
+        placed: PlacedPoints = self.placed
+        for i in range(placed.contacts):
+            self.rows.cap[placed.first_row[i]] = 0.0
+            nx: cython.double = cos_yaw * rays.x[i] - sin_yaw * rays.y[i]
+            ny: cython.double = sin_yaw * rays.x[i] + cos_yaw * rays.y[i]
+            lever: cython.double = placed.x[i] * ny - placed.y[i] * nx
+            self._add(nx * axes.along_x + ny * axes.along_y, lever, 0.0, 0.0, i)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def add_disc(
+        self,
+        point: cython.Py_ssize_t,
+        x: cython.double,
+        y: cython.double,
+        radius: cython.double,
+        age: cython.double,
+        moved: cython.double,
+    ) -> cython.int:
+        """Add the rows of a disc around a place in the base frame, as the placed point `point`.
+
+        The gap to a disc is that to its centre less its radius, along the same line. So its radius
+        adds to what must stay free around the centre, as that of unseen parts does for returns.
+        `age` in s: of the place; `moved` m: what the outline may have moved beside its odometry.
+        """
+        chunk: Chunk = self._chunk
+        least: cython.double = self._assumptions.margin + radius
+        chunk.x[0], chunk.y[0], chunk.count = x, y, 1
+        chunk.free[0] = least + moved
+        chunk.age[0], chunk.radius[0] = age + REACTION, radius
+        self._add_chunk(point, 0.0)
+        return self._add_corners(point, 0)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
+        """Place the points of the chunk, which become those from `first` on, and add their rows."""
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        rows: Rows = self.rows
+        axes: SpeedAxes = self.axes
+        assumptions: Assumptions = self._assumptions
+        count: cython.Py_ssize_t = chunk.count
+        at: cython.Py_ssize_t = rows.count
+        nx: cython.p_double = chunk.normal_x
+        ny: cython.p_double = chunk.normal_y
+        lever: cython.p_double = chunk.lever
+        gap: cython.p_double = chunk.gap
+        free: cython.p_double = chunk.free
+        age: cython.p_double = chunk.age
+        cap: cython.p_double = chunk.cap
+        radius: cython.p_double = chunk.radius
+        new_x: cython.p_double = chunk.row_x
+        new_y: cython.p_double = chunk.row_y
+        along_x: cython.double = axes.along_x
+        along_y: cython.double = axes.along_y
+        limit: cython.double = axes.limit
+        angular_limit: cython.double = axes.angular_limit
+        slowing: cython.double = assumptions.braking_linear
+        turning: cython.double = assumptions.braking_angular
+        others: cython.double = assumptions.others
+        is_passive: cython.bint = assumptions.is_passive
+        self._outline.separate(chunk, blind)
+        for j in range(count):
+            linear: cython.double = nx[j] * along_x + ny[j] * along_y
+            braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
+            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others, is_passive)
+            new_x[j], new_y[j] = linear * limit, lever[j] * angular_limit
+        row_x: cython.p_double = checked(rows.x, at + count)
+        row_y: cython.p_double = checked(rows.y, at + count)
+        row_cap: cython.p_double = checked(rows.cap, at + count)
+        row_gap: cython.p_double = checked(rows.gap, at + count)
+        for j in range(count):
+            row_x[at + j], row_y[at + j], row_cap[at + j] = new_x[j], new_y[j], cap[j]
+            row_gap[at + j] = gap[j] - radius[j]
+        self._place_chunk(first)
+        rows.count = at + count
+        self._add_approaching(first)
+        return self._add_sides(first)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place_chunk(self, first: cython.Py_ssize_t) -> cython.int:
+        """Keep the points of the chunk as those from `first` on; their rows come next."""
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        placed: PlacedPoints = self.placed
+        count: cython.Py_ssize_t = chunk.count
+        end: cython.Py_ssize_t = first + count
+        at: cython.Py_ssize_t = self.rows.count
+        at_x: cython.p_double = chunk.x
+        at_y: cython.p_double = chunk.y
+        free: cython.p_double = chunk.free
+        age: cython.p_double = chunk.age
+        hidden: cython.p_double = chunk.hidden
+        nx: cython.p_double = chunk.normal_x
+        ny: cython.p_double = chunk.normal_y
+        gap: cython.p_double = chunk.gap
+        radius: cython.p_double = chunk.radius
+        placed_x: cython.p_double = checked(placed.x, end)
+        placed_y: cython.p_double = checked(placed.y, end)
+        placed_free: cython.p_double = checked(placed.free, end)
+        placed_age: cython.p_double = checked(placed.age, end)
+        placed_contact: cython.p_double = checked(placed.contact, end)
+        placed_gap: cython.p_double = checked(placed.gap, end)
+        normal_x: cython.p_double = checked(placed.normal_x, end)
+        normal_y: cython.p_double = checked(placed.normal_y, end)
+        radius_of: cython.p_double = checked(placed.radius, end)
+        for j in range(count):
+            i = first + j
+            placed_x[i], placed_y[i] = at_x[j], at_y[j]
+            placed_free[i], placed_age[i] = free[j], age[j]
+            placed_contact[i] = free[j] + hidden[j]
+            normal_x[i], normal_y[i], placed_gap[i] = nx[j], ny[j], gap[j]
+            radius_of[i] = radius[j]
+        first_row: cython.p_longlong = checked_indices(placed.first_row, end)
+        source: cython.p_longlong = checked_indices(self.rows.source, at + count)
+        for j in range(count):
+            first_row[first + j], source[at + j] = at + j, first + j
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add(
+        self,
+        linear: cython.double,
+        lever: cython.double,
+        cap: cython.double,
+        gap: cython.double,
+        source: cython.Py_ssize_t,
+    ) -> cython.int:
+        """Add the row of a place that moves at `linear` shares of the speed and has a lever."""
+        axes: SpeedAxes = self.axes
+        self.rows.add(linear * axes.limit, lever * axes.angular_limit, cap, gap, source)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_sides(self, first: cython.Py_ssize_t) -> cython.int:
+        """Two rows for each point of the chunk whose cap is 0: obstacles that are passed sideways.
+
+        A robot that slides along a face does not close on it, as long as the face stands still. Two
+        robots that slide towards the same place each pass what they saw there last, until their
+        corners meet: a moving obstacle may no longer be where it was seen. So the corners that are
+        foremost 60 degrees to either side of the obstacle may approach only so fast that two such
+        robots do not touch before both have a new scan. The creep speed is always allowed. Moving
+        away stays free.
+        """
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        side: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        outline: Outline = self._outline
+        count: cython.Py_ssize_t = chunk.count
+        nx: cython.p_double = chunk.normal_x
+        ny: cython.p_double = chunk.normal_y
+        cap: cython.p_double = chunk.cap
+        most: cython.p_double = chunk.least
+        lever: cython.p_double = chunk.highest
+        ax: cython.p_double = chunk.edge_x
+        ay: cython.p_double = chunk.edge_y
+        while count > 0 and not (cap[count - 1] <= 0.0):
+            count -= 1
+        for side in range(2):
+            turn: cython.double = _side_sin if side == 0 else -_side_sin
+            for j in range(count):
+                ax[j] = _side_cos * nx[j] - turn * ny[j]
+                ay[j] = turn * nx[j] + _side_cos * ny[j]
+                most[j], lever[j] = -INFINITY, 0.0
+            for k in range(outline.edges):
+                own_x: cython.double = outline.corner_x[k]
+                own_y: cython.double = outline.corner_y[k]
+                for j in range(count):
+                    ahead: cython.double = own_x * ax[j] + own_y * ay[j]
+                    swung: cython.double = own_x * ay[j] - own_y * ax[j]
+                    was_most: cython.double = most[j]
+                    was_lever: cython.double = lever[j]
+                    lever[j] = swung if ahead > was_most else was_lever
+                    most[j] = ahead if ahead > was_most else was_most
+            self._add_side(first, count)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_side(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
+        """The rows of one side: of the foremost corner in the directions `edge_x`, `edge_y`."""
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        rows: Rows = self.rows
+        axes: SpeedAxes = self.axes
+        reserve: cython.double = self._assumptions.side_reserve
+        gap: cython.p_double = chunk.gap
+        cap: cython.p_double = chunk.cap
+        lever: cython.p_double = chunk.highest
+        ax: cython.p_double = chunk.edge_x
+        ay: cython.p_double = chunk.edge_y
+        at: cython.Py_ssize_t = rows.count
+        row_x: cython.p_double = checked(rows.x, at + count)
+        row_y: cython.p_double = checked(rows.y, at + count)
+        row_cap: cython.p_double = checked(rows.cap, at + count)
+        row_gap: cython.p_double = checked(rows.gap, at + count)
+        for j in range(count):
+            if cap[j] <= 0.0:
+                rest: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
+                rest /= chunk.age[j] + DECISION_PERIOD
+                rest -= reserve
+                linear: cython.double = ax[j] * axes.along_x + ay[j] * axes.along_y
+                row_x[at], row_y[at] = linear * axes.limit, lever[j] * axes.angular_limit
+                row_cap[at] = maximum(rest, CREEP_SPEED)
+                row_gap[at], rows.source[at] = gap[j] - chunk.radius[j], first + j
+                at += 1
+        rows.count = at
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_approaching(self, first: cython.Py_ssize_t) -> cython.int:
+        """At most one row for each way along the motion: obstacles that come from the side.
+
+        No motion closes on an obstacle beside the robot, until it slides to a corner. Its side
+        rows begin when its cap is 0: too late to brake, a Waffle Pi was still at 0.09 m/s then. So
+        the robot brakes before, to the speed that these rows then allow. The time until the cap is
+        0 leaves a tick, for which the command stands. A turn is not braked for here: its brake
+        takes nothing off a speed ahead, and the stop check regards what swings outwards.
+        """
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        axes: SpeedAxes = self.axes
+        touch: TouchSector = self.touch
+        reserve: cython.double = self._assumptions.side_reserve
+        if reserve <= 0.0:
+            return 0
+        others: cython.double = self._assumptions.others
+        slowing: cython.double = self._assumptions.braking_linear
+        early: cython.double = others * axes.limit / slowing  # m it moves while the robot brakes
+        ahead_cap: cython.double = axes.limit
+        back_cap: cython.double = axes.limit
+        ahead_point: cython.Py_ssize_t = -1
+        back_point: cython.Py_ssize_t = -1
+        for j in range(chunk.count):
+            nx: cython.double = chunk.normal_x[j]
+            ny: cython.double = chunk.normal_y[j]
+            age: cython.double = chunk.age[j] + DECISION_PERIOD
+            left: cython.double = chunk.gap[j] - chunk.free[j] - others * age
+            if not 0.0 < left < early:
+                continue
+            if touch.is_granted and touch.holds(nx, ny):
+                continue
+            rest: cython.double = 0.5 * (others - chunk.hidden[j] / age)
+            rest = maximum(rest - reserve, CREEP_SPEED)
+            shed: cython.double = slowing * left / others
+            along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
+            aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
+            if aside + along > 0.0 and rest / (aside + along) + shed < ahead_cap:
+                ahead_cap, ahead_point = rest / (aside + along) + shed, j
+            if aside - along > 0.0 and rest / (aside - along) + shed < back_cap:
+                back_cap, back_point = rest / (aside - along) + shed, j
+        if ahead_point >= 0:
+            gap: cython.double = chunk.gap[ahead_point] - chunk.radius[ahead_point]
+            self._add(1.0, 0.0, ahead_cap, gap, first + ahead_point)
+        if back_point >= 0:
+            gap = chunk.gap[back_point] - chunk.radius[back_point]
+            self._add(-1.0, 0.0, back_cap, gap, first + back_point)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_corners(self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
+        """A row of each own corner for each near point, which extends beyond its visible part.
+
+        Then the nearest place of the outline is not the only one that can touch the obstacle: a
+        corner that swings past it can, too. The points are those of the chunk from `begin` on; the
+        first point of the chunk is point `first`.
+        """
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        outline: Outline = self._outline
+        axes: SpeedAxes = self.axes
+        assumptions: Assumptions = self._assumptions
+        end: cython.Py_ssize_t = chunk.count
+        x: cython.p_double = chunk.x
+        y: cython.p_double = chunk.y
+        gap: cython.p_double = chunk.gap
+        free: cython.p_double = chunk.free
+        age: cython.p_double = chunk.age
+        new_x: cython.p_double = chunk.row_x
+        new_y: cython.p_double = chunk.row_y
+        new_cap: cython.p_double = chunk.row_cap
+        new_gap: cython.p_double = chunk.row_gap
+        along_x: cython.double = axes.along_x
+        along_y: cython.double = axes.along_y
+        limit: cython.double = axes.limit
+        angular_limit: cython.double = axes.angular_limit
+        slowing: cython.double = assumptions.braking_linear
+        turning: cython.double = assumptions.braking_angular
+        others: cython.double = assumptions.others
+        is_passive: cython.bint = assumptions.is_passive
+        while end > begin and not (
+            gap[end - 1] <= 2.0 * free[end - 1] + others * (age[end - 1] + DECISION_PERIOD)
+        ):
+            end -= 1
+        for k in range(outline.edges):
+            own_x: cython.double = outline.corner_x[k]
+            own_y: cython.double = outline.corner_y[k]
+            for j in range(begin, end):
+                dx: cython.double = x[j] - own_x
+                dy: cython.double = y[j] - own_y
+                away: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
+                dx /= away
+                dy /= away
+                linear: cython.double = dx * along_x + dy * along_y
+                lever: cython.double = own_x * dy - own_y * dx
+                braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
+                new_cap[j] = closing_cap(away - free[j], braking, age[j], others, is_passive)
+                new_x[j], new_y[j], new_gap[j] = linear * limit, lever * angular_limit, away
+            self._add_corner(first, begin, end)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_corner(
+        self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t, end: cython.Py_ssize_t
+    ) -> cython.int:
+        """Add the rows of one corner that some twist within the limits violates."""
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        rows: Rows = self.rows
+        others: cython.double = self._assumptions.others
+        gap: cython.p_double = chunk.gap
+        free: cython.p_double = chunk.free
+        age: cython.p_double = chunk.age
+        new_x: cython.p_double = chunk.row_x
+        new_y: cython.p_double = chunk.row_y
+        new_cap: cython.p_double = chunk.row_cap
+        at: cython.Py_ssize_t = rows.count
+        for j in range(begin, end):
+            if new_cap[j] > fabs(new_x[j]) + fabs(new_y[j]) + _SLACK:
+                continue
+            if gap[j] <= 2.0 * free[j] + others * (age[j] + DECISION_PERIOD):
+                rows.x[at], rows.y[at] = new_x[j], new_y[j]
+                rows.cap[at], rows.gap[at] = new_cap[j], chunk.row_gap[j] - chunk.radius[j]
+                rows.source[at] = first + j
+                at += 1
+        rows.count = at
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_keep_out(self, first: cython.Py_ssize_t) -> cython.int:
+        """A second row for each point of the chunk: the circle around a sensor with a blind zone.
+
+        The circle stays free: each of two robots keeps out of it by half of the distance.
+        """
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        axes: SpeedAxes = self.axes
+        assumptions: Assumptions = self._assumptions
+        lidar_x: cython.double = self._outline.lidar_x
+        lidar_y: cython.double = self._outline.lidar_y
+        for j in range(chunk.count):
+            dx: cython.double = chunk.x[j] - lidar_x
+            dy: cython.double = chunk.y[j] - lidar_y
+            away: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
+            dx /= away
+            dy /= away
+            linear: cython.double = dx * axes.along_x + dy * axes.along_y
+            lever: cython.double = lidar_x * dy - lidar_y * dx
+            braking: cython.double = closing_deceleration(
+                linear, lever, assumptions.braking_linear, assumptions.braking_angular
+            )
+            cap: cython.double = reciprocal_cap(away - assumptions.keep_out, braking, chunk.age[j])
+            self._add(linear, lever, cap, chunk.gap[j] - chunk.radius[j], first + j)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def allow_touch(self) -> cython.int:
+        """Raise the caps in a granted touch zone, and limit any motion in its directions.
+
+        The direction from the outline decides, not the bearing from the axle: seen from the axle a
+        pushed box is wider than any sector. No corner may move faster in the zone's directions,
+        since a pushed object is not always seen.
+        """
+        i: cython.Py_ssize_t
+        rows: Rows = self.rows
+        axes: SpeedAxes = self.axes
+        placed: PlacedPoints = self.placed
+        touch: TouchSector = self.touch
+        corners: cython.double[:, ::1] = touch.corners
+        for i in range(placed.seen):
+            placed.in_touch_zone[i] = touch.holds(placed.normal_x[i], placed.normal_y[i])
+        for i in range(rows.count):
+            if placed.in_touch_zone[rows.source[i]]:
+                rows.cap[i] = maximum(rows.cap[i], touch.speed)
+        for i in range(len(corners)):
+            nx: cython.double = corners[i, 0]
+            ny: cython.double = corners[i, 1]
+            linear: cython.double = nx * axes.along_x + ny * axes.along_y
+            lever: cython.double = corners[i, 2] * ny - corners[i, 3] * nx
+            self._add(linear, lever, touch.speed, INFINITY, 0)
+        return 0

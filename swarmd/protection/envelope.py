@@ -1,0 +1,180 @@
+"""The envelope of speeds near obstacles in mode `barrier`, and the higher caps while creeping.
+
+Part of the library of barrier.py. Units: m, s, rad.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.core.values import Array
+from swarmd.protection.barrier_assumptions import Assumptions
+from swarmd.protection.buffers import checked, doubles, maximum, view
+from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
+from swarmd.protection.constraints import ENVELOPE_ROWS, PlacedPoints, Rows, SpeedAxes
+from swarmd.protection.outline import Outline
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import hypot
+else:
+    from swarmd.core.cython_shadow import hypot
+
+_SLOWEST = cython.declare(cython.double, 1e-12)  # m/s of a corner, by which a speed is divided
+
+
+def _box_directions() -> Array:
+    angles = 2.0 * np.pi * np.arange(ENVELOPE_ROWS) / ENVELOPE_ROWS
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    directions /= np.abs(directions).max(axis=1)[:, None]
+    return directions
+
+
+_BOX_DIRECTIONS = view(_box_directions())
+"""(48, 2) directions of the envelope, on the box of the limits, whose corners are among them."""
+
+
+@cython.final
+@cython.cclass
+class Envelope:
+    """The rows within which no corner of the robot exceeds a speed.
+
+    Every robot assumes that no surface around it moves faster than `others_speed`; the envelope
+    makes that true of this robot, corners in a turn included. The polygon is an inner
+    approximation of a convex set; its vertices are exact.
+    """
+
+    speed: cython.double  # m/s
+    vertex_x: cython.double[::1]
+    vertex_y: cython.double[::1]
+    row_x: cython.double[::1]
+    row_y: cython.double[::1]
+    row_cap: cython.double[::1]
+    _outline: Outline
+    # The direction of the linear speed for which the rows are; (0, 0): none yet.
+    _along_x: cython.double
+    _along_y: cython.double
+
+    def __init__(self, outline: Outline, speed: float) -> None:
+        self._outline, self.speed = outline, speed
+        self.vertex_x, self.vertex_y = doubles(ENVELOPE_ROWS), doubles(ENVELOPE_ROWS)
+        self.row_x, self.row_y = doubles(ENVELOPE_ROWS), doubles(ENVELOPE_ROWS)
+        self.row_cap = doubles(ENVELOPE_ROWS)
+
+    def check_indices(self) -> None:
+        """ValueError unless each array has a number for each row."""
+        lengths = len(self.row_x), len(self.row_y), len(self.row_cap)
+        if min(lengths) < ENVELOPE_ROWS:
+            raise ValueError(f"arrays of {lengths} for {ENVELOPE_ROWS} rows")
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def put(self, rows: Rows, axes: SpeedAxes) -> cython.int:
+        """Put the rows of the envelope behind all others."""
+        i: cython.Py_ssize_t
+        if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
+            self.find_rows(axes)
+            self._along_x, self._along_y = axes.along_x, axes.along_y
+        at: cython.Py_ssize_t = rows.count
+        rows.all = at + ENVELOPE_ROWS
+        to_x: cython.p_double = checked(rows.x, rows.all)
+        to_y: cython.p_double = checked(rows.y, rows.all)
+        to_cap: cython.p_double = checked(rows.cap, rows.all)
+        x: cython.p_double = checked(self.row_x, ENVELOPE_ROWS)
+        y: cython.p_double = checked(self.row_y, ENVELOPE_ROWS)
+        cap: cython.p_double = checked(self.row_cap, ENVELOPE_ROWS)
+        for i in range(ENVELOPE_ROWS):
+            to_x[at + i], to_y[at + i], to_cap[at + i] = x[i], y[i], cap[i]
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def find_rows(self, axes: SpeedAxes) -> cython.int:
+        """Find the vertices and the rows for a direction of the linear speed."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        after: cython.Py_ssize_t
+        outline: Outline = self._outline
+        table: cython.double[:, ::1] = _BOX_DIRECTIONS
+        for i in range(ENVELOPE_ROWS):
+            linear: cython.double = table[i, 0] * axes.limit
+            angular: cython.double = table[i, 1] * axes.angular_limit
+            fastest: cython.double = 0.0
+            for k in range(outline.edges):
+                x: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
+                y: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
+                fastest = maximum(fastest, hypot(x, y))
+            share: cython.double = self.speed / maximum(fastest, _SLOWEST)
+            if share > 1.0:
+                share = 1.0
+            self.vertex_x[i], self.vertex_y[i] = table[i, 0] * share, table[i, 1] * share
+        for i in range(ENVELOPE_ROWS):
+            after = i + 1 if i + 1 < ENVELOPE_ROWS else 0
+            x = self.vertex_x[after] - self.vertex_x[i]
+            y = self.vertex_y[after] - self.vertex_y[i]
+            length: cython.double = hypot(y, -x)
+            y, x = y / length, -x / length
+            self.row_x[i], self.row_y[i] = y, x
+            self.row_cap[i] = y * self.vertex_x[i] + x * self.vertex_y[i]
+        return 0
+
+
+@cython.final
+@cython.cclass
+class Creeping:
+    """Caps up to which a slow robot may creep towards an obstacle that stops any faster one."""
+
+    cap: cython.double  # m/s; 0 where the robot must not creep
+    is_active: cython.bint
+    _kept_cap: cython.double[::1]  # of all rows, before they were raised
+    # The envelope while the robot creeps or touches, and the one beside obstacles.
+    slow: Envelope
+    usual: Envelope
+
+    def __init__(self, assumptions: Assumptions, outline: Outline) -> None:
+        self._kept_cap = doubles(384)
+        self.slow = Envelope(outline, CREEP_SPEED)
+        self.usual = Envelope(outline, assumptions.surface_speed)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def allow(self, placed: PlacedPoints) -> cython.int:
+        """Set the cap: the creep speed, less where an obstacle could touch the robot meanwhile."""
+        i: cython.Py_ssize_t
+        self.cap = CREEP_SPEED
+        for i in range(placed.seen):
+            rest: cython.double = 0.5 * (placed.gap[i] - placed.contact[i])
+            rest /= placed.age[i] + DECISION_PERIOD
+            self.cap = min(self.cap, rest)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def begin(self, rows: Rows, axes: SpeedAxes) -> cython.int:
+        """Use the caps and the envelope of a robot that creeps."""
+        i: cython.Py_ssize_t
+        if len(self._kept_cap) < rows.all:
+            self._kept_cap = doubles(len(rows.cap))
+        for i in range(rows.all):
+            self._kept_cap[i] = rows.cap[i]
+        for i in range(rows.count):
+            rows.cap[i] = maximum(rows.cap[i], self.cap)
+        self.is_active = True
+        self.slow.put(rows, axes)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def end(self, rows: Rows, axes: SpeedAxes) -> cython.int:
+        """Use the caps and the envelope of a robot that does not creep."""
+        i: cython.Py_ssize_t
+        for i in range(rows.count):
+            rows.cap[i] = self._kept_cap[i]
+        self.is_active = False
+        self.usual.put(rows, axes)
+        return 0

@@ -1,0 +1,119 @@
+"""The obstacles that limit a command of mode `barrier`, for a report.
+
+Part of the library of barrier.py. Units: m, s, rad.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmd.core.messages import LimitingObstacle
+from swarmd.protection.buffers import checked
+from swarmd.protection.constraints import Constraints, PlacedPoints, Rows
+from swarmd.protection.outline import Outline
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, atan2, hypot
+else:
+    from swarmd.core.cython_shadow import INFINITY, atan2, hypot
+
+BINDING_TOLERANCE = cython.declare(cython.double, 1e-9)
+"""How near a constraint that counts as tight is to the point."""
+MAX_REPORTED = cython.declare(cython.Py_ssize_t, 4)
+"""Constraints that a decision reports."""
+
+# m: rounding decides the direction of a nearer place
+_AT_AXLE = cython.declare(cython.double, 1e-9)
+
+
+@cython.final
+@cython.cclass
+class LimitingRows:
+    """Rows that bind a command, ranked by rising caps, then by rising gaps."""
+
+    count: cython.Py_ssize_t
+    row: cython.Py_ssize_t[4]
+    _constraints: Constraints
+    _outline: Outline
+
+    def __init__(self, constraints: Constraints, outline: Outline) -> None:
+        self._constraints, self._outline = constraints, outline
+
+    def check_indices(self) -> None:
+        """ValueError unless the ranked rows are within the array."""
+        if not 0 <= self.count <= MAX_REPORTED:
+            raise ValueError(f"{self.count} rows are ranked")
+
+    @cython.cfunc
+    def report(self, x: cython.double, y: cython.double) -> tuple:
+        """The obstacles of the rows that are tight at a point, those with the lowest caps first.
+
+        The gap of a row is measured from the outline, also where the row is that of one corner.
+        Rows of the envelope and of a touch zone, which have no return, are not reported. The
+        bearing of a place at the axle is 0.
+        """
+        i: cython.Py_ssize_t
+        rows: Rows = self._constraints.rows
+        placed: PlacedPoints = self._constraints.placed
+        tight: cython.Py_ssize_t = 0
+        row_x: cython.p_double = checked(rows.x, rows.all)
+        row_y: cython.p_double = checked(rows.y, rows.all)
+        row_cap: cython.p_double = checked(rows.cap, rows.all)
+        self.count = 0
+        for i in range(rows.all):
+            if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
+                tight += 1
+                if i < rows.count and (
+                    self.count < MAX_REPORTED
+                    or not (row_cap[i] > row_cap[self.row[MAX_REPORTED - 1]])
+                ):
+                    self._rank(rows, i)
+        points: cython.Py_ssize_t = placed.seen + placed.discs
+        if tight == 0 and points:  # limited by the stop alone: the nearest obstacle
+            nearest: cython.Py_ssize_t = placed.first_row[0]
+            for i in range(1, points):
+                if rows.gap[placed.first_row[i]] < rows.gap[nearest]:
+                    nearest = placed.first_row[i]
+            self._rank(rows, nearest)
+        obstacles: list = []
+        for i in range(self.count):
+            obstacles.append(self._obstacle(rows, placed, self.row[i]))
+        return tuple(obstacles)
+
+    @cython.cfunc
+    def _obstacle(self, rows: Rows, placed: PlacedPoints, row: cython.Py_ssize_t):
+        """The obstacle of a row."""
+        point: cython.Py_ssize_t = rows.source[row]
+        radius: cython.double = placed.radius[point]
+        x: cython.double = placed.x[point] - radius * placed.normal_x[point]
+        y: cython.double = placed.y[point] - radius * placed.normal_y[point]
+        bearing: cython.double = 0.0 if hypot(x, y) < _AT_AXLE else atan2(y, x)
+        return LimitingObstacle(bearing, self._outline.gap_of(x, y), rows.cap[row])
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _rank(self, rows: Rows, row: cython.Py_ssize_t) -> cython.int:
+        """Insert a row into the ranked rows; the last of too many is dropped."""
+        cap: cython.double = rows.cap[row]
+        gap: cython.double = rows.gap[row]
+        if not gap < INFINITY:
+            return 0
+        at: cython.Py_ssize_t = self.count
+        place: cython.Py_ssize_t
+        ranked: cython.Py_ssize_t
+        while at > 0:
+            ranked = self.row[at - 1]
+            if rows.cap[ranked] < cap or (rows.cap[ranked] == cap and rows.gap[ranked] <= gap):
+                break
+            at -= 1
+        if at == MAX_REPORTED:
+            return 0
+        self.count = min(self.count + 1, MAX_REPORTED)
+        for place in range(self.count - 1, at, -1):
+            self.row[place] = self.row[place - 1]
+        self.row[at] = row
+        return 0

@@ -1,0 +1,126 @@
+"""The room that a robot of mode `barrier` needs: clearances, and the narrowest passage.
+
+Part of the library of barrier.py. Units: m, s, rad.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.core.messages import NarrowestPassage
+from swarmd.core.values import ScanSpec
+from swarmd.protection.barrier_assumptions import REACTION, Assumptions
+from swarmd.protection.buffers import maximum
+from swarmd.protection.closing_speed import (
+    CREEP_SPEED,
+    DECISION_PERIOD,
+    closing_cap,
+    reciprocal_cap,
+)
+from swarmd.protection.constraints import SIDE_ANGLE
+from swarmd.protection.outline import Chunk, Outline
+from swarmd.protection.recovery import Clearance
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+
+_PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a turning lidar
+_CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor
+_PLACES_BESIDE = 33  # along each wall of a corridor, odd: one lies beside a lidar in the middle
+_FARTHEST_AHEAD = 5.0  # m
+_STEP_AHEAD = 0.05  # m
+_BESIDE_SLACK = 0.06  # m
+
+
+@cython.final
+@cython.cclass
+class Room:
+    """The room that one robot needs to drive and to pass."""
+
+    _assumptions: Assumptions
+    _outline: Outline
+    _scan: object
+
+    def __init__(self, assumptions: Assumptions, outline: Outline, scan: ScanSpec) -> None:
+        self._assumptions, self._outline, self._scan = assumptions, outline, scan
+
+    def clearance(self, speed: float) -> Clearance:
+        """The clearance needed to drive at `speed`: ahead, and to each side."""
+        i: cython.Py_ssize_t
+        assumptions: Assumptions = self._assumptions
+        corners = self._outline.corners
+        age: cython.double = 0.5 / self._scan.rate + self._scan.latency + REACTION
+        front: cython.double = float(corners[:, 0].max())
+        ahead: cython.double = _FARTHEST_AHEAD
+        for i in range(round(_FARTHEST_AHEAD / _STEP_AHEAD)):
+            if self._fastest_at(_STEP_AHEAD * i, front, age) >= speed:
+                ahead = _STEP_AHEAD * i
+                break
+        body = float(np.abs(corners[:, 1]).max())
+        beside = body + assumptions.margin + assumptions.unseen_extent + _BESIDE_SLACK
+        keep_out = assumptions.keep_out if assumptions.has_keep_out() else 0.0
+        return Clearance(ahead, max(beside, keep_out), body)
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _fastest_at(
+        self, distance: cython.double, front: cython.double, age: cython.double
+    ) -> cython.double:
+        """The speed ahead in m/s that an obstacle at a distance from the axle allows."""
+        assumptions: Assumptions = self._assumptions
+        room: cython.double = distance - front - assumptions.margin - assumptions.unseen_extent
+        braking: cython.double = assumptions.braking_linear
+        cap: cython.double = closing_cap(
+            room, braking, age, assumptions.others, assumptions.is_passive
+        )
+        if assumptions.has_keep_out():
+            room = distance - self._outline.lidar_x - assumptions.keep_out
+            cap = min(cap, reciprocal_cap(room, braking, age))
+        return cap
+
+    def narrowest_passage(self) -> NarrowestPassage:
+        """The narrowest door, corridor and meeting that protection lets this robot through.
+
+        At a door, the corners pass posts that may approach while they are not seen, unless the
+        robot may creep. Along the sides of a corridor the gap also leaves the side constraints
+        `_CORRIDOR_SPEED`. Each gap is `_PASSAGE_SLACK` wider: the nearest of noisy returns is
+        nearer than the surface. A robot that is seen whole creeps past it even in contact.
+        """
+        assumptions: Assumptions = self._assumptions
+        width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())
+        age = self._scan.latency + REACTION
+        others = assumptions.others if assumptions.is_passive else 0.0
+        kept = assumptions.margin + assumptions.unseen_extent
+        post = kept + others * (age + DECISION_PERIOD) + _PASSAGE_SLACK
+        mean_age = age + 0.5 / self._scan.rate
+        contact = self._contact_gap_beside()
+        rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + assumptions.side_reserve
+        side = contact + 2.0 * (mean_age + DECISION_PERIOD) * rest + _PASSAGE_SLACK
+        creeping = post
+        if assumptions.may_creep:
+            slack = _PASSAGE_SLACK if assumptions.unseen_extent > 0.0 else 0.0
+            creeping = contact + 2.0 * (mean_age + DECISION_PERIOD) * CREEP_SPEED + slack
+        if assumptions.has_keep_out():
+            side = post = max(side, post, assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width)
+        door = width + 2.0 * min(creeping, post)
+        corridor = max(door, width + 2.0 * side)
+        return NarrowestPassage(door, corridor, corridor + width + post)
+
+    def _contact_gap_beside(self) -> float:
+        """m from the outline within which a wall along the way may touch the robot unseen."""
+        chunk: Chunk = Chunk()
+        outline: Outline = self._outline
+        corners = outline.corners[:, 0]
+        hidden: cython.double = 0.0
+        chunk.count = 1
+        for x in np.linspace(corners.min(), corners.max(), _PLACES_BESIDE).tolist():
+            for y in (-2.0 * outline.outer, 2.0 * outline.outer):
+                chunk.x[0], chunk.y[0] = x, y
+                outline.separate(chunk, self._assumptions.blind)
+                hidden = maximum(hidden, chunk.hidden[0])
+        return self._assumptions.margin + self._assumptions.unseen_extent + hidden
