@@ -50,7 +50,7 @@ def rows(runs: int = RUNS) -> Iterator[Row]:
             while f"{ROBOTS}/{ROBOTS} alive" not in timed(members)[1]:
                 if time.monotonic() > deadline:
                     sys.exit(f"no {ROBOTS} daemons within 30 s")
-            found = [timed(members) for _ in range(runs)]
+            looks = [timed(members) for _ in range(runs)]
             bare = [timed([sys.executable, "-c", ""])[0] for _ in range(runs)]
             helped = [timed(swarmctl("--help"))[0] for _ in range(runs)]
         finally:
@@ -58,11 +58,11 @@ def rows(runs: int = RUNS) -> Iterator[Row]:
                 daemon.terminate()
             for daemon in daemons:
                 daemon.wait(timeout=10)
-    complete = sum(f"{ROBOTS}/{ROBOTS} alive" in text for _, text in found)
+    complete = sum(f"{ROBOTS}/{ROBOTS} alive" in text for _, text in looks)
     yield Row("python -c ''", bare, note="yardstick")
     yield Row("swarmctl --help", helped, "0.08 s")
     note = f"all {ROBOTS} robots named in {complete} of {runs} runs"
-    yield Row("swarmctl members, cold", [seconds for seconds, _ in found], "0.12 s", note)
+    yield Row("swarmctl members, cold", [seconds for seconds, _ in looks], "0.12 s", note)
 
 
 def main() -> None:

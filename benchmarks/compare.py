@@ -23,12 +23,12 @@ _VALUE = re.compile(r"(-?[0-9.]+(?:e[+-]?[0-9]+)?) ?(\S*)")
 
 def compare(commit: str, names: Sequence[str], rounds: int) -> None:
     """Print the ratio of every row that both commits have; SystemExit if one cannot run."""
-    other = checkout(commit)
+    old_folder = checkout(commit)
     runs: dict[str, list[dict[str, float]]] = {"old": [], "new": []}
     for number in range(rounds):
         for side in ("old", "new") if number % 2 == 0 else ("new", "old"):
             print(f"round {number + 1} of {rounds}: {side}", file=sys.stderr, flush=True)
-            folder = other if side == "old" else ROOT
+            folder = old_folder if side == "old" else ROOT
             text = "".join(run(folder, name) for name in names)
             runs[side].append(medians(text))
     print(f"new: this tree; old: {commit}; {rounds} pairs; times in s\n")
@@ -37,15 +37,15 @@ def compare(commit: str, names: Sequence[str], rounds: int) -> None:
 
 def checkout(commit: str) -> Path:
     """The folder of a checkout of the commit with an environment of its own."""
-    found = subprocess.run(
+    revision = subprocess.run(
         ["git", "-C", str(ROOT), "rev-parse", "--verify", f"{commit}^{{commit}}"],
         capture_output=True,
         text=True,
         check=False,
     )
-    if found.returncode:
+    if revision.returncode:
         sys.exit(f"--compare: no commit {commit!r} here; expected a name, tag or hash of git")
-    sha = found.stdout.strip()
+    sha = revision.stdout.strip()
     folder = ROOT / "build" / "compare" / sha[:12]
     if not folder.exists():
         print(f"checking {sha[:12]} out to {folder}", file=sys.stderr)
@@ -69,7 +69,7 @@ def run(folder: Path, name: str) -> str:
 
 def medians(text: str) -> dict[str, float]:
     """The p50 of each row of printed tables, in s or in the unit of the row."""
-    found: dict[str, float] = {}
+    medians_by_row: dict[str, float] = {}
     column: int | None = None
     for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
@@ -79,8 +79,8 @@ def medians(text: str) -> dict[str, float]:
             column = None
         elif column is not None and (value := _VALUE.fullmatch(cells[column])):
             number, unit = value.groups()
-            found[cells[0]] = float(number) * SIZES.get(unit, 1.0)
-    return found
+            medians_by_row[cells[0]] = float(number) * SIZES.get(unit, 1.0)
+    return medians_by_row
 
 
 def ratios(runs: Mapping[str, Sequence[Mapping[str, float]]]) -> list[tuple[str, ...]]:
@@ -88,7 +88,7 @@ def ratios(runs: Mapping[str, Sequence[Mapping[str, float]]]) -> list[tuple[str,
     from scipy import stats  # 1.1 s of CPU, which a collection of tests must not spend
 
     pairs = list(zip(runs["old"], runs["new"], strict=True))
-    common = [what for what in pairs[0][0] if all(what in one for pair in pairs for one in pair)]
+    common = [what for what in pairs[0][0] if all(what in run for pair in pairs for run in pair)]
     rows = []
     for what in common:
         old, new = [pair[0][what] for pair in pairs], [pair[1][what] for pair in pairs]

@@ -65,13 +65,13 @@ def read_stamps(swarm: Swarm) -> Stamps:
 
 def read_borders(swarm: Swarm) -> dict[str, dict[tuple[str, int], int]]:
     """The stamps of stamped daemons, by border."""
-    found: dict[str, dict[tuple[str, int], int]] = {}
+    stamps: dict[str, dict[tuple[str, int], int]] = {}
     for robot in swarm.robots:
         borders = json.loads((swarm.folder / f"{robot}.json").read_text())
         for border, times in borders.items():
-            some = found.setdefault(border, {})
-            some.update({(robot, int(seq)): at for seq, at in times.items()})
-    return found
+            times_at = stamps.setdefault(border, {})
+            times_at.update({(robot, int(seq)): at for seq, at in times.items()})
+    return stamps
 
 
 def between(start: Times, end: Times, span: Sequence[int]) -> tuple[list[float], int]:

@@ -41,13 +41,13 @@ def rates(agents: int, mode: str, parts: int = PARTS) -> list[float]:
         },
     )
     env.reset()
-    random, found = np.random.default_rng(0), []
+    random, rates_of_parts = np.random.default_rng(0), []
     for _ in range(parts + 1):
         start = time.process_time()
         for _ in range(STEPS):
             env.step({agent: random.uniform(-1.0, 1.0, 2) for agent in env.agents})
-        found.append(agents * STEPS / (time.process_time() - start))
-    return found[1:]
+        rates_of_parts.append(agents * STEPS / (time.process_time() - start))
+    return rates_of_parts[1:]
 
 
 def rows(parts: int = PARTS) -> Iterator[Row]:
@@ -63,20 +63,20 @@ def vmas_rows(python: str) -> Iterator[Row]:
     script = str(Path(__file__).with_name("vmas_steps.py"))
     command = [python, "-W", "ignore", script, *map(str, AGENTS)]
     done = subprocess.run(command, stdout=subprocess.PIPE, check=True)
-    for one in json.loads(done.stdout):
+    for result in json.loads(done.stdout):
         what = (
-            f"agent-steps a CPU-second, VMAS {one['task']}, {one['agents']} agents, "
-            f"{one['rays']} rays, environments: {one['environments']}"
+            f"agent-steps a CPU-second, VMAS {result['task']}, {result['agents']} agents, "
+            f"{result['rays']} rays, environments: {result['environments']}"
         )
-        yield Row(what, one["rates"], unit="")
+        yield Row(what, result["rates"], unit="")
 
 
 def main(words: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.learning")
     parser.add_argument("--vmas", metavar="PYTHON", help="an interpreter that has vmas and torch")
     python = parser.parse_args(words).vmas
-    found = [*rows(), *(vmas_rows(python) if python else ())]
-    print_table("Environment for learning, one processor", found)
+    table_rows = [*rows(), *(vmas_rows(python) if python else ())]
+    print_table("Environment for learning, one processor", table_rows)
 
 
 if __name__ == "__main__":

@@ -76,7 +76,7 @@ def experiment_rows() -> Iterator[Row]:
     mode = load_platform("waffle_pi").protection["mode"]
     for realism in ("ideal", "realistic"):
         taken = seconds_of("paper_exp1_waffle_pi", {"realism": realism}, SECONDS[7])
-        factors = [1.0 / one for one in taken]
+        factors = [1.0 / seconds for seconds in taken]
         note = f"experiment 1: attraction, 360 rays at 5 Hz, {mode}"
         yield Row(f"times real time, 7 robots, {realism}", factors, BUDGETS[7], note, unit="x")
 
@@ -86,15 +86,15 @@ def size_rows(patterns: Sequence[str]) -> Iterator[Row]:
         for n in SIZES:
             taken = seconds_of("thousand", one_per_square_metre(n, pattern), SECONDS[n])
             budget = BUDGETS.get(n, "") if pattern == "attraction" else ""
-            factors = [1.0 / one for one in taken]
+            factors = [1.0 / seconds for seconds in taken]
             yield Row(f"times real time, {n} robots, {pattern}", factors, budget, unit="x")
-            rates = [n / one for one in taken]
+            rates = [n / seconds for seconds in taken]
             yield Row(f"robot-seconds a CPU-second, {n}, {pattern}", rates, unit="")
 
 
 def puck_rows(count: int = 20) -> Iterator[Row]:
     for what, overrides in (("random_walk", {}), ("driven into the heap", HEAP)):
-        factors = [1.0 / one for one in seconds_of("pucks", overrides, count)]
+        factors = [1.0 / seconds for seconds in seconds_of("pucks", overrides, count)]
         yield Row(f"times real time, 10 robots, 200 pucks, {what}", factors, ">= 1 x", unit="x")
 
 
@@ -104,7 +104,7 @@ def argos_rows(
     n, name = 1000, "robot-seconds a CPU-second, 1000, 24 rays of 1.2 m at 10 Hz"
     for pattern in patterns:
         overrides = {**one_per_square_metre(n, pattern), **SHORT_RAYS}
-        rates = [n / one for one in seconds_of("thousand", overrides, seconds)]
+        rates = [n / taken for taken in seconds_of("thousand", overrides, seconds)]
         note = "ARGoS with such robots: 4650"
         yield Row(f"{name}, {pattern}", rates, ">= 2000", note, unit="")
 
@@ -112,7 +112,7 @@ def argos_rows(
 def growth_rows() -> Iterator[Row]:
     for n in GROWTH:
         taken = seconds_of("thousand", one_per_square_metre(n, "attraction"), GROWTH_SECONDS)
-        yield Row(f"CPU a robot-second, {n} robots, attraction", [one / n for one in taken])
+        yield Row(f"CPU a robot-second, {n} robots, attraction", [seconds / n for seconds in taken])
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
         yield Row(f"memory a robot, {n} robots", [memory / n], unit="MB")
 
@@ -133,9 +133,9 @@ def _core_rows(n: int, parts: int) -> Iterator[Row]:
         return time.perf_counter() - start
 
     pairs = [[run_processes(simulate, cores) for cores in (1, 2)] for _ in range(parts)]
-    factors = [1.0 / two for _, two in pairs]
+    factors = [1.0 / on_two for _, on_two in pairs]
     yield Row(f"lockstep on two cores, {n} robots, wall time", factors, CORE_BUDGETS[n], unit="x")
-    factors = [one / two for one, two in pairs]
+    factors = [on_one / on_two for on_one, on_two in pairs]
     yield Row(f"two cores against one, {n} robots, wall time", factors, ">= 1.7 x", unit="x")
 
 

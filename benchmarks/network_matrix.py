@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if why := lacks():
         sys.exit(why)
 
-    found: list[Row] = []
+    rows: list[Row] = []
     with contextlib.ExitStack() as left:
         folder = left.enter_context(tempfile.TemporaryDirectory())
         field = left.enter_context(contextlib.closing(Field((*ROBOTS, FAR, NEAR))))
@@ -45,14 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for _, rtt, loss in product(range(options.repeat), options.rtt, options.loss):
             for row in cell(swarm, rtt / 1000, loss / 100):
                 print("; ".join((*row.cells, row.judged.text)), file=sys.stderr)
-                found.append(row)
+                rows.append(row)
                 if options.json:
                     with options.json.open("a") as lines:
                         lines.write(json.dumps(asdict(row), default=sorted) + "\n")
-    print(markdown([HEAD, *(row.cells for row in found)]))
-    wrong = [row for row in found if row.judged.verdict != TRUE]
+    print(markdown([HEAD, *(row.cells for row in rows)]))
+    wrong = [row for row in rows if row.judged.verdict != TRUE]
     if wrong:
-        sys.exit(f"{len(wrong)} of {len(found)} answers are not true")
+        sys.exit(f"{len(wrong)} of {len(rows)} answers are not true")
 
 
 if __name__ == "__main__":

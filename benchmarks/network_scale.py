@@ -112,31 +112,31 @@ def air_time(robots: float, unicast: float, group: float, group_size: float, fra
 LAW_HEAD = ("load", "a robot", "alone", "a peer", *(f"at {robots} robots" for robots in LARGE))
 
 
-def laws(found: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
+def laws(rows: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
     """Rows of the second table: the law of each quantity, and the air time at `LARGE`."""
     for load in LOADS:
-        some = [one for one in found if one.load == load and not one.programs]
-        if len({one.robots for one in some}) < 2:
+        some = [row for row in rows if row.load == load and not row.programs]
+        if len({row.robots for row in some}) < 2:
             continue
 
         def fitted(values: Sequence[float], some: Sequence[Measured] = some) -> tuple[float, float]:
-            slope, alone = np.polyfit([one.robots - 1.0 for one in some], values, 1)
+            slope, alone = np.polyfit([row.robots - 1.0 for row in some], values, 1)
             return float(alone), float(slope)
 
         quantities = {
-            "unicast packets/s": fitted([one.packets - one.group_packets for one in some]),
-            "group packets/s": fitted([one.group_packets for one in some]),
-            "bytes/s": fitted([one.size for one in some]),
-            "group bytes/s": fitted([one.group_size for one in some]),
-            "CPU daemon %": fitted([one.daemon_cpu for one in some]),
-            "RSS daemon MB": fitted([one.daemon_rss for one in some]),
+            "unicast packets/s": fitted([row.packets - row.group_packets for row in some]),
+            "group packets/s": fitted([row.group_packets for row in some]),
+            "bytes/s": fitted([row.size for row in some]),
+            "group bytes/s": fitted([row.group_size for row in some]),
+            "CPU daemon %": fitted([row.daemon_cpu for row in some]),
+            "RSS daemon MB": fitted([row.daemon_rss for row in some]),
         }
         at = {
             name: [alone + slope * (robots - 1) for robots in LARGE]
             for name, (alone, slope) in quantities.items()
         }
         for name, (alone, slope) in quantities.items():
-            yield (load, name, f"{alone:.3g}", f"{slope:.3g}", *(f"{one:.3g}" for one in at[name]))
+            yield (load, name, f"{alone:.3g}", f"{slope:.3g}", *(f"{row:.3g}" for row in at[name]))
         for frame in (SMALL_FRAME, AGGREGATED_FRAME):
             shares = []
             for number, robots in enumerate(LARGE):
@@ -158,7 +158,7 @@ HEAD = (
 def sent(pid: int) -> tuple[int, int]:
     """The packets and bytes that the host of a process has sent."""
     lines = Path(f"/proc/{pid}/net/dev").read_text().splitlines()
-    [line] = [one for one in lines if "eth0:" in one]
+    [line] = [line for line in lines if "eth0:" in line]
     words = [int(word) for word in line.partition(":")[2].split()]
     return words[9], words[8]
 
@@ -166,9 +166,9 @@ def sent(pid: int) -> tuple[int, int]:
 def counters(pid: int) -> Counters:
     """The counters of the namespace and the processes of the daemon `pid`."""
     names, values = (
-        one.split()
-        for one in Path(f"/proc/{pid}/net/netstat").read_text().splitlines()
-        if one.startswith("IpExt:")
+        line.split()
+        for line in Path(f"/proc/{pid}/net/netstat").read_text().splitlines()
+        if line.startswith("IpExt:")
     )
     extra = {name: int(value) for name, value in zip(names[1:], values[1:], strict=True)}
     group = extra["OutMcastPkts"] + extra["OutBcastPkts"]
@@ -237,13 +237,13 @@ def programs_beside(
     """So many Zenoh programs on the laptop, each linked to all robots; prints their times."""
     command = (*swarm.field.prefix("laptop"), sys.executable, "-m", PROGRAM, swarm.name)
     with contextlib.ExitStack() as left:
-        found = []
+        programs = []
         for index in range(number):
             words = (f"program{number}-{index}", str(len(swarm.robots)), *channel)
-            found.append(Lines([*command, *words]))
-            left.callback(found[-1].close)
-            print(f"program {index}, s after open: {found[-1].hear()}", file=sys.stderr)
-        yield found
+            programs.append(Lines([*command, *words]))
+            left.callback(programs[-1].close)
+            print(f"program {index}, s after open: {programs[-1].hear()}", file=sys.stderr)
+        yield programs
 
 
 def measured(
@@ -252,7 +252,7 @@ def measured(
     """A swarm of that many robots under each load, beside each number of programs."""
     names = [f"r{number:02d}" for number in range(1, robots + 1)]
     field = Field([*names, "laptop"], is_switched=False, neighbours=True)
-    found = []
+    rows = []
     try:
         with tempfile.TemporaryDirectory() as folder:
             options: dict[str, object] = {"plugin_dir": str(PLUGINS)}
@@ -270,11 +270,11 @@ def measured(
                     for number in programs:
                         with programs_beside(swarm, number, CHANNELS[load]) as beside:
                             time.sleep(settle)
-                            found.append(measure(swarm, load, beside, seconds))
-                        print("; ".join(found[-1].cells), file=sys.stderr)
+                            rows.append(measure(swarm, load, beside, seconds))
+                        print("; ".join(rows[-1].cells), file=sys.stderr)
     finally:
         field.close()
-    return found
+    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -288,18 +288,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if why := lacks():
         sys.exit(why)
-    found = [
-        one
+    rows = [
+        row
         for robots in options.robots
-        for one in measured(
+        for row in measured(
             robots, options.loads, options.programs, options.seconds, options.settle
         )
     ]
-    print(markdown([HEAD, *(one.cells for one in found)]))
-    if law := list(laws(found)):
+    print(markdown([HEAD, *(row.cells for row in rows)]))
+    if law := list(laws(rows)):
         print("\n" + markdown([LAW_HEAD, *law]))
     if options.json:
-        options.json.write_text("".join(json.dumps(asdict(one)) + "\n" for one in found))
+        options.json.write_text("".join(json.dumps(asdict(row)) + "\n" for row in rows))
 
 
 if __name__ == "__main__":

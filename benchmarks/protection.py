@@ -217,13 +217,13 @@ def avoidance_rows(platform: Platform) -> Iterator[Row]:
     """The same in a pattern with recovery beside eight moving robots, in alternation."""
     permits = [Permit(may_recover=True, avoids=avoids) for avoids in (False, True)]
     scans = circling(platform, 8)
-    ones = [Moving(platform, scans, Twist(0.02), permit) for permit in permits]
+    deciders = [Moving(platform, scans, Twist(0.02), permit) for permit in permits]
     times: list[list[float]] = [[], []]
     for _ in range(3):
-        for one, some in zip(ones, times, strict=True):
-            some += measure_each(one.prepare)
-    for what, some in zip(("without avoidance", "with avoidance"), times, strict=True):
-        yield Row(f"scan with de-skew and decision, driving, 8 neighbours, {what}", some)
+        for decider, times_of in zip(deciders, times, strict=True):
+            times_of += measure_each(decider.prepare)
+    for what, times_of in zip(("without avoidance", "with avoidance"), times, strict=True):
+        yield Row(f"scan with de-skew and decision, driving, 8 neighbours, {what}", times_of)
 
 
 def circling(platform: Platform, neighbors: int) -> list[Scan]:
@@ -241,9 +241,9 @@ def circling(platform: Platform, neighbors: int) -> list[Scan]:
 def mode_rows(platform: Platform) -> Iterator[Row]:
     """Each mode beside 0 to 8 neighbours."""
     for mode in MODES:
-        one = with_mode(platform, mode)
+        platform_with_mode = with_mode(platform, mode)
         for neighbors in (0, 1, 2, 4, 8):
-            decider = Decider(one, among(one, neighbors))
+            decider = Decider(platform_with_mode, among(platform_with_mode, neighbors))
             what = f"{mode}, {neighbors} neighbours"
             is_barrier = mode == "barrier"
             budget = SCAN_BUDGET if is_barrier else "p99 1 ms"

@@ -28,7 +28,7 @@ SETTLING = 8.0  # s between a request and the window
 def cpu_seconds(pid: int) -> float:
     """User and system time of all threads so far in s, by the scheduler's own ns."""
     threads = Path(f"/proc/{pid}/task").glob("*/schedstat")
-    return sum(int(one.read_text().split()[0]) for one in threads) * 1e-9
+    return sum(int(schedstat.read_text().split()[0]) for schedstat in threads) * 1e-9
 
 
 class Window:
@@ -58,18 +58,20 @@ def rows(seconds: float = SECONDS, rounds: int = ROUNDS) -> Iterator[Row]:
             _record(swarm, "start")
             on.append(Window(swarm, seconds))
         files = list((swarm.folder / "state").rglob("*.mcap"))
-        size = sum(one.stat().st_size for one in files)
+        size = sum(file.stat().st_size for file in files)
         passed = rounds * (seconds + SETTLING)
     more = [sum(b.cpu.values()) - sum(a.cpu.values()) for a, b in zip(off, on, strict=True)]
     note = f"of one core, windows of {seconds:.0f} s"
     yield Row("CPU, everything, more while it records", more, "1 %", note, "%")
     for role in ("daemon", "recorder"):
-        yield Row(f"CPU, {role}, not recording", [one.cpu.get(role, 0.0) for one in off], unit="%")
-        yield Row(f"CPU, {role}, recording", [one.cpu.get(role, 0.0) for one in on], unit="%")
-    yield Row("lateness of the loop (p99), not recording", [one.late for one in off])
-    yield Row("lateness of the loop (p99), recording", [one.late for one in on])
+        yield Row(
+            f"CPU, {role}, not recording", [window.cpu.get(role, 0.0) for window in off], unit="%"
+        )
+        yield Row(f"CPU, {role}, recording", [window.cpu.get(role, 0.0) for window in on], unit="%")
+    yield Row("lateness of the loop (p99), not recording", [window.late for window in off])
+    yield Row("lateness of the loop (p99), recording", [window.late for window in on])
     yield Row("disk, a minute", [size / 1e6 / passed * 60.0], unit="MB")
-    yield Row("entries dropped", [one.dropped for one in on], unit="x")
+    yield Row("entries dropped", [window.dropped for window in on], unit="x")
 
 
 def _record(swarm: Swarm, action: Literal["start", "stop"]) -> None:

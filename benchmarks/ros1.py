@@ -65,7 +65,7 @@ def field(scan: Scan) -> Twist:
 
 def patterns_field(scan: Scan) -> Twist:
     """The field that patterns use, which knows nothing of where the rays look."""
-    found = potential_field(
+    potential = potential_field(
         scan.ranges,
         scan.bearings,
         range_max=scan.range_max,
@@ -73,7 +73,7 @@ def patterns_field(scan: Scan) -> Twist:
         bias=2.0,
         ray_threshold=5,
     )
-    return field_twist(found.vector, 0.1, 1.0)
+    return field_twist(potential.vector, 0.1, 1.0)
 
 
 def core() -> Answer:
@@ -104,10 +104,10 @@ async def answer_all(master: str, answers: Mapping[str, Answer]) -> None:
 
 def measured(seconds: float) -> dict[str, list[float]]:
     """Seconds from scan to command, by namespace."""
-    found: dict[str, list[float]] = {"/plain": [], "/driver": [], "/patterns": [], "/core": []}
+    times: dict[str, list[float]] = {"/plain": [], "/driver": [], "/patterns": [], "/core": []}
     with tempfile.TemporaryDirectory() as folder, RosCore(Path(folder)) as master:
         ours = [sys.executable, "-m", "benchmarks.ros1", "--answer", master.uri]
-        commands = (ours, [*NODES, "plain"], [*NODES, "robot", *found])
+        commands = (ours, [*NODES, "plain"], [*NODES, "robot", *times])
         children = [
             subprocess.Popen(command, env=master.environ, stdout=subprocess.PIPE, text=True)
             for command in commands
@@ -116,7 +116,7 @@ def measured(seconds: float) -> dict[str, list[float]]:
             lines = children[-1].stdout
             assert lines is not None
             # Until all answer, and a little longer.
-            missing = set(found)
+            missing = set(times)
             while missing:
                 if any(child.poll() is not None for child in children):
                     sys.exit("a process of the benchmark has ended")
@@ -128,7 +128,7 @@ def measured(seconds: float) -> dict[str, list[float]]:
                 passed = time.monotonic() - begin
                 namespace, value = line.split()
                 if passed > WARM:
-                    found[namespace].append(float(value))
+                    times[namespace].append(float(value))
                 if passed > WARM + seconds:
                     break
         finally:
@@ -136,7 +136,7 @@ def measured(seconds: float) -> dict[str, list[float]]:
                 child.kill()
                 child.communicate()
             time.sleep(3.0)  # the adapters send their zeros and leave
-    return found
+    return times
 
 
 def latencies(seconds: float) -> Iterator[Row]:
@@ -144,16 +144,16 @@ def latencies(seconds: float) -> Iterator[Row]:
     if lacks:
         yield Row("scan to velocity over ROS 1", [], note=lacks)
         return
-    found = measured(seconds)
-    plain = float(np.nanmedian(found["/plain"]))
+    times = measured(seconds)
+    plain = float(np.nanmedian(times["/plain"]))
     for namespace, what in (
         ("/plain", "a node in rospy: subscribe, potential field, publish"),
         ("/driver", "through the driver, the same potential field"),
         ("/patterns", "through the driver, the potential field of patterns"),
         ("/core", "through the driver, conditioned and protected"),
     ):
-        samples = [value for value in found[namespace] if not math.isnan(value)]
-        lost = len(found[namespace]) - len(samples)
+        samples = [value for value in times[namespace] if not math.isnan(value)]
+        lost = len(times[namespace]) - len(samples)
         note = f"p50 {np.median(samples) / plain:.2f} x that of the node"
         if lost:
             note += f"; {lost} without a command"

@@ -102,15 +102,15 @@ async def measure(seconds: float, delay: float) -> Sequence[tuple[float, float]]
         tempfile.TemporaryDirectory() as folder,
         Bridge(Path(folder), domain) as bridge,
         _start("base", domain, seconds + 3.0) as taking,
-        _start("rival", domain, seconds + 6.0) as other,
+        _start("rival", domain, seconds + 6.0) as rival,
     ):
         assert taking.stdout is not None
         text = asyncio.create_task(asyncio.to_thread(taking.stdout.read))
         async with _delayed(bridge.endpoint, delay) as endpoint:
             arrivals = json.loads(await _stand(endpoint, text))
-        other.kill()
+        rival.kill()
     begin = arrivals[-1][0] - seconds
-    return [one for one in arrivals if one[0] >= begin]
+    return [arrival for arrival in arrivals if arrival[0] >= begin]
 
 
 @asynccontextmanager
@@ -137,11 +137,11 @@ async def _delayed(endpoint: str, delay: float) -> AsyncIterator[str]:
 def shares(arrivals: Sequence[tuple[float, float]]) -> list[float]:
     """The share of samples at 50 Hz that find the other's command, at each of 40 phases."""
     times, values = np.array(arrivals).T
-    found = []
+    phases = []
     for phase in np.arange(40) / 40.0 * BASE_PERIOD:
         at = np.arange(times[0] + phase, times[-1], BASE_PERIOD)
-        found.append(float(np.mean(values[np.searchsorted(times, at, side="right") - 1] != 0.0)))
-    return found
+        phases.append(float(np.mean(values[np.searchsorted(times, at, side="right") - 1] != 0.0)))
+    return phases
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -159,13 +159,18 @@ def main(arguments: list[str] | None = None) -> None:
         arrivals = asyncio.run(measure(read.seconds, 1e-3 * read.delay_ms))
         times = [b[0] - a[0] for a, b in pairwise(arrivals) if a[1]]
         share = sum(times) / (arrivals[-1][0] - arrivals[0][0])
-        rivals, zeros = sum(bool(one[1]) for one in arrivals), sum(not one[1] for one in arrivals)
+        rivals, zeros = (
+            sum(bool(arrival[1]) for arrival in arrivals),
+            sum(not arrival[1] for arrival in arrivals),
+        )
         print(f"{rivals} commands of another node, {zeros} zeros")
         print(f"a base that acts on each message has the other's for {100 * share:.1f} %,")
         print(f"  {1e3 * np.median(times):.2f} ms each (p50), {1e3 * max(times):.1f} ms at most")
-        found = shares(arrivals)
-        print(f"a base that samples at 50 Hz has it for {100 * np.mean(found):.1f} % on average,")
-        print(f"  {100 * max(found):.0f} % at the worst phase to the other node")
+        of_phases = shares(arrivals)
+        print(
+            f"a base that samples at 50 Hz has it for {100 * np.mean(of_phases):.1f} % on average,"
+        )
+        print(f"  {100 * max(of_phases):.0f} % at the worst phase to the other node")
 
 
 if __name__ == "__main__":

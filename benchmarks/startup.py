@@ -31,8 +31,8 @@ def one_run(folder: Path) -> dict[str, object]:
 
 def rows(runs: int = RUNS) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
-        found = [one_run(Path(folder))["seconds_to_moving"] for _ in range(runs)]
-    seconds = [moving for moving in found if isinstance(moving, float)]
+        starts = [one_run(Path(folder))["seconds_to_moving"] for _ in range(runs)]
+    seconds = [moving for moving in starts if isinstance(moving, float)]
     note = f"all moved in {len(seconds)} of {runs} runs"
     yield Row(f"swarmctl demo: {ROBOTS} robots moving", seconds, "1.8 s", note)
 

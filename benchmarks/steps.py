@@ -112,12 +112,12 @@ def steps(scans: Sequence[Scan], channels: Mapping[str, type]) -> Iterator[Input
             is_new_scan=tick % 2 == 0,
             odometry=Odometry(now, Pose(0.01 * tick, 0.0, 0.001 * tick), Twist(0.1)),
             neighbors=tuple(
-                Neighbor(other, 0.1, 1.0 + 0.3 * k + 0.01 * (tick // 5 % 5), turn * k)
-                for k, other in enumerate(OTHERS)
+                Neighbor(sender, 0.1, 1.0 + 0.3 * k + 0.01 * (tick // 5 % 5), turn * k)
+                for k, sender in enumerate(OTHERS)
             ),
             messages=tuple(
-                Message(other, channel, said(channel, kind, tick // 10, k), 0.0)
-                for k, other in enumerate(OTHERS)
+                Message(sender, channel, said(channel, kind, tick // 10, k), 0.0)
+                for k, sender in enumerate(OTHERS)
                 if tick % 10 == k
                 for channel, kind in channels.items()
             ),
@@ -126,11 +126,11 @@ def steps(scans: Sequence[Scan], channels: Mapping[str, type]) -> Iterator[Input
 
 
 def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
-    found = pattern_names(None)
-    finder = PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    known = pattern_names(None)
+    finder = PatternLoader({name: (origin.value, origin.is_file) for name, origin in known.items()})
     platform = load_platform("waffle_pi")
     provides = platform.provides | {"neighbors.distance", "neighbors.bearing"}
-    for name in found:
+    for name in known:
         for params in LAWS.get(name, ({},)):
             senses = replace(platform, provides=provides | finder(name).needs)
             pattern = Subject(finder(name), senses, params).make()

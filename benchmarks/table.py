@@ -52,10 +52,10 @@ class Row:
         return "yes" if judged and len(judged) == len(bounds) else ""
 
     def _is_met(self, bound: str) -> bool:
-        found = _BOUND.fullmatch(bound)
-        if found is None:
+        match = _BOUND.fullmatch(bound)
+        if match is None:
             raise ValueError(f"{self.what}: no budget {bound!r}; expected such as 'p99 4 ms'")
-        statistic, is_least, number, unit = found.groups()
+        statistic, is_least, number, unit = match.groups()
         sizes = {name: size for size, name in SCALES["s"]}
         wanted = float(number) * sizes.get(unit or "", 1.0)
         value = float(np.percentile(self.samples, _STATISTICS[statistic or "p50"]))
@@ -65,7 +65,7 @@ class Row:
 def show(value: float, unit: str) -> str:
     """A value with three digits and the unit that suits its size."""
     scales = SCALES.get(unit, ((1.0, unit),))
-    size, name = next((one for one in scales if abs(value) >= one[0]), scales[-1])
+    size, name = next((scale for scale in scales if abs(value) >= scale[0]), scales[-1])
     return f"{value / size:.3g} {name}"
 
 
@@ -74,7 +74,7 @@ def print_table(title: str, rows: Iterable[Row]) -> None:
     before = os.getloadavg()
     cells = [HEAD, *(row.cells() for row in rows)]
     after = os.getloadavg()
-    load = " -> ".join(" ".join(f"{one:.1f}" for one in some) for some in (before, after))
+    load = " -> ".join(" ".join(f"{average:.1f}" for average in some) for some in (before, after))
     print(f"\n### {title}\n\nLoad average (1, 5, 15 min) {load}\n")
     print(markdown(cells))
     sys.stdout.flush()

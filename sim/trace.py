@@ -59,58 +59,65 @@ COLUMNS = (*_COMMON, *(f"requested_{name}" for name in TWIST), *_PER_ROBOT, *BOU
 class Trace:
     """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
 
-    `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, ground truth; NaN
-    after a robot was taken out of the arena. `safe` (T, n, 3) linear, angular, lateral: the
-    command in force at the base. `contact_t` (c,), `contact_pair` (c, 2) robot indices, the second
-    ARENA for a wall and ARENA - 1 - m for movable box m, and `contact_speed` (c, 2) m/s at which
-    each surface moved towards the other: one row for every step of a contact.
-    `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and so
-    on, and `modes`: the protection mode of each platform.
-
-    Values that only robots know are None unless they reported them: `requested` (T, n, 3), the
-    command of the pattern; `state` and `reason` (T, n) words; `active` (T, n) bool: protection
-    replaced or reduced the requested command; `decided` and `evaded` (T, n): scans judged while
-    running since the last sample, and those with protection active; `gap` (T, n) m from the
-    footprint to the nearest return, NaN without one; `scan_age` (T, n) s, NaN before the first
-    scan; `bound` (T, n, 3), the tightest constraint: its bearing in rad from the axle, its gap in m
-    and the highest speed in m/s of the outline towards it, NaN without one; `recovering` (T, n)
-    bool: protection replaced the requested command by a way around an obstacle.
-
-    `present` (T, n) bool: the robot has a daemon (None: all, always). `report` (T, n) by name:
-    numbers that patterns reported, NaN where absent; `words`: texts, empty where absent;
-    `readings`: the scalar sensors that robots read, NaN where absent.
-
-    `box_pose` (T, m, 3) are the poses of the movable boxes and then the items `movable_boxes`, NaN
-    for one outside the arena; `box_shapes` (m, k, 2) their outlines in their own frames.
+    The fields from `requested` to `recovering` are known to robots alone: None unless the robots
+    reported them.
     """
 
     ids: tuple[str, ...]
     t: Array
+    """(T,) s."""
     pose: Array
+    """(T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, ground truth; NaN after a robot
+    was taken out of the arena."""
     safe: Array
+    """(T, n, 3) linear, angular, lateral: the command in force at the base."""
     contact_t: Array
+    """(c,) s, a row for every step of a contact."""
     contact_pair: NDArray[np.int64]
+    """(c, 2) indices of robots, the second ARENA for a wall, ARENA - 1 - m for movable box m."""
     contact_speed: Array
+    """(c, 2) m/s at which each surface moves towards the other surface."""
     platforms: tuple[str, ...]
+    """The platform of each robot by name."""
     footprints: Mapping[str, Array]
+    """The footprint (k, 2) of each platform."""
     meta: Mapping[str, Any] = field(default_factory=dict)
+    """Arena, seed and so on, and `modes`: the protection mode of each platform."""
     requested: Array | None = None
+    """(T, n, 3) the command of the pattern."""
     state: NDArray[np.str_] | None = None
+    """(T, n) words."""
     reason: NDArray[np.str_] | None = None
+    """(T, n) words."""
     active: NDArray[np.bool_] | None = None
+    """(T, n) protection replaced or reduced the requested command."""
     decided: NDArray[np.int64] | None = None
+    """(T, n) scans judged while running since the last sample."""
     evaded: NDArray[np.int64] | None = None
+    """(T, n) those of `decided` with protection active."""
     gap: Array | None = None
+    """(T, n) m from the footprint to the nearest return, NaN without a return."""
     scan_age: Array | None = None
+    """(T, n) s, NaN before the first scan."""
     bound: Array | None = None
+    """(T, n, 3) the tightest constraint, NaN without: its bearing in rad from the axle, its gap in
+    m, and the highest speed in m/s of the outline towards it."""
     recovering: NDArray[np.bool_] | None = None
+    """(T, n) protection replaced the requested command by a way around an obstacle."""
     present: NDArray[np.bool_] | None = None
+    """(T, n) the robot has a daemon; None: all robots, always."""
     report: Mapping[str, Array] = field(default_factory=dict)
+    """(T, n) by name: numbers that patterns reported, NaN where absent."""
     words: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)
+    """(T, n) by name: texts that patterns reported, empty where absent."""
     readings: Mapping[str, Array] = field(default_factory=dict)
+    """(T, n) by name: scalar sensors, NaN where absent."""
     movable_boxes: tuple[str, ...] = ()
+    """The movable boxes, then the items."""
     box_pose: Array | None = None
+    """(T, m, 3) poses of `movable_boxes`, NaN outside the arena."""
     box_shapes: Array | None = None
+    """(m, k, 2) outlines of `movable_boxes` in their own frames."""
 
     @property
     def duration(self) -> float:
@@ -158,25 +165,25 @@ def poses_at(t: Array, poses: Array, time: float) -> Array:
     first = max(last - 1, 0)
     span = float(t[last] - t[first])
     share = min(max((time - float(t[first])) / span, 0.0), 1.0) if span > 0.0 else 1.0
-    found: Array = (1.0 - share) * poses[first] + share * poses[last]
-    return found
+    interpolated: Array = (1.0 - share) * poses[first] + share * poses[last]
+    return interpolated
 
 
 def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
-    """Names of patterns, and (T, n) the place of that which each robot was last told to run.
+    """Names of patterns, and (T, n) the place of the pattern that each robot runs or ran last.
 
     The first name is that of the whole run: empty unless one pattern was run on all from the start.
     """
     names = [str(trace.meta.get("pattern", ""))]
-    found = np.zeros(trace.pose.shape[:2], dtype=np.int16)
+    places = np.zeros(trace.pose.shape[:2], dtype=np.int16)
     rows = {robot: row for row, robot in enumerate(trace.ids)}
     runs = [event for event in trace.meta.get("events", ()) if event["action"] == "run"]
     for event in sorted(runs, key=lambda event: float(event["at"])):
         some = [rows[robot] for robot in event.get("robots") or trace.ids if robot in rows]
         since = int(np.searchsorted(trace.t - trace.t[:1], float(event["at"]) - 1e-9))
-        found[since:, some] = len(names)
+        places[since:, some] = len(names)
         names.append(str(event.get("pattern") or ""))
-    return tuple(names), found
+    return tuple(names), places
 
 
 def _most_unpacked(path: Path) -> int:
@@ -327,7 +334,8 @@ def decision_values(
     state: str, reason: str, decision: Decision | DecisionSummary
 ) -> tuple[Any, ...]:
     """What a robot reports of its decision, in the order of DECISION_ARRAYS."""
-    gap, age, rows = decision.min_gap, decision.scan_age, decision.rows
+    gap, age = decision.min_gap, decision.scan_age
+    rows = decision.rows
     return (
         state,
         reason,
@@ -371,7 +379,7 @@ def columns_of(trace: Trace) -> dict[str, Any]:
 
     instants, n = trace.pose.shape[:2]
     heading = np.arctan2(np.sin(trace.pose[..., 2]), np.cos(trace.pose[..., 2]))
-    found: dict[str, Any] = {
+    columns: dict[str, Any] = {
         "t": np.repeat(trace.t, n),
         "robot": np.tile(np.array(trace.ids, dtype=object), instants),
         "platform": np.tile(np.array(trace.platforms, dtype=object), instants),
@@ -380,14 +388,14 @@ def columns_of(trace: Trace) -> dict[str, Any]:
         "heading": heading,
         "present": presence(trace),
     }
-    found |= _parted(trace.safe, TWIST)
-    found |= _parted(trace.requested, [f"requested_{name}" for name in TWIST])
-    found |= {name: getattr(trace, name) for name in _PER_ROBOT}
-    found |= _parted(trace.bound, BOUND)
-    found |= {f"report:{name}": values for name, values in trace.report.items()}
-    found |= {f"report:{name}": values for name, values in trace.words.items()}
-    found |= {f"reading:{name}": values for name, values in trace.readings.items()}
-    return {name: values.reshape(-1) for name, values in found.items() if values is not None}
+    columns |= _parted(trace.safe, TWIST)
+    columns |= _parted(trace.requested, [f"requested_{name}" for name in TWIST])
+    columns |= {name: getattr(trace, name) for name in _PER_ROBOT}
+    columns |= _parted(trace.bound, BOUND)
+    columns |= {f"report:{name}": values for name, values in trace.report.items()}
+    columns |= {f"report:{name}": values for name, values in trace.words.items()}
+    columns |= {f"reading:{name}": values for name, values in trace.readings.items()}
+    return {name: values.reshape(-1) for name, values in columns.items() if values is not None}
 
 
 def pandas() -> Any:

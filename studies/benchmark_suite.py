@@ -43,18 +43,19 @@ def table(files: Sequence[str]) -> str:
     values: dict[tuple[str, str], dict[int, float]] = {}
     for file in files:
         if file.endswith(".csv"):
-            for key, found in benchmark.read_results(Path(file), benchmark.task_names()).items():
-                values.setdefault(key, {}).update(found)
+            read = benchmark.read_results(Path(file), benchmark.task_names())
+            for key, by_seed in read.items():
+                values.setdefault(key, {}).update(by_seed)
             continue
         for task in json.loads(Path(file).read_text())["tasks"]:
-            for one in task["results"]:
-                found = values.setdefault((one["name"], task["name"]), {})
-                found |= {int(s): math.nan if v is None else v for s, v in one["values"].items()}
+            for row in task["results"]:
+                known = values.setdefault((row["name"], task["name"]), {})
+                known |= {int(s): math.nan if v is None else v for s, v in row["values"].items()}
     tasks = [benchmark.load_task(name) for name in benchmark.task_names()]
     cells = benchmark.table_of(values, {task.name: task.file.metric.better for task in tasks})
     rows = [["task", "rank", "pattern", "median", "95 %", "unit", "runs"]]
     for task in tasks:
-        listed = [(row, found[task.name]) for row, found in cells.items() if task.name in found]
+        listed = [(row, of_row[task.name]) for row, of_row in cells.items() if task.name in of_row]
         for row, cell in sorted(listed, key=lambda item: (item[1].place, item[0])):
             summary = cell.summary
             between = summary.median_interval
@@ -82,7 +83,7 @@ def draw(path: Path) -> None:
         trace = simulate_run(short, 0)
         extent = scene.extent_of(trace)
         scene.prepare(axes, extent)
-        fields = [one for one in scenario.fields if one.__struct_config__.tag in _DRAWN]
+        fields = [field for field in scenario.fields if field.__struct_config__.tag in _DRAWN]
         scene.paint_fields(axes, trace, extent, fields, is_small=True)
         scene.paint_arena(axes, trace)
         for kind in scenario.items:

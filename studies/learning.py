@@ -93,16 +93,16 @@ def table(kinds: Mapping[str, Act], seeds: Sequence[int]) -> list[str]:
     lines.append("|---|---|---|---|---|")
     for name, act in kinds.items():
         for mode in ("barrier", "off"):
-            found = measure(act, seeds, mode)
-            cells = map(_shown, (found.returns, found.limited, found.contacts))
+            measured = measure(act, seeds, mode)
+            cells = map(_shown, (measured.returns, measured.limited, measured.contacts))
             lines.append(f"| {name} | {mode} | {' | '.join(cells)} |")
     return lines
 
 
 def _shown(values: Array) -> str:
-    found = mean_interval(values)
+    interval = mean_interval(values)
     mean = f"{values.mean():.2f}"
-    return mean if found is None else f"{mean} ({found.low:.2f} to {found.high:.2f})"
+    return mean if interval is None else f"{mean} ({interval.low:.2f} to {interval.high:.2f})"
 
 
 if __name__ == "__main__":

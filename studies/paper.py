@@ -130,8 +130,8 @@ def _gather_time(values: Array) -> str:
     never = int(np.isnan(values).sum())
     if not never:
         return median(values)
-    found = summarize(values, is_time_to_event=True).median
-    return f"{'-' if found is None else f'{found:.2f}'}, {never} never"
+    middle = summarize(values, is_time_to_event=True).median
+    return f"{'-' if middle is None else f'{middle:.2f}'}, {never} never"
 
 
 def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
@@ -167,7 +167,7 @@ HARDWARE = ("", "groups of three by 10 s", "six together after 10 s", "at most o
             "late largest group", "contacts")  # fmt: skip
 
 
-def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
+def tables(by_run: Mapping[tuple[str, str, bool], Results]) -> str:
     """All tables, of the runs that exist."""
     parts = []
     for title, columns, names in (
@@ -177,7 +177,7 @@ def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
         rows = [
             [f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}"]
             + [cell(results, variant_of(visibility), name) for _, cell in columns]
-            for (name, law, is_fresh), results in found.items()
+            for (name, law, is_fresh), results in by_run.items()
             if name in names
             for visibility in VISIBILITIES
             if results.seeds(variant_of(visibility))
@@ -185,22 +185,22 @@ def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
         parts += [f"## {title}", markdown([["", *(head for head, _ in columns)], *rows])]
     rows = [
         [f"{row}, {law}{', fresh' if is_fresh else ''}", *cells]
-        for (name, law, is_fresh), results in found.items()
+        for (name, law, is_fresh), results in by_run.items()
         if name == "hardware"
         for row, cells in hardware_rows(results)
     ]
     return "\n\n".join([*parts, "## Hardware", markdown([HARDWARE, *rows])]) + "\n"
 
 
-def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
+def draw(by_run: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
     """The figures: the distance to the centroid over time, and a typical run of each law."""
     out.mkdir(parents=True, exist_ok=True)
     metric = "mean_distance_to_centroid_late"
     for name in TURTLEBOTS:
         sides = {
-            f"{law}, {visibility}": Side(law, found[name, law, False], variant_of(visibility))
+            f"{law}, {visibility}": Side(law, by_run[name, law, False], variant_of(visibility))
             for law in DRAWN
-            if (name, law, False) in found
+            if (name, law, False) in by_run
             for visibility in VISIBILITIES
         }
         if sides:
@@ -208,7 +208,7 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
             figure = compared_over_time(sides, metric, look, f"paper_exp1_{name}")
             save(figure, out / f"paper_{name}_mdc.png")
     for law in DRAWN:
-        results = found.get(("waffle_pi", law, False))
+        results = by_run.get(("waffle_pi", law, False))
         if results is not None:
             variant = variant_of("real")
             values = results.metric(metric, variant)
@@ -222,7 +222,7 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
 def main(arguments: Sequence[str]) -> None:
     """All runs, in the order in which they matter, then tables and figures."""
     out, is_drawing = out_of(arguments, "build/paper")
-    found: dict[tuple[str, str, bool], Results] = {}
+    by_run: dict[tuple[str, str, bool], Results] = {}
     for law, seeds, names in PLAN:
         for name in names:
             results = results_of(
@@ -234,13 +234,13 @@ def main(arguments: Sequence[str]) -> None:
                 sweep={"lidar_visibility": list(VISIBILITIES)},
             )
             if results:
-                found[name, law, seeds is FRESH] = results
-    (out / "tables.md").write_text(tables(found))
-    draw(found, out / "figures")
+                by_run[name, law, seeds is FRESH] = results
+    (out / "tables.md").write_text(tables(by_run))
+    draw(by_run, out / "figures")
 
 
 if __name__ == "__main__":
-    unknown = [one for one in sys.argv[1:] if one.startswith("-") and one != "--draw"]
+    unknown = [word for word in sys.argv[1:] if word.startswith("-") and word != "--draw"]
     try:
         if unknown:  # such as --help
             print(__doc__)

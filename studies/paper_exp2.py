@@ -191,27 +191,27 @@ def row(courses: Sequence[Course]) -> list[str]:
     ]
 
 
-def tables(found: Mapping[str, Results]) -> str:
+def tables(results: Mapping[str, Results]) -> str:
     """All tables, of the runs that exist."""
     rows: dict[str, list[str]] = {}
-    for name in [name for name in ("paper", "larger") if name in found]:
-        courses = [judged(trace) for trace in found[name].traces]
+    for name in [name for name in ("paper", "larger") if name in results]:
+        courses = [judged(trace) for trace in results[name].traces]
         for opinion in sorted({course.opinion for course in courses}):
             some = [course for course in courses if course.opinion == opinion]
             rows[f"{TITLES[name]}, f({opinion}) = {some[0].wanted:.1f} m"] = row(some)
     lines = [markdown([HEAD, *([name, *cells] for name, cells in rows.items())])]
-    if "late" in found:
-        lines += [str(joined(trace)) for trace in found["late"].traces]
+    if "late" in results:
+        lines += [str(joined(trace)) for trace in results["late"].traces]
     return "\n\n".join(lines) + "\n"
 
 
-def draw(found: Mapping[str, Results], out: Path) -> None:
+def draw(results: Mapping[str, Results], out: Path) -> None:
     """The least range of each run over time, by opinion, and a typical run."""
     out.mkdir(parents=True, exist_ok=True)
-    for name in [name for name in ("paper", "larger") if name in found]:
+    for name in [name for name in ("paper", "larger") if name in results]:
         groups: dict[str, list[Series]] = {}
         is_run_drawn = name != "paper"
-        for trace in found[name].traces:
+        for trace in results[name].traces:
             course = judged(trace)
             label = f"opinion {course.opinion}: {course.wanted:.1f} m wanted"
             series = (trace.t - trace.t[0], ranges(trace).min(axis=1))
@@ -228,17 +228,17 @@ def draw(found: Mapping[str, Results], out: Path) -> None:
 def main(arguments: Sequence[str]) -> None:
     """Do all runs, then write tables and figures."""
     out, is_drawing = out_of(arguments, "build/paper_exp2")
-    found: dict[str, Results] = {}
+    results_of_runs: dict[str, Results] = {}
     for name, scenario, changes in PLAN:
         if results := results_of(out / name, is_drawing, scenario, SEEDS, set=changes):
-            found[name] = results
-    (out / "tables.md").write_text(tables(found))
-    draw(found, out / "figures")
+            results_of_runs[name] = results
+    (out / "tables.md").write_text(tables(results_of_runs))
+    draw(results_of_runs, out / "figures")
 
 
 def out_of(arguments: Sequence[str], usual: str) -> tuple[Path, bool]:
     """The folder among the arguments, or the usual one, and whether `--draw` is among them."""
-    places = [one for one in arguments if not one.startswith("-")]
+    places = [word for word in arguments if not word.startswith("-")]
     return Path(places[0] if places else usual), "--draw" in arguments
 
 

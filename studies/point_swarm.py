@@ -75,7 +75,7 @@ class Track:
 
     def reported(self, name: str, missing: float = math.nan) -> Array:
         """One reported number (T, n); `missing` where a robot is absent or does not report it."""
-        rows = [[float(one.get(name, missing)) for one in now] for now in self.reports]
+        rows = [[float(report.get(name, missing)) for report in now] for now in self.reports]
         return np.array(rows)
 
 
@@ -174,8 +174,8 @@ class PointSwarm:
     def _step(self, row: int, now: float) -> None:
         point, poses = self._points[row], self._poses(now)
         near = self._near(row, now, poses)
-        arrived = sorted((one for one in point.inbox if one[0] <= now), key=lambda one: one[0])
-        point.inbox = [one for one in point.inbox if one[0] > now]
+        arrived = sorted((sent for sent in point.inbox if sent[0] <= now), key=lambda sent: sent[0])
+        point.inbox = [sent for sent in point.inbox if sent[0] > now]
         scan = None if self._see is None else self._see(row, poses)
         inputs = Inputs(
             now,
@@ -240,12 +240,12 @@ class PointSwarm:
         air, rng = self._air, self._rng
         if self._hearers is not None and len(near) > self._hearers:
             near = [near[i] for i in rng.choice(len(near), self._hearers, replace=False)]
-        for other in near:
+        for hearer in near:
             if air.loss > 0.0 and rng.random() < air.loss:
                 continue
             for _ in range(2 if air.twice > 0.0 and rng.random() < air.twice else 1):
                 due = now + air.delay + air.jitter * (2.0 * rng.random() - 1.0)
-                self._points[other].inbox.append((due, message))
+                self._points[hearer].inbox.append((due, message))
 
 
 def each(work: Callable[[T], R], items: Sequence[T], jobs: int = 1) -> list[R]:

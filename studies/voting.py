@@ -50,7 +50,7 @@ def motions(
 
 def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
     """All debates of all groups, in as many processes as there are processors."""
-    motions = [one for group in groups.values() for one in group]
+    motions = [motion for group in groups.values() for motion in group]
     results = iter(hold_all(motions, os.cpu_count() or 1))
     return {key: [next(results) for _ in group] for key, group in groups.items()}
 
@@ -64,13 +64,13 @@ def majority_rule(out: Path) -> None:
     }
     every = hold(groups)
     for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
-        found = {n: every[kind, n] for n in SIZES}
+        results = {n: every[kind, n] for n in SIZES}
         # Debates without agreement are the longest.
-        times = [[min(result.agreed_at, 600.0) for result in some] for some in found.values()]
+        times = [[min(result.agreed_at, 600.0) for result in some] for some in results.values()]
         low, middle, high = np.quantile(times, (0.05, 0.5, 0.95), axis=1)
         bars = (middle - low, high - middle)
         left.errorbar(SIZES, middle, bars, color=colour, marker="o", ms=4, capsize=2, label=kind)
-        seven = np.sort([result.agreed_at for result in found[7]])
+        seven = np.sort([result.agreed_at for result in results[7]])
         right.step(seven, np.arange(1, len(seven) + 1) / len(seven), color=colour, where="post")
         for n, a, b, c in zip(SIZES, low, middle, high, strict=True):
             print(f"majority_rule {kind} {n} robots: {a:.1f} / {b:.1f} / {c:.1f} s", flush=True)
@@ -137,24 +137,24 @@ def floors(out: Path) -> None:
     """Who wins, and the time to agree, by the share of black tiles."""
     figure = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
-    found = perception.agreements(range(20), os.cpu_count() or 1)
+    agreements = perception.agreements(range(20), os.cpu_count() or 1)
     percent = 100.0 * np.array(perception.SHARES)
     for index, (rule, colour) in enumerate(zip(perception.RULES, VARIANT_COLOURS, strict=False)):
-        runs = [found[rule, share] for share in perception.SHARES]
-        wins = [sum(one.opinion == perception.BLACK for one in some) for some in runs]
+        runs = [agreements[rule, share] for share in perception.SHARES]
+        wins = [sum(run.opinion == perception.BLACK for run in some) for some in runs]
         within = [wilson(won, len(some)) for won, some in zip(wins, runs, strict=True)]
         shares = [won / len(some) for won, some in zip(wins, runs, strict=True)]
-        low, high = ([getattr(one, end) for one in within] for end in ("low", "high"))
+        low, high = ([getattr(interval, end) for interval in within] for end in ("low", "high"))
         bars = np.abs(np.array((low, high)) - shares)
         # Runs without agreement are the longest.
-        times = [[min(one.at, perception.SECONDS) for one in some] for some in runs]
+        times = [[min(run.at, perception.SECONDS) for run in some] for some in runs]
         few, middle, most = np.quantile(times, (0.05, 0.5, 0.95), axis=1)
         look = {"color": colour, "marker": "o", "ms": 4, "capsize": 2, "label": rule}
         at = percent + 0.3 * (index - 1)
         left.errorbar(at, shares, bars, **look)
         right.errorbar(at, middle, (middle - few, most - middle), **look)
         for n, share in enumerate(perception.SHARES):
-            none = sum(one.opinion is None for one in runs[n])
+            none = sum(run.opinion is None for run in runs[n])
             wrong = len(runs[n]) - wins[n] - none
             mean = f"{np.mean(perception.taken(runs[n])):.0f} s"
             text = f"{few[n]:.0f} / {middle[n]:.0f} / {most[n]:.0f} s"
@@ -169,8 +169,8 @@ def floors(out: Path) -> None:
 
 
 def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:
-    for one in axes:
-        tidy(one)
+    for axis in axes:
+        tidy(axis)
     print(save(figure, path))
 
 

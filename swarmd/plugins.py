@@ -131,20 +131,20 @@ def pattern_names(
 
 
 def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
-    found: dict[str, Origin] = {}
+    by_name: dict[str, Origin] = {}
     for name, origin in origins:
-        first = found.get(name)
+        first = by_name.get(name)
         if first is None:
-            found[name] = origin
+            by_name[name] = origin
         elif not is_same_file(first.value, origin.value):
-            found[name] = replace(first, rival=origin.source)
-    return dict(sorted(found.items()))
+            by_name[name] = replace(first, rival=origin.source)
+    return dict(sorted(by_name.items()))
 
 
-def is_same_file(one: str, other: str) -> bool:
+def is_same_file(first: str, second: str) -> bool:
     """True if both are files of one content: a copy of a mission is no other mission."""
     with suppress(OSError):
-        return Path(one).read_bytes() == Path(other).read_bytes()
+        return Path(first).read_bytes() == Path(second).read_bytes()
     return False
 
 
@@ -160,18 +160,18 @@ def check_module_name(name: str) -> None:
 
 def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     """The origin of a pattern; PluginError if there is none of that name, or more than one."""
-    found = pattern_names(plugin_dir)
-    if name not in found:
+    origins = pattern_names(plugin_dir)
+    if name not in origins:
         raise UnknownPatternError(
-            _bad_file_name(name, plugin_dir) or unknown("pattern", name, found)
+            _bad_file_name(name, plugin_dir) or unknown("pattern", name, origins)
         )
-    check_single(name, found[name])
-    return found[name]
+    check_single(name, origins[name])
+    return origins[name]
 
 
-def places_of(found: Mapping[str, Origin]) -> dict[str, tuple[str, bool]]:
+def places_of(origins: Mapping[str, Origin]) -> dict[str, tuple[str, bool]]:
     """Where a pattern host finds each pattern: its value, and whether that is a file."""
-    return {name: (origin.value, origin.is_file) for name, origin in found.items()}
+    return {name: (origin.value, origin.is_file) for name, origin in origins.items()}
 
 
 def check_single(name: str, origin: Origin) -> None:

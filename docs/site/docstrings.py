@@ -27,11 +27,11 @@ def module(name: str, members: Sequence[str] | None = None) -> Iterator[str]:
     tree = _tree(name)
     origins = _origins(tree)
     places: dict[str, list[str]] = {}
-    for one in members or _listed(tree) or _public(tree):
-        places.setdefault(origins.get(one, name), []).append(one)
+    for member in members or _listed(tree) or _public(tree):
+        places.setdefault(origins.get(member, name), []).append(member)
     order = {origin: index for index, origin in enumerate(dict.fromkeys(origins.values()))}
-    for origin in sorted(places, key=lambda one: order.get(one, len(order))):
-        shown = [part for one in places[origin] for part in _member(origin, one)]
+    for origin in sorted(places, key=lambda member: order.get(member, len(order))):
+        shown = [part for member in places[origin] for part in _member(origin, member)]
         if shown:
             yield f"## {origin}"
             yield prose(ast.get_docstring(_tree(origin)) or "")
@@ -62,7 +62,7 @@ def _language(code: str) -> str:
 def _escaped(text: str) -> str:
     parts = re.split(r"(`[^`]*`)", text)
     return "".join(
-        one if one.startswith("`") else re.sub(r"([<*\[\]_$])", r"\\\1", one) for one in parts
+        part if part.startswith("`") else re.sub(r"([<*\[\]_$])", r"\\\1", part) for part in parts
     )
 
 
@@ -122,10 +122,10 @@ def _defined(node: _Definition, name: str, level: str) -> Iterator[str]:
     ]
     if fields:
         yield "\n".join(fields)
-    for one in node.body:
-        is_function = isinstance(one, ast.FunctionDef | ast.AsyncFunctionDef)
-        if is_function and not one.name.startswith("_") and ast.get_docstring(one):
-            yield from _defined(one, f"{name}.{one.name}", f"{level}#")
+    for member in node.body:
+        is_function = isinstance(member, ast.FunctionDef | ast.AsyncFunctionDef)
+        if is_function and not member.name.startswith("_") and ast.get_docstring(member):
+            yield from _defined(member, f"{name}.{member.name}", f"{level}#")
 
 
 def _class(node: ast.ClassDef) -> str:
@@ -133,11 +133,15 @@ def _class(node: ast.ClassDef) -> str:
     bases = ", ".join(map(ast.unparse, [*node.bases, *node.keywords]))
     lines = [*_decorators(node), f"class {node.name}{f'({bases})' if bases else ''}:"]
     is_params = any(ast.unparse(base).endswith("Params") for base in node.bases)
-    for one in node.body:
-        if isinstance(one, ast.AnnAssign) and not is_params and not _target(one).startswith("_"):
-            lines += textwrap.indent(ast.unparse(one), "    ").splitlines()
-        elif isinstance(one, ast.FunctionDef) and one.name == "__init__":
-            lines += textwrap.indent(_function(one), "    ").splitlines()
+    for member in node.body:
+        if (
+            isinstance(member, ast.AnnAssign)
+            and not is_params
+            and not _target(member).startswith("_")
+        ):
+            lines += textwrap.indent(ast.unparse(member), "    ").splitlines()
+        elif isinstance(member, ast.FunctionDef) and member.name == "__init__":
+            lines += textwrap.indent(_function(member), "    ").splitlines()
     return "\n".join(lines).removesuffix(":") if lines[-1].endswith(":") else "\n".join(lines)
 
 
@@ -147,7 +151,7 @@ def _function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> str:
     returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     line = f"{word} {node.name}({ast.unparse(node.args)}){returned}"
     if len(line) > _WIDTH:
-        parts = "".join(f"    {one},\n" for one in _parameters(ast.unparse(node.args)))
+        parts = "".join(f"    {parameter},\n" for parameter in _parameters(ast.unparse(node.args)))
         line = f"{word} {node.name}(\n{parts}){returned}"
     return "\n".join([*_decorators(node), line])
 
@@ -171,7 +175,7 @@ def _parameters(text: str) -> Iterator[str]:
 
 
 def _decorators(node: _Definition) -> list[str]:
-    return [f"@{ast.unparse(one)}" for one in node.decorator_list]
+    return [f"@{ast.unparse(decorator)}" for decorator in node.decorator_list]
 
 
 def _target(node: ast.stmt) -> str:

@@ -104,18 +104,18 @@ def patterns() -> Iterator[str]:
         yield f"## {row['name']}"
         yield prose(row["text"])
         channels = ", ".join(f"`{name}` ({kind})" for name, kind in row["channels"].items())
-        needs = ", ".join(f"`{one}`" for one in row["needs"])
+        needs = ", ".join(f"`{need}`" for need in row["needs"])
         yield f"Kind: {row['kind']}. Needs: {needs or 'no sensor'}. Sends: {channels or 'nothing'}."
         rows = [
             (
-                f"`{one['name']}`",
-                one["description"],
-                _default(one),
-                one["unit"],
-                one["wanted"],
-                "platform" if one["is_derived"] else one["source"],
+                f"`{param['name']}`",
+                param["description"],
+                _default(param),
+                param["unit"],
+                param["wanted"],
+                "platform" if param["is_derived"] else param["source"],
             )
-            for one in row["params"]
+            for param in row["params"]
         ]
         yield _table(("parameter", "meaning", "default", "unit", "accepted", "source"), rows)
 
@@ -141,8 +141,8 @@ def comparison() -> Iterator[str]:
         page = ROOT / "patterns" / row["name"] / "page.md"
         if page.exists():
             name, text = f"`{row['name']}`", page.read_text(encoding="utf-8")
-            channels = ", ".join(f"`{one}`" for one in row["channels"])
-            needs = ", ".join(f"`{one}`" for one in row["needs"])
+            channels = ", ".join(f"`{word}`" for word in row["channels"])
+            needs = ", ".join(f"`{word}`" for word in row["needs"])
             inputs.append((name, needs or "no sensor", channels or "nothing"))
             outcomes.append((name, *_first_outcome(text.partition("\n## Measured\n")[2])))
             fails = text.partition("\n## When it fails\n")[2].strip().removeprefix("- ")
@@ -171,18 +171,18 @@ def platforms() -> Iterator[str]:
     yield "## Shipped platforms"
     rows = []
     for name in platform_names():
-        one = load_platform(name)
-        length, width = one.footprint.max(axis=0) - one.footprint.min(axis=0)
+        platform = load_platform(name)
+        length, width = platform.footprint.max(axis=0) - platform.footprint.min(axis=0)
         description = platform_sources(name)[0][1].get("description", "")
         rows.append(
             (
                 f"`{name}`",
                 str(description),
-                f"{one.limits.linear:g}, {one.limits.angular:g}",
+                f"{platform.limits.linear:g}, {platform.limits.angular:g}",
                 f"{length:.3g} x {width:.3g}",
-                str(len(one.scan.bearings)),
-                f"{one.scan.rate:g}",
-                f"{one.scan.range_min:g} to {one.scan.range_max:g}",
+                str(len(platform.scan.bearings)),
+                f"{platform.scan.rate:g}",
+                f"{platform.scan.range_min:g} to {platform.scan.range_max:g}",
             )
         )
     heads = ("platform", "robot", "limits [m/s, rad/s]", "outline [m]")
@@ -204,10 +204,15 @@ def scenarios() -> Iterator[str]:
     yield "## Shipped scenarios"
     rows = []
     for name in scenario_names():
-        one = load_scenario(name)
-        run = {str(group["pattern"]) for group in one.effective["groups"].values()}
-        description = " ".join(one.description.split())
-        cells = (str(len(one.robots)), f"{one.duration:g}", ", ".join(sorted(run)), description)
+        scenario = load_scenario(name)
+        run = {str(group["pattern"]) for group in scenario.effective["groups"].values()}
+        description = " ".join(scenario.description.split())
+        cells = (
+            str(len(scenario.robots)),
+            f"{scenario.duration:g}",
+            ", ".join(sorted(run)),
+            description,
+        )
         rows.append((f"`{name}`", *cells))
     yield _table(("scenario", "robots", "duration [s]", "pattern", "description"), rows)
     yield "## Keys of the file"
@@ -246,7 +251,7 @@ def benchmark_tasks() -> Iterator[str]:
     """The tasks of the benchmark suite."""
     for task in map(load_task, task_names()):
         file, metric = task.file, task.file.metric
-        low, high = ("none" if one is None else f"{one:g}" for one in metric.bounds)
+        low, high = ("none" if bound is None else f"{bound:g}" for bound in metric.bounds)
         yield f"### {task.name}"
         yield prose(" ".join(file.task.split()))
         about = {
@@ -255,7 +260,7 @@ def benchmark_tasks() -> Iterator[str]:
             "metric": f"`{metric.name}`: {metric.formula}",
             "unit, better, bounds": f"{metric.unit}; {metric.better}; {low} to {high}",
             "source": metric.source,
-            "candidates": ", ".join(f"`{one.pattern}`" for one in file.candidates),
+            "candidates": ", ".join(f"`{candidate.pattern}`" for candidate in file.candidates),
         }
         yield _table(("key", "value"), list(about.items()))
 
@@ -290,13 +295,13 @@ def keys() -> Iterator[str]:
     yield "## What robots publish"
     rows = [
         (
-            f"`state/{one.name}`",
-            f"`{one.content.__name__}`",
-            one.rate,
-            one.text,
-            _roles(STATE, one.name, "declare_subscriber"),
+            f"`state/{row.name}`",
+            f"`{row.content.__name__}`",
+            row.rate,
+            row.text,
+            _roles(STATE, row.name, "declare_subscriber"),
         )
-        for one in PUBLISHED.values()
+        for row in PUBLISHED.values()
     ]
     yield _table(("key", "content", "rate, while somebody subscribes", "what", "may read"), rows)
     yield "## What robots answer"
@@ -321,21 +326,21 @@ def keys() -> Iterator[str]:
     heads = ("key", "asked", "answer", "what", "may ask")
     yield _table(heads, [*answered, *asked, *shared])
     yield "## Content"
-    known: list[type] = [one.content for one in PUBLISHED.values()]
+    known: list[type] = [published.content for published in PUBLISHED.values()]
     for row in VERBS.values():
         kinds = (row.asked, row.answer)
-        known += [one for one in kinds if one.__struct_fields__ and one not in known]
-    for kind in known:  # it grows by the parts that are found
+        known += [kind for kind in kinds if kind.__struct_fields__ and kind not in known]
+    for kind in known:  # `_on_wire` appends the structs of the fields
         form = "array" if kind.__struct_config__.array_like else "map"
         yield f"### {kind.__name__}"
         yield prose(inspect.cleandoc(kind.__doc__ or ""))
-        for name, one in PUBLISHED.items():
-            if one.content is kind:
+        for name, published in PUBLISHED.items():
+            if published.content is kind:
                 yield f"`swarm/meadow/tb3-01/state/{name}`, as JSON:"
                 yield f"```text\n{_example(name)}\n```"
         info = msgspec.inspect.type_info(kind)
         assert isinstance(info, msgspec.inspect.StructType)
-        rows = [(f"`{one.encode_name}`", _on_wire(one.type, known)) for one in info.fields]
+        rows = [(f"`{field.encode_name}`", _on_wire(field.type, known)) for field in info.fields]
         if info.tag_field is not None:
             rows.insert(0, (f"`{info.tag_field}`", f"`{info.tag}`"))
         yield _table((f"field of the {form}", "type"), rows)
@@ -390,21 +395,21 @@ def _roles(plane: str, name: str, message: str = "query") -> str:
         secret_digest=bytes(32),
     )
     access = robot_access(roster, "r1")
-    names = {one["id"]: one["cert_common_names"] for one in access["subjects"]}
-    rules = {one["id"]: one for one in access["rules"]}
-    found = []
+    names = {section["id"]: section["cert_common_names"] for section in access["subjects"]}
+    rules = {section["id"]: section for section in access["rules"]}
+    roles = []
     for role in ("operators", "viewers", "robots"):
         key = zenoh.KeyExpr(build("lab", "r1", plane, name, role if plane != STATE else ""))
-        passing = [rules[one["rules"][0]] for one in access["policies"]
-                   if role in names[one["subjects"][0]]]  # fmt: skip
+        passing = [rules[section["rules"][0]] for section in access["policies"]
+                   if role in names[section["subjects"][0]]]  # fmt: skip
         if any(
             message in rule["messages"]
             and "ingress" in rule["flows"]
             and any(zenoh.KeyExpr(own).includes(key) for own in rule["key_exprs"])
             for rule in passing
         ):
-            found.append(role)
-    return ", ".join(found)
+            roles.append(role)
+    return ", ".join(roles)
 
 
 def _on_wire(kind: msgspec.inspect.Type, known: list[type]) -> str:
@@ -415,17 +420,21 @@ def _on_wire(kind: msgspec.inspect.Type, known: list[type]) -> str:
                 known.append(cls)
             return f"`{cls.__name__}`"
         case msgspec.inspect.UnionType(types=types):
-            return " or ".join(dict.fromkeys(_on_wire(one, known) for one in types))
+            return " or ".join(dict.fromkeys(_on_wire(part, known) for part in types))
         case (
             msgspec.inspect.ListType(item_type=item) | msgspec.inspect.VarTupleType(item_type=item)
         ):
             return f"list of {_on_wire(item, known)}"
         case msgspec.inspect.TupleType(item_types=items):
-            return f"[{', '.join(_on_wire(one, known) for one in items)}]"
+            return f"[{', '.join(_on_wire(part, known) for part in items)}]"
         case msgspec.inspect.DictType(value_type=value):
             return f"map of text to {_on_wire(value, known)}"
         case msgspec.inspect.EnumType(cls=cls):
-            return f"text: `{cls.__name__}`" if len(cls) > 5 else _one_of(one.value for one in cls)
+            return (
+                f"text: `{cls.__name__}`"
+                if len(cls) > 5
+                else _one_of(member.value for member in cls)
+            )
         case msgspec.inspect.LiteralType(values=values):
             return _one_of(values)
         case msgspec.inspect.NoneType():
@@ -440,7 +449,7 @@ def _on_wire(kind: msgspec.inspect.Type, known: list[type]) -> str:
 
 
 def _one_of(values: Iterable[object]) -> str:
-    return "one of " + ", ".join(f"`{one}`" for one in values)
+    return "one of " + ", ".join(f"`{value}`" for value in values)
 
 
 def api() -> Iterator[str]:
@@ -571,12 +580,12 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
     assert isinstance(info, msgspec.inspect.StructType)
     rows = [
         (
-            f"`{one.encode_name}`",
-            bullets.get(one.name) or comments.get(one.name, ""),
-            _accepted(one.type),
-            "required" if one.required else _shown_default(one),
+            f"`{field.encode_name}`",
+            bullets.get(field.name) or comments.get(field.name, ""),
+            _accepted(field.type),
+            "required" if field.required else _shown_default(field),
         )
-        for one in info.fields
+        for field in info.fields
     ]
     if any(row[1] for row in rows):
         yield _table(("key", "meaning", "accepted", "default"), rows)
@@ -586,7 +595,7 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
 
 def _comments(kind: type) -> dict[str, str]:
     """The comment above each field of a class."""
-    found, above = {}, []
+    comments, above = {}, []
     for line in inspect.getsource(kind).splitlines():
         text = line.strip()
         if text.startswith("#"):
@@ -594,16 +603,16 @@ def _comments(kind: type) -> dict[str, str]:
             continue
         name = re.match(r"(\w+):", text)
         if name and above:
-            found[name[1]] = " ".join(above)
+            comments[name[1]] = " ".join(above)
         above = []
-    return found
+    return comments
 
 
 def _accepted(kind: msgspec.inspect.Type) -> str:
     """What a key accepts, in words."""
     match kind:
         case msgspec.inspect.UnionType(types=types):
-            listed = [one for one in types if not isinstance(one, msgspec.inspect.NoneType)]
+            listed = [part for part in types if not isinstance(part, msgspec.inspect.NoneType)]
             return " or ".join(dict.fromkeys(map(_accepted, listed)))
         case msgspec.inspect.FloatType() | msgspec.inspect.IntType():
             word = "integer" if isinstance(kind, msgspec.inspect.IntType) else "number"
@@ -611,7 +620,7 @@ def _accepted(kind: msgspec.inspect.Type) -> str:
             above = f" above {kind.gt:g}" if kind.gt is not None else above
             return word + above + (f" to {kind.le:g}" if kind.le is not None else "")
         case msgspec.inspect.LiteralType(values=values):
-            return "one of " + ", ".join(f"`{one}`" for one in values)
+            return "one of " + ", ".join(f"`{part}`" for part in values)
         case msgspec.inspect.ListType(item_type=item):
             return f"list of: {_accepted(item)}"
         case msgspec.inspect.TupleType(item_types=items):
@@ -625,10 +634,10 @@ def _accepted(kind: msgspec.inspect.Type) -> str:
     return "any value"
 
 
-def _shown_default(one: msgspec.inspect.Field) -> str:
-    value: Any = one.default
-    if one.default_factory is not msgspec.NODEFAULT:
-        value = one.default_factory()
+def _shown_default(field: msgspec.inspect.Field) -> str:
+    value: Any = field.default
+    if field.default_factory is not msgspec.NODEFAULT:
+        value = field.default_factory()
     if value is None or value in ("", [], {}, ()) or isinstance(value, msgspec.Struct):
         return ""
     return f"`{str(value).lower()}`" if isinstance(value, bool) else f"`{value}`"

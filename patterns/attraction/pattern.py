@@ -12,11 +12,11 @@ attraction is small.
 Attraction alone would leave a row unchanged, since its robots hide one another. Therefore a robot
 with fewer than three adjacent robots, but with more in sight or more that send messages, moves
 along the outside of the group from time to time until three are adjacent, as atoms do on a crystal.
-It does so before it settles if all robots in sight lie in a line. The time between tries doubles
-with each try, so that the swarm comes to rest. It is reset when more robots are in sight than ever
-before. A robot with few others in sight finally drives away to search for the rest.
+If all robots in sight lie in a line, the robot does so before it settles. The time between tries
+doubles with each try, so that the swarm comes to rest, and is reset when more robots are in sight
+than ever before. A robot with few robots in sight finally drives away to search for the rest.
 
-Limits: a robot within about 0.2 m of a wall is not distinguished from it, a pillar counts as a
+Limits: a robot within about 0.2 m of a wall is taken for a part of the wall, a pillar counts as a
 robot, and groups farther apart than `range` meet only by chance.
 """
 

@@ -24,7 +24,9 @@ RATES = {".mp4": 25, ".gif": 12, ".webp": 12}
 SIZES = {".mp4": (1280, 720), ".gif": (480, 360), ".webp": (480, 360)}
 """Width and height in pixels by suffix."""
 _HOLD = 1.0  # s for which the last frame stays
-_BACK, _TEXT, _DIM = (255, 255, 255), (22, 25, 29), (90, 101, 114)
+_BACK = (255, 255, 255)  # colours
+_TEXT = (22, 25, 29)
+_DIM = (90, 101, 114)
 _LINES_A_FRAME = 32  # the height of a frame in lines of text
 _SMALLEST = 13  # pixels of text
 

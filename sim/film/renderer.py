@@ -23,7 +23,9 @@ from swarmd.sim.trace import Trace, poses_at
 
 Camera = Literal["top", "perspective"]
 BACKENDS = ("egl", "osmesa")
-_FOVY, _ELEVATION, _AZIMUTH = 40.0, -48.0, 90.0  # degrees, of the perspective camera
+_FOVY = 40.0  # degrees, of the perspective camera, as the next two
+_ELEVATION = -48.0
+_AZIMUTH = 90.0
 _MARGIN = 1.06
 _HOUSING = 0.62  # how dark a lidar is beside the body
 _TRAIL_STEPS = 24  # segments of a trail
@@ -75,7 +77,9 @@ class Renderer:
         """
         self._make_current()  # another renderer may have been at work
         at = self._place(time)
-        model, data, scene = self.stage.model, self._data, self._scene
+        model = self.stage.model
+        data = self._data
+        scene = self._scene
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
@@ -104,7 +108,9 @@ class Renderer:
 
     def _place(self, time: float) -> int:
         """Move and colour everything; the index of the latest instant."""
-        trace, model, n = self._trace, self.stage.model, len(self._trace.ids)
+        trace = self._trace
+        model = self.stage.model
+        n = len(trace.ids)
         poses = poses_at(self._t, trace.pose, time)
         at = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
         is_there = _are_known(poses)
@@ -158,7 +164,9 @@ def _aim(
     model.stat.extent = longest
     model.vis.map.znear, model.vis.map.zfar = 0.01, 50.0
     if kind == "top":
-        camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, 2.0 * longest
+        camera.azimuth = 90.0
+        camera.elevation = -90.0
+        camera.distance = 2.0 * longest
         camera.orthographic = 1
         model.vis.global_.orthographic = 1
         high = _MARGIN * max(extent.height, extent.width * height / width)

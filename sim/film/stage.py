@@ -27,16 +27,15 @@ from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
 
 _WALL, _OBSTACLE = 0.08, 0.25  # heights in m
-_PALE, _GREY, _BROWN, _DARK, _WHITE = (
-    (0.91, 0.92, 0.93, 1.0),
-    (0.45, 0.48, 0.52, 1.0),
-    (0.77, 0.61, 0.42, 1.0),
-    (0.13, 0.14, 0.16, 1.0),
-    (1.0, 1.0, 1.0, 1.0),
-)
-MIN_PIXELS, _LEAST_PIXELS, _MOST = 32.0, 20.0, 2.0
-"""A robot is at least so many pixels long in a frame of 720 lines, and in any; at most twice as
-large as it is."""
+_PALE = (0.91, 0.92, 0.93, 1.0)
+_GREY = (0.45, 0.48, 0.52, 1.0)
+_BROWN = (0.77, 0.61, 0.42, 1.0)
+_DARK = (0.13, 0.14, 0.16, 1.0)
+_WHITE = (1.0, 1.0, 1.0, 1.0)
+MIN_PIXELS = 32.0
+"""The least length of a robot in pixels in a frame of 720 lines."""
+_LEAST_PIXELS = 20.0  # the least length of a robot in pixels in any frame
+_MOST = 2.0  # the largest enlargement of a robot
 _ASSUMED = "waffle_pi"
 """The platform whose heights stand in for those of an unknown platform."""
 
@@ -78,11 +77,11 @@ def stage_of(
         raise ConfigError("the trace names no arena, so that it cannot be filmed")
     arena = parse_arena(text)
     assumed: list[str] = []
-    found = {
+    platform_of = {
         name: platforms.get(name) or _platform(name, footprint, assumed)
         for name, footprint in trace.footprints.items()
     }
-    robots = {i: found[p] for i, p in zip(trace.ids, trace.platforms, strict=True)}
+    robots = {i: platform_of[p] for i, p in zip(trace.ids, trace.platforms, strict=True)}
     spec = bodies.build_spec(robots, arena, 0.01)
     for robot, platform in robots.items():
         _add_marks(spec.body(f"robot/{robot}"), robot, platform)

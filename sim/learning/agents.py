@@ -72,7 +72,7 @@ def with_agents(scenario: Scenario, learners: Collection[str]) -> Scenario:
     Parameters and end conditions of the other pattern do not apply to them. ConfigError for a
     learner that never runs a pattern.
     """
-    events = tuple(one for event in scenario.events for one in _split(event, learners))
+    events = tuple(part for event in scenario.events for part in _split(event, learners))
     running = {robot for event in events if event.action == "run" for robot in event.robots}
     for robot in sorted(set(learners) - running):
         raise ConfigError(f"scenario {scenario.name}: {robot} runs no pattern; give it one")

@@ -84,13 +84,15 @@ def env(
 ) -> SwarmEnv:
     """The environment of a scenario.
 
-    `seed`: of the first `reset` without one; None: of the system. `set` by dotted key of the
-    scenario's file: `{"groups.tb3.count": 5}`. `agents`: the group of the robots that learn; the
-    others run their own pattern; None: all learn. `spec` declares observations and actions; None:
-    as `default_spec` of the platform. `reward`: weights by name of a metric of the catalog, of
-    `contacts` and of `limited`, or a function of the state (see `State`) that gives rewards by
-    robot; None: that of the scenario, if it has one. `render_mode` "rgb_array": `render` gives
-    pictures.
+    - `seed`: of the first `reset` without a seed. None: of the system.
+    - `set`: overrides by dotted key of the scenario's file: `{"groups.tb3.count": 5}`.
+    - `agents`: the group of the robots that learn, while all robots of other groups run their own
+      pattern. None: all learn.
+    - `spec`: observations and actions. None: as `default_spec` of the platform.
+    - `reward`: weights by name of a metric of the catalog, of `contacts` and of `limited`, or a
+      function of the state (see `State`) that gives rewards by robot. None: the reward of the
+      scenario, if any.
+    - `render_mode`: with "rgb_array" `render` gives pictures.
 
     ConfigError if any of these is invalid, PluginError for a `render_mode` without the extra film.
     """
@@ -99,23 +101,23 @@ def env(
     if render_mode is not None and find_spec("OpenGL") is None:
         raise PluginError("render_mode rgb_array needs PyOpenGL; run: pip install 'swarmd[film]'")
     if isinstance(scenario, Scenario):
-        found = scenario_of(scenario.effective, set, source="set") if set else scenario
+        loaded = scenario_of(scenario.effective, set, source="set") if set else scenario
     else:
-        found = load_scenario(scenario, set, source="set")
-    learners = learners_of(found, agents)
-    spec = spec or default_spec(found.robots[learners[0]])
+        loaded = load_scenario(scenario, set, source="set")
+    learners = learners_of(loaded, agents)
+    spec = spec or default_spec(loaded.robots[learners[0]])
     check_spec(spec)
     for robot in learners:
-        missing = sorted(spec.needs - found.robots[robot].provides)
+        missing = sorted(spec.needs - loaded.robots[robot].provides)
         if missing:
             raise ConfigError(
-                f"spec needs {', '.join(missing)}, which {robot} ({found.robots[robot].name})"
+                f"spec needs {', '.join(missing)}, which {robot} ({loaded.robots[robot].name})"
                 " does not provide; leave these parts out"
             )
-    terms = default_reward(found.name) if reward is None else reward
+    terms = default_reward(loaded.name) if reward is None else reward
     if not callable(terms):
         check_weights(terms)
-    return SwarmEnv(with_agents(found, learners), learners, spec, terms, seed, render_mode)
+    return SwarmEnv(with_agents(loaded, learners), learners, spec, terms, seed, render_mode)
 
 
 @dataclass(slots=True)
@@ -137,11 +139,11 @@ class _Episode:
 class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # it has no types
     """An environment as PettingZoo's ParallelEnv; `env` makes one.
 
-    An agent is a robot of the learners while it has a daemon: it appears when it joins, is
-    terminated when it leaves or is killed, and is truncated at the end of the scenario. A robot
-    that is stopped or held stays an agent, whose actions have no effect. `infos` have for each
-    agent: `state`, the robot's word, `limited`, whether protection changed its request, and
-    `contacts`, how many began in this step.
+    An agent is a robot of the learners while the robot has a daemon. An agent appears when its
+    robot joins, is terminated when its robot leaves or is killed, and is truncated at the end of
+    the scenario. A robot that is stopped or held stays an agent, whose actions have no effect.
+    `infos` have three keys for each agent: `state` is the robot's word, `limited` whether
+    protection changed the request, `contacts` the number of contacts that began in this step.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - read only
@@ -160,7 +162,9 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         render_mode: str | None = None,
     ) -> None:
         """`scenario`: as of `with_agents`."""
-        self.scenario, self.spec, self.render_mode = scenario, spec, render_mode
+        self.scenario = scenario
+        self.spec = spec
+        self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / spec.period)}
         self.possible_agents = lives_of(scenario, learners)
         self.agents: list[str] = []
@@ -237,7 +241,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
             raise ConfigError("the run is over; call reset for the next one")
         if strange := sorted({*map(str, actions)} - {*self.possible_agents}):
             raise ConfigError(f"actions: {unknown('agent', strange[0], self.possible_agents)}")
-        checked = {a: self._checked(a, one) for a, one in actions.items() if a in self.agents}
+        present = {agent: action for agent, action in actions.items() if agent in self.agents}
+        checked = {agent: self._checked(agent, action) for agent, action in present.items()}
         for agent, action in checked.items():
             episode.seats[_robot_of(agent)].action = action
         before = list(self.agents)
@@ -333,13 +338,13 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
 
     def _checked(self, agent: str, action: Array) -> Array:
         try:
-            found = np.array(action, dtype=np.float64)
+            numbers = np.array(action, dtype=np.float64)
         except (TypeError, ValueError):
-            found = np.empty(0)
-        if found.shape != (self.spec.actions,) or not np.isfinite(found).all():
+            numbers = np.empty(0)
+        if numbers.shape != (self.spec.actions,) or not np.isfinite(numbers).all():
             wanted = f"{self.spec.actions} finite numbers in [-1, 1]"
             raise ConfigError(f"the action of {agent} is {action!r}; expected {wanted}")
-        return found
+        return numbers
 
     def _state(self, period: float) -> State:
         swarm, episode = self._running().swarm, self._running()

@@ -36,7 +36,7 @@ class Pictures:
             box_shapes=world.loose_shapes,
         )
         trace, colouring = self._present()
-        platforms = {one.name: one for one in world.platforms}
+        platforms = {platform.name: platform for platform in world.platforms}
         extent = Extent(-half, half, -wide, wide)
         stage = stage_of(trace, SIZE, platforms, scenario.fields, extent)
         self._renderer = Renderer(trace, stage, colouring, "top")

@@ -90,8 +90,8 @@ class Rewards:
             "contact_t": np.empty(0),
             "contact_pair": np.empty((0, 2), dtype=np.int64),
             "contact_speed": np.empty((0, 2)),
-            "platforms": tuple(one.name for one in platforms),
-            "footprints": {one.name: one.footprint for one in platforms},
+            "platforms": tuple(platform.name for platform in platforms),
+            "footprints": {platform.name: platform.footprint for platform in platforms},
             "meta": meta_of(scenario, seed),
         }
         self._last: list[float] = []

@@ -63,7 +63,8 @@ class JointEnv(gymnasium.Env[Swarm, Swarm]):
         mean = float(np.mean(list(rewards.values()))) if rewards else 0.0
         is_truncated = any(truncations.values())
         is_over = not self.swarm.agents and not is_truncated
-        there = {agent: one for agent, one in observations.items() if not terminations[agent]}
+        living = [agent for agent in observations if not terminations[agent]]
+        there = {agent: observations[agent] for agent in living}
         return self._rows(there), mean, is_over, is_truncated, self._info(rewards)
 
     def close(self) -> None:
@@ -96,7 +97,7 @@ def vector_env(
         raise ConfigError(f"vector_env of {n}; expected 1 or more")
     seeds = [None] * n if seed is None else check_seeds(seed + index for index in range(n))
     env(scenario, seed, **options)  # a fault is raised here, not in a process
-    makers = [partial(_make, scenario, one, options) for one in seeds]
+    makers = [partial(_make, scenario, env_seed, options) for env_seed in seeds]
     return AsyncVectorEnv(makers, context="forkserver")
 
 

@@ -42,7 +42,9 @@ class LiveTimeline:
         self, events: Sequence[ScheduledEvent], fleet: Fleet, operator: Operator, world: WorldView
     ) -> None:
         self._events = list(events)
-        self._fleet, self._operator, self._world = fleet, operator, world
+        self._fleet = fleet
+        self._operator = operator
+        self._world = world
         self.done: list[DoneEvent] = []
 
     def apply(self, now: float) -> None:
@@ -137,7 +139,9 @@ class WorldWatcher:
     def begin(self, start: WorldState) -> None:
         """Note from here on which robots have moved."""
         with self._changed:
-            self._start, self._moved, self.all_moved_at = start, set(), None
+            self._start = start
+            self._moved = set()
+            self.all_moved_at = None
 
     def wait(self, since: float = -1.0) -> WorldState:
         """A state later than simulated time `since`; NetworkError after `timeout` s without one."""
@@ -172,8 +176,11 @@ class DemoRun:
         world: WorldView,
         on_scene: Callable[[Scene], None],
     ) -> None:
-        self._settings, self._fleet, self._operator = settings, fleet, operator
-        self._world, self._on_scene = world, on_scene
+        self._settings = settings
+        self._fleet = fleet
+        self._operator = operator
+        self._world = world
+        self._on_scene = on_scene
         self._watcher = WorldWatcher(world)
         self._robots = tuple(fleet.spec.robots)
         self._log = StatusLog()
@@ -257,7 +264,8 @@ class DemoRun:
         steady = [robot for robot in started.robots if robot not in changed]
         problems = [f"{name} did not start: {text}" for name, text in started.missing.items()]
         problems += problems_of(steady, before, after, numbers.contacts)
-        problems += [f"{one.action} at {one.at:g} s: {one.problem}" for one in done if one.problem]
+        failed = [event for event in done if event.problem]
+        problems += [f"{event.action} at {event.at:g} s: {event.problem}" for event in failed]
         faulted = [name for name in sorted(changed & after.keys()) if _is_faulted(after[name])]
         problems += [f"{name} ended faulted: {after[name].detail}" for name in faulted]
         if stopped.exit_code:
@@ -301,6 +309,6 @@ def _moved(start: WorldState, now: WorldState) -> set[str]:
     before = dict(zip(start.ids, start.poses, strict=True))
     return {
         robot
-        for robot, one in zip(now.ids, now.poses, strict=True)
-        if any(abs(a - b) > MIN_MOVE for a, b in zip(one, before[robot], strict=True))
+        for robot, pose in zip(now.ids, now.poses, strict=True)
+        if any(abs(a - b) > MIN_MOVE for a, b in zip(pose, before[robot], strict=True))
     }

@@ -109,13 +109,15 @@ class Child:
     log: Path
 
     def how_it_ended(self) -> str:
-        """How it ended, and the path of its log; with its last line unless a signal ended it.
+        """The end of the process in words, with the path of its log.
 
-        A process that was killed could write no line about that.
+        The last line of the log follows unless a signal ended the process: a killed process could
+        write no line about that.
         """
         code = self.process.poll()
         line = "" if code is not None and code < 0 else f": {_last_line(self.log)}"
-        hint = "; the kernel does so where memory ends, see dmesg" * (code == -signal.SIGKILL)
+        is_killed = code == -signal.SIGKILL
+        hint = "; the kernel does so where memory ends, see dmesg" if is_killed else ""
         return f"{self.name} {how_it_ended(code)}{line} (log: {self.log}){hint}"
 
 
@@ -293,7 +295,7 @@ def _start_world(arguments: Iterable[str], folder: Path) -> Child:
 
 
 def _await_ready(world: Child) -> Ready:
-    """The ready line of the world; SwarmError if it ends, NetworkError if it takes too long."""
+    """The ready line of the world; SwarmError if the world ends, NetworkError if it is late."""
     assert world.process.stdout is not None
     is_ready, _, _ = select.select([world.process.stdout], [], [], WORLD_TIMEOUT)
     line = world.process.stdout.readline() if is_ready else b""  # a world writes it at once

@@ -80,10 +80,10 @@ def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> N
     from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
 
     own = body_of(kind)
-    for found in findings(own, assumed_speed(kind), robot, own, ACCEPTS_NONE):
-        is_seen = found.kind == "unseen" and visibility == "body"
+    for finding in findings(own, assumed_speed(kind), robot, own, ACCEPTS_NONE):
+        is_seen = finding.kind == "unseen" and visibility == "body"
         if not is_seen:
-            tell(f"note: {found.text}")
+            tell(f"note: {finding.text}")
 
 
 def check_emulator(emulator: str | None, radio_range: float | None = None) -> None:

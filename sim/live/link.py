@@ -194,7 +194,7 @@ class WorldLink:
 
 
 class WorldView:
-    """A viewer's side: receives the state, requests actions. Close it, or use it in `with`."""
+    """A viewer's side: receives the state, requests actions. To be closed, as by `with`."""
 
     def __init__(self, swarm: str, endpoint: str) -> None:
         options = {**_OPTIONS, **client_options(endpoint)}

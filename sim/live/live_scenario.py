@@ -30,7 +30,7 @@ class LiveScenario:
         scenario = self.scenario
         (folder / SCENARIO_FILE).write_text(json.dumps(scenario.effective, indent=1))
         (folder / "platforms").mkdir(exist_ok=True)
-        for platform in {one.name: one for one in scenario.robots.values()}.values():
+        for platform in {platform.name: platform for platform in scenario.robots.values()}.values():
             path = _platform_path(folder, platform)
             path.write_text(text_of(self._platform_file(platform)), "utf-8")
 

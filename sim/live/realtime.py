@@ -57,14 +57,18 @@ class RealTimeWorld:
     ) -> None:
         """`clock` is the clock with which `link` and `emulated` stamp arrivals.
 
-        `radio` gives the neighbors; without one they are not published and all hear all.
-        With `has_shared_frame` each robot is given its pose in the world. With `emulated` the
-        robots have its sensors and commands instead of those of the link.
-        `command_timeouts`: for each robot the seconds without a command after which its base stops,
-        inf for never, by default `COMMAND_TIMEOUT`. `seed`: of the order in which the robots'
-        sensors measure, which favours no row.
+        - `radio`: gives the neighbors. Without a radio, no neighbors are published and all robots
+          hear all.
+        - `has_shared_frame`: each robot is given its pose in the world.
+        - `emulated`: the source of the robots' sensors and commands instead of the link.
+        - `command_timeouts`: for each robot the seconds without a command after which its base
+          stops, inf for never, by default `COMMAND_TIMEOUT`.
+        - `seed`: of the order in which the robots' sensors measure, which favours no row.
         """
-        self._world, self._link, self._recorder, self._clock = world, link, recorder, clock
+        self._world = world
+        self._link = link
+        self._recorder = recorder
+        self._clock = clock
         self._radio, self._emulated = radio, emulated
         self._transport = emulated or link
         n, start = len(world.ids), world.time
@@ -128,7 +132,9 @@ class RealTimeWorld:
 
     def _take_commands(self) -> None:
         for robot, command in self._transport.take_commands().items():
-            row, seq, twist = self._rows[robot], command.scan_seq, command.twist
+            row = self._rows[robot]
+            seq = command.scan_seq
+            twist = command.twist
             # A frozen daemon's queued commands arrive when it resumes.
             is_late = seq is not None and self._sent_seq[row] - seq > self._too_old[row]
             received = (twist.linear, twist.angular, twist.lateral)
@@ -173,7 +179,7 @@ class RealTimeWorld:
                 radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
             for row in due.tolist():
                 neighbors = radio.neighbors(row, poses, boxes)
-                present = tuple(one for one in neighbors if there[self._rows[one.id]])
+                present = tuple(n for n in neighbors if there[self._rows[n.id]])
                 self._transport.send(ids[row], NeighborsInput(present))
         arrived: dict[int, list[MessageWire]] = {}
         for hearer, sender, channel, payload in radio.arrived(world.time):
@@ -215,7 +221,8 @@ class RealTimeWorld:
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder
         emulated = self._emulated.side.dropped if self._emulated else 0
-        poses, twists, commanded = world.poses(), world.twists(), self._is_fresh(self._clock())
+        poses, twists = world.poses(), world.twists()
+        commanded = self._is_fresh(self._clock())
         present = np.flatnonzero(np.isfinite(poses[:, 0]))
         boxes = zip(world.loose, _triples(world.loose_poses()), strict=True)
         return WorldState(

@@ -1,7 +1,8 @@
 """The world as a process: `python -m swarmd.sim.live.server JSON`, for daemons on this machine.
 
 Prints one JSON line on standard output once drivers can connect: `endpoint` for viewers, `driver`
-and `driver_options` for daemons. SIGTERM and SIGINT end it; then it writes the trace, if any.
+and `driver_options` for daemons. SIGTERM and SIGINT end the process, which then writes the trace,
+if any.
 """
 
 from __future__ import annotations
@@ -101,7 +102,9 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
     with ExitStack() as opened:
         link = WorldLink(swarm, robots, options.endpoint)
         opened.callback(link.close)
-        driver, driver_options, timeouts = DRIVER, dict[str, Value](endpoint=link.endpoint), None
+        driver = DRIVER
+        driver_options: dict[str, Value] = {"endpoint": link.endpoint}
+        timeouts = None
         if needs_radio(scenario.radio):
             driver_options["radio"] = True
         emulated = None

@@ -70,8 +70,8 @@ def await_robots(
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
     """True if each of `robots`, which have answered, is a neighbor of its own neighbors.
 
-    With `all_hear_all` all must be neighbors: else two robots that start together would not hear
-    each other. Statuses list so many neighbors only; of a larger swarm it is True.
+    With `all_hear_all` all must be neighbors: without that, two robots that start together would
+    not hear each other. Statuses list at most MAX_NEIGHBORS; True for a larger swarm.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
@@ -105,8 +105,8 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
             # The acknowledgement may have been late or lost, and the robot runs all the same.
             running = {
                 name
-                for name, one in statuses_of(view).items()
-                if one.state is State.RUNNING and one.pattern == run.pattern
+                for name, status in statuses_of(view).items()
+                if status.state is State.RUNNING and status.pattern == run.pattern
             }
             late |= running.intersection(waiting)
             waiting = tuple(name for name in waiting if name not in late)
@@ -125,11 +125,11 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
 
 def joined(parts: Iterable[Started]) -> Started:
     """Several starts as one."""
-    some = list(parts)
+    starts = list(parts)
     return Started(
-        tuple(sorted(robot for one in some for robot in one.robots)),
-        tuple(sorted(robot for one in some for robot in one.late)),
-        {robot: text for one in some for robot, text in one.missing.items()},
+        tuple(sorted(robot for start in starts for robot in start.robots)),
+        tuple(sorted(robot for start in starts for robot in start.late)),
+        {robot: text for start in starts for robot, text in start.missing.items()},
     )
 
 

@@ -18,68 +18,57 @@ Triple = tuple[Metres, Metres, Metres]
 
 
 class WorldOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The command line of a world's process, as JSON.
-
-    `scenario`: the file of an effective scenario; without one `robots` (platform by id) start in
-    `arena` by `layout`, texts as of `parse_arena` and `parse_layout`. `endpoint` is for drivers,
-    `emulator_endpoint` for those of an `emulator`. Port 0 is any. `trace`
-    is the path of the recording, `trace_rate` in Hz; it ends after `seconds` of simulation, which
-    count from the start or from a request `start`. `radio_range` in m; None: without limit.
-    """
+    """The command line of a world's process, as JSON."""
 
     swarm: str
-    scenario: str | None = None
-    robots: dict[str, str] = {}
-    arena: str = "6x6"
-    layout: str = "grid:1.0"
+    scenario: str | None = None  # the file of an effective scenario, instead of the next three
+    robots: dict[str, str] = {}  # platform by id
+    arena: str = "6x6"  # as of `parse_arena`
+    layout: str = "grid:1.0"  # as of `parse_layout`
     seed: int = 0
     realism: Literal["ideal", "realistic"] = "ideal"
     lidar_visibility: Literal["body", "real"] = "body"
-    radio_range: float | None = None
-    endpoint: str = "tcp/127.0.0.1:0"
+    radio_range: float | None = None  # m; None: without limit
+    endpoint: str = "tcp/127.0.0.1:0"  # for drivers; port 0 is any
     emulator: str | None = None
-    emulator_endpoint: str = "tcp/127.0.0.1:0"
+    emulator_endpoint: str = "tcp/127.0.0.1:0"  # for the drivers of the emulator
     shared_frame: bool = False
-    trace: str | None = None
-    trace_rate: float = 50.0
-    seconds: float | None = None
+    trace: str | None = None  # the path of the recording
+    trace_rate: float = 50.0  # Hz
+    seconds: float | None = None  # of simulation that are recorded, from the start or a `start` on
 
 
 class WorldState(Struct, frozen=True, kw_only=True):
-    """The world at one instant; row i of each list is robot `ids[i]`, which is in the arena.
+    """The world at one instant; row i of each list is robot `ids[i]`, which is in the arena."""
 
-    `time` s of simulation, `real_time_factor` over the last second (0 before there is one),
-    `poses` x, y in m and yaw in rad, `twists` linear, angular, lateral in each base frame,
-    `commanded` whether a fresh command is in force. Contact episodes since recording began:
-    `contacts` between robots, `arena_contacts` with walls, boxes and poles. `recorded` in s.
-    `overruns`: late steps, `dropped`: malformed messages. `boxes`: the poses of the movable boxes
-    in the arena, by name. `touching`: pairs that were in contact in the last 0.5 s, each a robot
-    and a robot or part of the arena.
-    """
-
-    time: Seconds
-    real_time_factor: Rate
+    time: Seconds  # of simulation
+    real_time_factor: Rate  # over the last second; 0 in the first second
     arena: tuple[Metres, Metres]
     ids: tuple[Name, ...]
-    poses: tuple[Triple, ...]
-    twists: tuple[Triple, ...]
-    commanded: tuple[bool, ...]
-    contacts: Count
-    arena_contacts: Count
+    poses: tuple[Triple, ...]  # x, y in m, yaw in rad
+    twists: tuple[Triple, ...]  # linear, angular, lateral in each base frame
+    commanded: tuple[bool, ...]  # whether a fresh command is in force
+    contacts: Count  # episodes between robots since recording began
+    arena_contacts: Count  # episodes with walls, boxes and poles since recording began
     is_recording: bool
     recorded: Seconds
-    overruns: Count
-    dropped: Count
-    boxes: dict[Name, Triple] = {}
+    overruns: Count  # late steps
+    dropped: Count  # malformed messages
+    boxes: dict[Name, Triple] = {}  # poses of the movable boxes in the arena
+    # Pairs in contact in the last 0.5 s, each a robot and a robot or part of the arena.
     touching: tuple[tuple[Name, Name], ...] = ()
 
 
 class WorldRequest(Struct, frozen=True, kw_only=True):
-    """A request to the world.
+    """A request to the world, by its action.
 
-    `start` restarts the recording, `finish` writes it, `poses` returns the state, `place` puts the
-    movable `box` at rest at `pose`, `remove` takes it out of the arena, `take_out` the `robot`;
-    `fields` replaces all fields that have the names of its `fields`.
+    - `start`: restart the recording.
+    - `finish`: write the recording.
+    - `poses`: return the state alone.
+    - `place`: put the movable `box` at rest at `pose`.
+    - `remove`: take the movable `box` out of the arena.
+    - `take_out`: take the `robot` out of the arena.
+    - `fields`: replace all fields that have the names of those in `fields`.
     """
 
     action: Action

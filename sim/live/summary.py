@@ -55,29 +55,24 @@ class DoneEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """A finished demo. `problems` is empty if all robots ran to the end and no two touched.
-
-    `late` robots started only when they were asked again. `seconds_to_moving` counts from the
-    start of the command until all robots moved; None if they did not all move. `kernels`: which
-    code decided, as the robots reported it. `scenario` is empty without one; `events` are those
-    after the start; `reports` and `readings` the last ones, by robot and name.
-    """
+    """A finished demo."""
 
     pattern: str
     platform: str
     robots: tuple[str, ...]
-    late: tuple[str, ...] = ()
+    late: tuple[str, ...] = ()  # robots that started only when they were asked again
     arena: str
     layout: str
     seed: int
+    # From the start of the command until all robots moved; None if some robot did not move.
     seconds_to_moving: float | None
-    kernels: str
+    kernels: str  # the code that decided, as the robots reported it
     numbers: Numbers
-    problems: tuple[str, ...]
+    problems: tuple[str, ...]  # empty if all robots ran to the end and no two touched
     scenario: str = ""
-    events: tuple[DoneEvent, ...] = ()
-    reports: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)
-    readings: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)
+    events: tuple[DoneEvent, ...] = ()  # those after the start
+    reports: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)  # the last, by robot
+    readings: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)  # the last, by robot
 
     @property
     def is_good(self) -> bool:
@@ -113,14 +108,17 @@ class Summary:
 
 def _spread(what: str, values: Mapping[str, Mapping[str, Scalar]]) -> list[tuple[str, str]]:
     """A line for each name: the mean and the range of the numbers of all robots."""
-    found: dict[str, list[float]] = {}
-    for one in values.values():
-        for name, value in one.items():
+    numbers: dict[str, list[float]] = {}
+    for of_robot in values.values():
+        for name, value in of_robot.items():
             if isinstance(value, int | float):
-                found.setdefault(name, []).append(float(value))
+                numbers.setdefault(name, []).append(float(value))
     return [
-        (f"{what} {name}", f"{sum(some) / len(some):.3g} ({min(some):.3g} to {max(some):.3g})")
-        for name, some in sorted(found.items())
+        (
+            f"{what} {name}",
+            f"{sum(of_all) / len(of_all):.3g} ({min(of_all):.3g} to {max(of_all):.3g})",
+        )
+        for name, of_all in sorted(numbers.items())
     ]
 
 
@@ -165,10 +163,10 @@ def problems_of(
 
     `before` are the statuses right after `run`, `after` those at the end, both by robot.
     """
-    found = [line for robot in robots if (line := _problem(robot, before, after))]
+    problems = [line for robot in robots if (line := _problem(robot, before, after))]
     if contacts:
-        found.append(f"robots touched each other {contacts} times")
-    return tuple(found)
+        problems.append(f"robots touched each other {contacts} times")
+    return tuple(problems)
 
 
 def _problem(robot: str, before: Mapping[str, Status], after: Mapping[str, Status]) -> str:

@@ -95,8 +95,10 @@ class _Member(RunProcess):
         called while this one waits for `process`, with the time since the call before; it may
         raise."""
         super().__init__(index, len(ready))
-        self._memory, self._ready, self._watch = memory, ready, watch
-        # Two halves in turn: who writes one again knows that all have read it.
+        self._memory = memory
+        self._ready = ready
+        self._watch = watch
+        # The halves take turns: before a process writes a half again, all have read that half.
         self._half = 0
         self._pid: int | None = None
 
@@ -114,26 +116,26 @@ class _Member(RunProcess):
         return [own if i == self.index else pickle.loads(data) for i, data in enumerate(received)]
 
     def _exchange_bytes(self, data: bytes, *, keeps: bool) -> list[bytearray]:
-        """What all others sent, in rounds of `_CHUNK` until each has sent all of its own."""
+        """The data of all other processes, in rounds of `_CHUNK` until each has sent its all."""
         self._pid = self._pid or os.getpid()
         if self._pid != os.getpid():  # forked by a pattern: it has no part in the run
             os._exit(0)
-        others = [one for one in range(self.count) if one != self.index]
+        others = [process for process in range(self.count) if process != self.index]
         received = [bytearray() for _ in range(self.count)]
         done, longest = 0, 1
         while done < longest:
             self._write(len(data), data[done : done + _CHUNK])
-            for other in others:
-                self._ready[self.index][other].release()
+            for process in others:
+                self._ready[self.index][process].release()
             longest = len(data)
-            for other in others:
-                self._wait(other)
-                at = self._slot(other)
+            for process in others:
+                self._wait(process)
+                at = self._slot(process)
                 (size,) = _HEAD.unpack_from(self._memory, at)
                 longest = max(longest, size)
                 if keeps:
                     begin, end = at + _HEAD.size, at + _HEAD.size + min(_CHUNK, size - done)
-                    received[other] += self._memory[begin : max(begin, end)]
+                    received[process] += self._memory[begin : max(begin, end)]
             done += _CHUNK
             self._half = 1 - self._half
         return received
@@ -146,8 +148,8 @@ class _Member(RunProcess):
     def _slot(self, process: int) -> int:
         return (self._half * self.count + process) * _SLOT
 
-    def _wait(self, other: int) -> None:
-        ready = self._ready[other][self.index]
+    def _wait(self, process: int) -> None:
+        ready = self._ready[process][self.index]
         end = time.perf_counter() + _SPIN
         while time.perf_counter() < end:
             if ready.acquire(False):
@@ -156,9 +158,9 @@ class _Member(RunProcess):
         while not ready.acquire(True, _POLL_PERIOD):
             now = time.monotonic()
             # Time in which this process did not run either, as if suspended, does not count.
-            self._watch(other, min(now - before, 2.0 * _POLL_PERIOD))
+            self._watch(process, min(now - before, 2.0 * _POLL_PERIOD))
             before = now
-        self._watch(other, 0.0)
+        self._watch(process, 0.0)
 
 
 class _Children:
@@ -202,11 +204,11 @@ class _Children:
         if seconds == 0.0:
             self._silence = 0.0
             return
-        for one, pid in list(self._pids.items()):
+        for number, pid in list(self._pids.items()):
             has_ended, code = _ended(pid)
             if has_ended:
-                del self._pids[one]
-                raise self._error(one, code)
+                del self._pids[number]
+                raise self._error(number, code)
         self._silence += seconds
         if self._silence >= self._timeout:
             raise SwarmError(
@@ -276,8 +278,8 @@ def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = 
     try:
         for index in range(1, count):
             # A child waits as long as its parent lives, which watches all of them.
-            other = _Member(index, memory, ready, lambda process, seconds: None)
-            children.fork(index, partial(work, other))
+            child = _Member(index, memory, ready, lambda process, seconds: None)
+            children.fork(index, partial(work, child))
         return work(_Member(0, memory, ready, children.watch))
     finally:
         children.end()

@@ -75,7 +75,7 @@ class LockstepRecorder:
     def kept(self, rows: NDArray[np.intp]) -> Kept:
         """What the robots of these rows reported, for `trace`."""
         self._end_block()
-        columns = {name: np.concatenate(one)[:, rows] for name, one in self._blocks.items()}
+        columns = {name: np.concatenate(blocks)[:, rows] for name, blocks in self._blocks.items()}
         return rows, columns, self._reports
 
     def trace(self, meta: Mapping[str, Any], kept: Sequence[Kept]) -> Trace:

@@ -85,7 +85,9 @@ class RobotShell:
         self._outputs.alarms.set(self.row, self.robot.wake_at(now))
 
     def _carry_out(self, actions: Actions, now: float) -> None:
-        outputs, row, twist = self._outputs, self.row, actions.twist
+        outputs = self._outputs
+        row = self.row
+        twist = actions.twist
         commands = outputs.commands  # three values are set faster than a row
         commands[row, 0], commands[row, 1] = twist.linear, twist.angular
         commands[row, 2], outputs.has_new_commands = twist.lateral, True

@@ -59,9 +59,9 @@ def clusters(trace: Trace, link: float) -> NDArray[np.int64]:
     instants, n = is_present.shape
     labels = np.full((instants, n), -1, dtype=np.int64)
     for span in pairs.spans(instants, n):
-        found = pairs.near(trace.pose[span, :, :2], is_present[span], link)
+        links = pairs.near(trace.pose[span, :, :2], is_present[span], link)
         size = len(labels[span]) * n
-        joined = pairs.components(size, found.instant * n + found.a, found.instant * n + found.b)
+        joined = pairs.components(size, links.instant * n + links.a, links.instant * n + links.b)
         labels[span] = joined.reshape(labels[span].shape) % max(n, 1)
     labels[~is_present] = -1
     return labels
@@ -142,8 +142,8 @@ def _linked(of: Callable[[Trace, float], Any]) -> Callable[[Trace], Any]:
 
     def linked(trace: Trace) -> Any:
         link = cluster_link(trace)
-        found = None if link is None else of(trace, link)
-        return found.astype(np.float64) if isinstance(found, np.ndarray) else found
+        result = None if link is None else of(trace, link)
+        return result.astype(np.float64) if isinstance(result, np.ndarray) else result
 
     return linked
 

@@ -71,7 +71,7 @@ def series(trace: Trace, name: str | Metric) -> Array | None:
     """
     metric = metric_of(name)
     if metric.series is None:
-        known = ", ".join(one.name for one in METRICS.values() if one.series is not None)
+        known = ", ".join(m.name for m in METRICS.values() if m.series is not None)
         raise ConfigError(
             f"metric {metric.name} is defined for whole runs only; over time there are {known}"
         )
@@ -120,7 +120,7 @@ def beyond_catalog(metrics: Iterable[Metric]) -> list[Metric]:
 
 def table() -> list[tuple[str, str, str, str]]:
     """(name, unit, meaning, source) of all metrics."""
-    return [(one.name, one.unit or "-", one.meaning, one.source) for one in METRICS.values()]
+    return [(m.name, m.unit or "-", m.meaning, m.source) for m in METRICS.values()]
 
 
 def _plain(value: float | None) -> float | None:

@@ -57,8 +57,8 @@ def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: 
     for centre, size, distance in _obstacles(trace, span, arena):
         away = np.hypot(*np.moveaxis(pose[..., :2] - centre, -1, 0)) - radius(shape) - size
         is_near = away < best[:, None]  # false for an obstacle that is not in the arena: NaN
-        found = distance(corners[is_near], instants[is_near])
-        np.minimum.at(best, instants[is_near], found)
+        distances = distance(corners[is_near], instants[is_near])
+        np.minimum.at(best, instants[is_near], distances)
 
 
 def _obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array, float, Measure]]:

@@ -52,21 +52,23 @@ def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Contact]:
     pair = np.where(is_turned[:, None], pair[:, ::-1], pair)
     speed = np.where(is_turned[:, None], speed[:, ::-1], speed)
     order = np.lexsort((trace.contact_t, pair[:, 1], pair[:, 0]))
-    time, pair, speed = trace.contact_t[order], pair[order], speed[order]
+    time = trace.contact_t[order]
+    pair = pair[order]
+    speed = speed[order]
     is_new = np.ones(len(time), dtype=bool)
     is_new[1:] = (pair[1:] != pair[:-1]).any(axis=1) | (np.diff(time) > gap)
     starts = np.flatnonzero(is_new)
     stops = np.append(starts[1:], len(time))
-    found = []
+    contacts = []
     for start, stop in zip(starts, stops, strict=True):
         fastest = start + int(speed[start:stop].sum(axis=1).argmax())
         ends = float(time[start]), float(time[stop - 1])
-        found.append(_contact(trace, ends, pair[start], speed[fastest]))
-    return sorted(found, key=lambda one: one.start)
+        contacts.append(_contact(trace, ends, pair[start], speed[fastest]))
+    return sorted(contacts, key=lambda contact: contact.start)
 
 
 def count_of(trace: Trace, kind: Kind) -> int:
-    """The number of contacts of robots with one kind of other."""
+    """The number of contacts of a kind."""
     return sum(contact.kind == kind for contact in contact_list(trace))
 
 
@@ -82,12 +84,14 @@ def _contact(
     a, b = int(pair[0]), int(pair[1])
     kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
     # Below ARENA stand the movable boxes: -2 is the first of `movable_boxes`.
-    other = trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.movable_boxes[ARENA - 1 - b]
+    partner = (
+        trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.movable_boxes[ARENA - 1 - b]
+    )
     return Contact(
         start=ends[0],
         end=ends[1],
         a=trace.ids[a],
-        b=other,
+        b=partner,
         kind=kind,
         closing_speed=float(speed[0] + speed[1]),
         is_a_moving=bool(speed[0] > MOVING),

@@ -20,10 +20,10 @@ def items_delivered(trace: Trace) -> float | None:
 
 def delivered(trace: Trace) -> Array | None:
     """(T,) the items that all robots have delivered so far; None without the reading."""
-    found = trace.readings.get(DELIVERED)
-    if found is None:
+    counts = trace.readings.get(DELIVERED)
+    if counts is None:
         return None
-    known = np.fmax.accumulate(found, axis=0)  # the count of a robot that has no reading now stays
+    known = np.fmax.accumulate(counts, axis=0)  # the count of a robot that has no reading now stays
     total: Array = np.nansum(known, axis=1)
     return total
 

@@ -29,14 +29,14 @@ def minimum_gap(trace: Trace) -> float:
     best = np.inf
     for span in pairs.spans(*trace.pose.shape[:2]):
         bound = _bounds(trace, span).min(initial=np.inf) if np.isinf(best) else best
-        found, lower = _candidates(trace, span, float(bound))
+        near, lower = _candidates(trace, span, float(bound))
         order = np.argsort(lower, kind="stable")
         for start in range(0, len(order), _BLOCK):
             block = order[start : start + _BLOCK]
             block = block[lower[block] < best - _ROUNDING]
             if len(block) == 0:
                 break
-            best = min(best, float(_exact(trace, span, found, block).min()))
+            best = min(best, float(_exact(trace, span, near, block).min()))
     return best
 
 
@@ -45,13 +45,13 @@ def minimum_gaps(trace: Trace) -> Array:
     smallest = np.full(len(trace.t), np.inf)
     for span in pairs.spans(*trace.pose.shape[:2]):
         best = smallest[span]
-        found, lower = _candidates(trace, span, float(_bounds(trace, span).max(initial=0.0)))
+        near, lower = _candidates(trace, span, float(_bounds(trace, span).max(initial=0.0)))
         # First the pair that may be nearest at each instant, then pairs that may be nearer.
-        order = np.lexsort((lower, found.instant))
-        leading = order[np.unique(found.instant[order], return_index=True)[1]]
-        np.minimum.at(best, found.instant[leading], _exact(trace, span, found, leading))
-        rest = np.flatnonzero(lower < best[found.instant] - _ROUNDING)
-        np.minimum.at(best, found.instant[rest], _exact(trace, span, found, rest))
+        order = np.lexsort((lower, near.instant))
+        leading = order[np.unique(near.instant[order], return_index=True)[1]]
+        np.minimum.at(best, near.instant[leading], _exact(trace, span, near, leading))
+        rest = np.flatnonzero(lower < best[near.instant] - _ROUNDING)
+        np.minimum.at(best, near.instant[rest], _exact(trace, span, near, rest))
     return smallest
 
 
@@ -71,29 +71,29 @@ def _candidates(trace: Trace, span: slice, bound: float) -> tuple[Pairs, Array]:
     """Pairs whose footprints may be as near as `bound`, and a lower bound of their distance."""
     place = trace.pose[span, :, :2]
     reach = reaches(trace)
-    found = pairs.near(place, _is_in_arena(place), bound + 2.0 * reach.max(initial=0.0))
-    found = pairs.chosen(found, found.distance - reach[found.a] - reach[found.b] <= bound)
-    return found, _along(trace, span, found)
+    near = pairs.near(place, _is_in_arena(place), bound + 2.0 * reach.max(initial=0.0))
+    near = pairs.chosen(near, near.distance - reach[near.a] - reach[near.b] <= bound)
+    return near, _along(trace, span, near)
 
 
 def _is_in_arena(place: Array) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(place).all(axis=-1))
 
 
-def _along(trace: Trace, span: slice, found: Pairs) -> Array:
+def _along(trace: Trace, span: slice, near: Pairs) -> Array:
     """(p,) a lower bound in m of the distance of the footprints.
 
     It is the gap of their projections onto the line through both origins; negative if these
     overlap.
     """
     pose = trace.pose[span]
-    a, b = pose[found.instant, found.a], pose[found.instant, found.b]
+    a, b = pose[near.instant, near.a], pose[near.instant, near.b]
     bearing = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])
     ahead, back = bearing - a[:, 2], bearing - b[:, 2] + np.pi
     kind = np.array(trace.platforms)
-    shadow = np.empty(len(found.instant))
-    total = found.distance.copy()
-    for robot, angle in ((found.a, ahead), (found.b, back)):
+    shadow = np.empty(len(near.instant))
+    total = near.distance.copy()
+    for robot, angle in ((near.a, ahead), (near.b, back)):
         for name in sorted(set(trace.platforms)):
             of = kind[robot] == name
             x, y = np.cos(angle[of]), np.sin(angle[of])
@@ -103,12 +103,13 @@ def _along(trace: Trace, span: slice, found: Pairs) -> Array:
     return total
 
 
-def _exact(trace: Trace, span: slice, found: Pairs, chosen: pairs.Ints) -> Array:
-    """The distances of the footprints of the chosen pairs; `found.instant` counts within span."""
+def _exact(trace: Trace, span: slice, near: Pairs, chosen: pairs.Ints) -> Array:
+    """The distances of the footprints of the chosen pairs; `near.instant` counts within span."""
     names = sorted(set(trace.platforms))
     kind = np.array([names.index(name) for name in trace.platforms], dtype=np.int64)
     pose = trace.pose[span]
-    instant, a, b = found.instant[chosen], found.a[chosen], found.b[chosen]
+    instant = near.instant[chosen]
+    a, b = near.a[chosen], near.b[chosen]
     result = np.empty(len(chosen))
     both = kind[a] * len(names) + kind[b]
     for code in np.unique(both):

@@ -20,29 +20,27 @@ Better: TypeAlias = Literal["less", "more"]
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A number of a run.
-
-    `value` gives it for a trace; None if the trace has no value. `series` (T,) gives the value at
-    each instant, NaN where unknown, or None if the trace lacks data; a metric without `series` is
-    defined for whole runs only. `better`: the direction that is good for every task, else None.
-    `is_time_to_event`: the value is a duration in s, None where the event never happened; `event`
-    names the event in a figure.
-
-    `origin`: what `metric_of` takes from any folder, where that is not the name; `digest` of the
-    code of a metric that does not come with swarmd.
-    """
+    """A number of a run."""
 
     name: str
     unit: str
     meaning: str
     source: str
     value: Value
+    """The number for a trace; None if the trace has no value."""
     series: Series | None = None
+    """(T,) the value at each instant, NaN where unknown, or None if the trace lacks data. A metric
+    without `series` is defined for whole runs only."""
     better: Better | None = None
+    """The direction that is good for every task, else None."""
     is_time_to_event: bool = False
+    """The value is a duration in s, None where the event never happened."""
     event: str = ""
+    """The name of that event in a figure."""
     origin: str = ""
+    """The name that `metric_of` takes from any folder, where `name` is not."""
     digest: str = ""
+    """Of the code of a metric that does not come with swarmd."""
 
 
 def at_start(series: Series) -> Value:

@@ -11,9 +11,10 @@
         '''Robots within 1 m of the warm spot.'''
         return (np.hypot(trace.pose[..., 0] - 1.5, trace.pose[..., 1]) < 1.0).mean(axis=1)
 
-It returns a number, None where the run has no value, or an array (T,): the values over time, whose
-mean over the late part is the number of the run. A file's metric is named `path/to/file.py:warm`,
-that of a package by its entry point in the group `swarmd.metrics`. The decorator may be left out.
+The function returns a number, None where the run has no value, or an array (T,): the values over
+time, whose mean over the late part is the number of the run. The metric of a file is named
+`path/to/file.py:warm`, the metric of a package by its entry point in the group `swarmd.metrics`.
+The decorator may be left out.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _Function = TypeVar("_Function", bound=Callable[[Trace], Any])
 
 
 class MetricError(SwarmError):
-    """A custom metric raised an error, or gave something that is no value."""
+    """A custom metric raised an error, or its result is no value."""
 
 
 def metric(
@@ -93,7 +94,7 @@ def metric_of_file(text: str, digest: str = "") -> Metric:
 
 def installed_metrics() -> Mapping[str, Metric]:
     """The metrics of installed packages by name; ConfigError if one cannot be imported."""
-    found = {}
+    metrics = {}
     for point in sorted(entry_points(group=GROUP)):
         try:
             function = point.load()
@@ -104,8 +105,8 @@ def installed_metrics() -> Mapping[str, Metric]:
         data = Path(source).read_bytes() if source else b""
         about = point.dist.name if point.dist is not None else point.value
         digest = hashlib.sha256(data).hexdigest()
-        found[point.name] = _metric(point.name, function, point.name, digest, about)
-    return found
+        metrics[point.name] = _metric(point.name, function, point.name, digest, about)
+    return metrics
 
 
 def _metric(
@@ -116,12 +117,12 @@ def _metric(
         raise ConfigError(f"metric {name}: better is {better!r}; expected 'less' or 'more'")
 
     def value(trace: Trace) -> float | None:
-        found = _called(name, function, trace)
-        return over_time(found, trace.t, "late") if isinstance(found, np.ndarray) else found
+        result = _called(name, function, trace)
+        return over_time(result, trace.t, "late") if isinstance(result, np.ndarray) else result
 
     def series(trace: Trace) -> Array | None:
-        found = _called(name, function, trace)
-        return found if isinstance(found, np.ndarray) else None
+        result = _called(name, function, trace)
+        return result if isinstance(result, np.ndarray) else None
 
     return Metric(
         name=name,
@@ -138,16 +139,16 @@ def _metric(
 
 
 def _called(name: str, function: Callable[[Trace], Any], trace: Trace) -> Array | float | None:
-    """What the function gives; MetricError with the line of the file if that is no value."""
+    """The result of the function; MetricError with the line of the file if it is no value."""
     try:
-        found = function(trace)
+        result = function(trace)
     except Exception as error:
         frame = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(frame.filename).name}:{frame.lineno}"
         raise MetricError(f"{type(error).__name__}: {error} ({where})") from error
-    if found is None or isinstance(found, (bool, int, float, np.number, np.bool_)):
-        return None if found is None else float(found)
-    if isinstance(found, np.ndarray) and found.shape in ((), trace.t.shape):
-        return found.astype(np.float64) if found.ndim else float(found)
-    what = f"an array {found.shape}" if isinstance(found, np.ndarray) else named(found)
+    if result is None or isinstance(result, (bool, int, float, np.number, np.bool_)):
+        return None if result is None else float(result)
+    if isinstance(result, np.ndarray) and result.shape in ((), trace.t.shape):
+        return result.astype(np.float64) if result.ndim else float(result)
+    what = f"an array {result.shape}" if isinstance(result, np.ndarray) else named(result)
     raise MetricError(f"{name} gave {what}; expected a number, None or an array {trace.t.shape}")

@@ -50,32 +50,33 @@ def near(place: Array, is_in: NDArray[np.bool_], reach: float) -> Pairs:
     instant, point = np.nonzero(is_in)
     where = place[instant, point]
     span = min(reach, _diagonal(where)) * _MARGIN
-    found = _tree(where, instant, span).query_pairs(span, output_type="ndarray").T
-    one, other = found.astype(np.int64)  # in (T, n) order, so that point[one] < point[other]
-    away = where[one] - where[other]
+    rows = _tree(where, instant, span).query_pairs(span, output_type="ndarray").T
+    first, second = rows.astype(np.int64)  # in (T, n) order, so that point[first] < point[second]
+    away = where[first] - where[second]
     distance = np.hypot(away[:, 0], away[:, 1])
-    pairs = Pairs(instant[one], point[one], point[other], distance)
+    pairs = Pairs(instant[first], point[first], point[second], distance)
     return chosen(pairs, distance <= reach)
 
 
-def chosen(found: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
+def chosen(pairs: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
     """The pairs for which (p,) is true."""
     return Pairs(
-        found.instant[is_chosen], found.a[is_chosen], found.b[is_chosen], found.distance[is_chosen]
+        pairs.instant[is_chosen], pairs.a[is_chosen], pairs.b[is_chosen], pairs.distance[is_chosen]
     )
 
 
 def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
-    """(T, n) distance in m from each point of `place` (T, n, 2) to the nearest other point.
+    """(T, n) distance in m from each point of `place` (T, n, 2) to its nearest neighbor.
 
-    At the same instant. NaN where `is_in` (T, n) is false, inf if no other point is in.
+    Neighbors are the points of the same instant for which `is_in` (T, n) is true. NaN for a point
+    for which `is_in` is false, inf for a point without a neighbor.
     """
     best = np.where(is_in, np.inf, np.nan)
     for span in spans(*place.shape[:2]):
         if place.shape[1] <= FEW:
-            found = near(place[span], is_in[span], np.inf)
-            np.minimum.at(best[span], (found.instant, found.a), found.distance)
-            np.minimum.at(best[span], (found.instant, found.b), found.distance)
+            close = near(place[span], is_in[span], np.inf)
+            np.minimum.at(best[span], (close.instant, close.a), close.distance)
+            np.minimum.at(best[span], (close.instant, close.b), close.distance)
             continue
         instant, point = np.nonzero(is_in[span])
         where = place[span][instant, point]
@@ -83,9 +84,9 @@ def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
             continue
         tree = _tree(where, instant, _diagonal(where))
         first, second = tree.query(tree.data, k=2)[1].T
-        other = np.where(second == np.arange(len(where)), first, second)
-        away = np.hypot(*(where - where[other]).T)
-        best[span][instant, point] = np.where(instant[other] == instant, away, np.inf)
+        neighbor = np.where(second == np.arange(len(where)), first, second)
+        away = np.hypot(*(where - where[neighbor]).T)
+        best[span][instant, point] = np.where(instant[neighbor] == instant, away, np.inf)
     return best
 
 

@@ -83,9 +83,10 @@ def share_caught(trace: Trace, group: str, reach: float) -> Array | None:
 
 
 def share_reporting(trace: Trace, key: str, number: float) -> Array | None:
-    """(T,) the share of the robots whose pattern reports `number` as `key`; None if none ever has.
+    """(T,) the share of the robots whose pattern reports `number` as `key`.
 
-    A robot that reports none of it counts as one that reports another.
+    None if no robot ever reports `key`. A robot without a report of `key` counts as a robot that
+    reports another number.
     """
     said = trace.report.get(key)
     if said is None:
@@ -109,8 +110,8 @@ def box_progress(trace: Trace, x: float, y: float) -> Array | None:
 def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
     """(T,) the mean distance in m from the floor outside the areas to the nearest robot there.
 
-    Robots in the areas do not count; without another one the distance is the arena's diagonal. None
-    if the trace names no arena. Floor in squares of CELL m.
+    Robots in the areas do not count. Without a robot outside the areas the distance is the arena's
+    diagonal. None if the trace names no arena. Floor in squares of CELL m.
     """
     arena = arena_of(trace)
     if arena is None:
@@ -118,20 +119,20 @@ def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
     floor = _squares(arena.length, arena.width)
     floor = floor[~_in_any(floor, areas)]
     is_counted = presence(trace) & ~_in_any(trace.pose[..., :2], areas)
-    found = np.full(len(trace.t), math.hypot(arena.length, arena.width))
+    distances = np.full(len(trace.t), math.hypot(arena.length, arena.width))
     for at in np.flatnonzero(is_counted.any(axis=1)):
         place = trace.pose[at, is_counted[at], :2]
         away = floor[:, None] - place[None]
-        found[at] = np.sqrt((away**2).sum(axis=2).min(axis=1)).mean()
-    return found
+        distances[at] = np.sqrt((away**2).sum(axis=2).min(axis=1)).mean()
+    return distances
 
 
 def network_area(trace: Trace, link: float, radius: float) -> Array:
     """(T,) the floor in m2 within `radius` m of a robot of the largest network.
 
-    Robots within `link` m of each other are linked; the network of most robots is the largest, and
-    of equal ones the one that covers more. Walls do not block; floor outside the arena does not
-    count if the trace names its size. Floor in squares of CELL m.
+    Robots within `link` m of each other are linked. The largest network has the most robots; of
+    several such networks the greatest area counts. Walls do not block. Floor outside the arena does
+    not count if the trace names its size. Floor in squares of CELL m.
     """
     is_here, arena = presence(trace), arena_of(trace)
     n = is_here.shape[1]
@@ -143,7 +144,7 @@ def network_area(trace: Trace, link: float, radius: float) -> Array:
         label[~is_here[at]] = -1
         names, sizes = np.unique(label[label >= 0], return_counts=True)
         largest = names[sizes == sizes.max()] if len(sizes) else ()
-        covered = [_disc_area(place[label == one], radius, arena) for one in largest]
+        covered = [_disc_area(place[label == name], radius, arena) for name in largest]
         areas[at] = max(covered, default=0.0)
     return areas
 
@@ -171,10 +172,10 @@ def _squares(length: float, width: float) -> Array:
 
 
 def _in_any(places: Array, areas: Sequence[Area]) -> NDArray[np.bool_]:
-    found = np.zeros(places.shape[:-1], dtype=bool)
+    is_in = np.zeros(places.shape[:-1], dtype=bool)
     for area in areas:
-        found |= area.holds(places)
-    return found
+        is_in |= area.holds(places)
+    return is_in
 
 
 def _share_until(is_so: NDArray[np.bool_]) -> Array:
@@ -219,19 +220,19 @@ def is_placed(name: str) -> bool:
 def placed_metric(name: str) -> Metric:
     """The metric of a name such as `share_in:disc:1.5:0:0.7`; ConfigError for wrong places."""
     kind, *words = name.split(":")
-    one = KINDS[kind]
+    placed = KINDS[kind]
     try:
-        series = one.read(words)
+        series = placed.read(words)
     except ValueError as error:
-        raise ConfigError(f"metric {name!r}: {error}; expected {one.usage}") from None
+        raise ConfigError(f"metric {name!r}: {error}; expected {placed.usage}") from None
     return Metric(
         name=name,
-        unit=one.unit,
-        meaning=one.meaning,
-        source=one.source,
-        value=one.over(series),
+        unit=placed.unit,
+        meaning=placed.meaning,
+        source=placed.source,
+        value=placed.over(series),
         series=series,
-        better=one.better,
+        better=placed.better,
     )
 
 

@@ -67,11 +67,10 @@ def protection_duties(trace: Trace) -> Array | None:
 def alterations(trace: Trace) -> Array | None:
     """(T, n) the difference of safe and requested command; 1 is full speed.
 
-    |safe - requested| with the turn taken as the speed of the footprint's farthest corner, over
-    v_max; NaN where the robot does not run. The change |u - u_requested| is what safety
-    barrier certificates minimise (Wang, Ames and Egerstedt, IEEE T-RO 2017); this scale, which
-    makes turns and platforms comparable, is ours. None without requested commands
-    or `meta["v_max"]`.
+    |safe - requested| / v_max, with the turn taken as the speed of the footprint's farthest corner.
+    NaN where the robot does not run. Safety barrier certificates minimise |u - u_requested| (Wang,
+    Ames and Egerstedt, IEEE T-RO 2017). The scale, which makes turns and platforms comparable, is
+    ours. None without requested commands or `meta["v_max"]`.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None:

@@ -36,12 +36,14 @@ def radio_links(trace: Trace) -> Iterator[Pairs]:
     The disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of
     Mobile Robot Networks, Proc. IEEE 99), without links that `radio.line_of_sight` blocks.
     """
-    sight, is_present, reach = _sight(trace), presence(trace), radio_range(trace)
+    sight = _sight(trace)
+    is_present = presence(trace)
+    reach = radio_range(trace)
     for span in pairs.spans(*is_present.shape):
-        found = pairs.near(trace.pose[span, :, :2], is_present[span], reach)
-        instant = found.instant + span.start
-        found = Pairs(instant, found.a, found.b, found.distance)
-        yield found if sight is None else _seen(trace, sight, found)
+        links = pairs.near(trace.pose[span, :, :2], is_present[span], reach)
+        instant = links.instant + span.start
+        links = Pairs(instant, links.a, links.b, links.distance)
+        yield links if sight is None else _seen(trace, sight, links)
 
 
 def radio_components(trace: Trace) -> Array:

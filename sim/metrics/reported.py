@@ -1,11 +1,11 @@
-"""What patterns report and sensors read, as metrics: `report:KEY[=TEXT]`, `reading:KEY`.
+"""Reports of patterns and readings of sensors as metrics: `report:KEY[=TEXT]`, `reading:KEY`.
 
-Both take statistics, such as `report:KEY[.ROBOTS][_TIME]`. A number of each robot is taken over the
-robots (ROBOTS: mean, median, min, max, std, sum), then over time (TIME: start, end, late, mean,
-min, max, std). Without ROBOTS it is the mean, without TIME `late`; a TIME that is no word of ROBOTS
+Both take statistics, such as `report:KEY[.ROBOTS][_TIME]`. The numbers of the robots are combined
+over the robots (ROBOTS: mean, median, min, max, std, sum), then over time (TIME: start, end, late,
+mean, min, max, std). ROBOTS is `mean` by default, and TIME `late`. A TIME that is no word of ROBOTS
 may stand alone. Examples: `report:value`, `report:value.max`, `reading:battery.min_end`. With TEXT
-a robot counts 1 while it reports this text and 0 while it reports another: `report:state=wait` is a
-share of the robots; a reading is never a text. Only present robots with a value of KEY count.
+a robot counts 1 while it reports this text, else 0: `report:state=wait` is a share of the robots. A
+reading is never a text. Only present robots with a value of KEY count.
 """
 
 from __future__ import annotations
@@ -47,25 +47,25 @@ _SUFFIXES: Mapping[str, tuple[str, str]] = MappingProxyType(
 
 
 def reported_metric(name: str) -> Metric:
-    """The metric of a name `report:...` or `reading:...`; ConfigError if it names no key."""
-    one = _parts(name)
-    is_report = one.prefix == _REPORT
+    """The metric of a name `report:...` or `reading:...`; ConfigError for a name without key."""
+    parts = _parts(name)
+    is_report = parts.prefix == _REPORT
 
     def series(trace: Trace) -> Array | None:
-        values = _values(trace, one)
-        return None if values is None else _over_robots(values, one.robots)
+        values = _values(trace, parts)
+        return None if values is None else _over_robots(values, parts.robots)
 
     def value(trace: Trace) -> float | None:
         values = series(trace)
-        return None if values is None else over_time(values, trace.t, one.time)
+        return None if values is None else over_time(values, trace.t, parts.time)
 
-    what = f"{'reported' if is_report else 'reading'} {one.key}"
-    if one.text:
-        what = f"share of the robots whose {one.key} is {one.text!r}"
+    what = f"{'reported' if is_report else 'reading'} {parts.key}"
+    if parts.text:
+        what = f"share of the robots whose {parts.key} is {parts.text!r}"
     return Metric(
         name=name,
-        unit="share" if one.text and one.robots == "mean" else "",
-        meaning=f"{what}: {one.robots} over the robots, {one.time} over time",
+        unit="share" if parts.text and parts.robots == "mean" else "",
+        meaning=f"{what}: {parts.robots} over the robots, {parts.time} over time",
         source=f"{'reports' if is_report else 'readings'} of the robots",
         value=value,
         series=series,
@@ -76,14 +76,14 @@ def check_reported(name: str, trace: Trace) -> None:
     """ConfigError with the nearest name if no robot of the trace has what the metric takes."""
     prefix, key, text, _, _ = _parts(name)
     numbers, words = _named(trace, prefix)
-    texts = [str(one) for one in np.unique(words[key]) if one] if key in words else []
+    texts = [str(word) for word in np.unique(words[key]) if word] if key in words else []
     if text[:_MAX_TEXT] in texts or (not text and key in numbers):
         return
     if texts and not text:
-        listed = ", ".join(f"{key}={one}" for one in texts)
+        listed = ", ".join(f"{key}={word}" for word in texts)
         raise ConfigError(f"metric {name!r}: {key} is a text; name one: {listed}")
     if texts:
-        known = texts + [f"{one}.{suffix}" for one in texts for suffix in _SUFFIXES]
+        known = texts + [f"{word}.{suffix}" for word in texts for suffix in _SUFFIXES]
         raise ConfigError(f"metric {name!r}: {unknown(f'reported {key}', text, known)}")
     stem, _, _ = key.rpartition(".")
     known = [*numbers, *words]
@@ -103,12 +103,13 @@ class _Parts(NamedTuple):
 
 
 def _parts(name: str) -> _Parts:
-    prefix = next(one for one in PREFIXES if name.startswith(one))
+    prefix = next(known_prefix for known_prefix in PREFIXES if name.startswith(known_prefix))
     body = name.removeprefix(prefix)
     stem, _, suffix = body.rpartition(".")
     robots, time = _SUFFIXES.get(suffix, ("", ""))
     if not (stem and robots):
-        stem, robots, time = body, "mean", "late"
+        stem = body
+        robots, time = "mean", "late"
     key, equals, text = stem.partition("=")
     if not key or (equals and (not text or prefix == _READING)):
         or_text = f" or {prefix}KEY=TEXT" if prefix == _REPORT else ""
@@ -121,27 +122,27 @@ def _named(trace: Trace, prefix: str) -> tuple[Mapping[str, Array], Mapping[str,
     return (trace.report, trace.words) if prefix == _REPORT else (trace.readings, {})
 
 
-def _values(trace: Trace, one: _Parts) -> Array | None:
-    """(T, n) the number of each robot, NaN where absent; None if no robot ever had one.
+def _values(trace: Trace, parts: _Parts) -> Array | None:
+    """(T, n) the number of each robot, NaN where absent; None if no robot ever had a number.
 
-    With a text: 1 where the robot reports it, and 0 where it reports another.
+    With a text: 1 where the robot reports this text, and 0 where it reports another text.
     """
-    numbers, words = _named(trace, one.prefix)
-    if one.key not in (words if one.text else numbers):
+    numbers, words = _named(trace, parts.prefix)
+    if parts.key not in (words if parts.text else numbers):
         return None
-    if one.text:
-        said = words[one.key]
-        is_same = said == np.array(one.text, dtype=WORD)
+    if parts.text:
+        said = words[parts.key]
+        is_same = said == np.array(parts.text, dtype=WORD)
         values = np.where(said == "", np.nan, is_same.astype(np.float64))
     else:
-        values = numbers[one.key]
+        values = numbers[parts.key]
     return np.where(presence(trace), values, np.nan)
 
 
 def _over_robots(values: Array, robots: str) -> Array:
-    """(T,) of values (T, n); NaN where no robot has one."""
-    found = np.full(len(values), np.nan)
+    """(T,) of values (T, n); NaN where no robot has a value."""
+    over_robots = np.full(len(values), np.nan)
     is_known = ~np.isnan(values).all(axis=1)
     if is_known.any():
-        found[is_known] = ROBOTS[robots](values[is_known], axis=1)
-    return found
+        over_robots[is_known] = ROBOTS[robots](values[is_known], axis=1)
+    return over_robots

@@ -70,15 +70,17 @@ def drawn(drawing: Drawing, caption: str) -> Figure:
     return Figure("", caption, _data_url(file))
 
 
-def figures_html(found: Sequence[Figure]) -> str:
+def figures_html(figures: Sequence[Figure]) -> str:
     """The first figures side by side, with their captions."""
     parts = [
-        f'<figure class="{one.kind}"><img src="{one.source}" alt="{escape(one.caption)}">'
-        f"<figcaption>{escape(one.caption)}</figcaption></figure>"
-        for one in found[:MAX_FIGURES]
+        f'<figure class="{figure.kind}"><img src="{figure.source}" alt="{escape(figure.caption)}">'
+        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
+        for figure in figures[:MAX_FIGURES]
     ]
-    if len(found) > len(parts):
-        parts.append(f"<p>{len(parts)} of {len(found)} figures; `swarmctl exp plot` draws all.</p>")
+    if len(figures) > len(parts):
+        parts.append(
+            f"<p>{len(parts)} of {len(figures)} figures; `swarmctl exp plot` draws all.</p>"
+        )
     return f'<div class="pair">{"".join(parts)}</div>' if parts else ""
 
 

@@ -212,8 +212,8 @@ def _scenario(results: Results, manifest: Manifest) -> str:
 def _given(value: Any) -> Any:
     """The value without keys that are null."""
     if isinstance(value, dict):
-        return {key: _given(one) for key, one in value.items() if one is not None}
-    return [_given(one) for one in value] if isinstance(value, list) else value
+        return {key: _given(inner) for key, inner in value.items() if inner is not None}
+    return [_given(inner) for inner in value] if isinstance(value, list) else value
 
 
 def _again(folder: Path, manifest: Manifest) -> str:

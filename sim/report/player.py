@@ -101,10 +101,10 @@ def script() -> str:
 
 def _linked(text: str) -> str:
     """The text with its imports taken from `modules`; ValueError for another kind of import."""
-    found = _IMPORT.sub(r"const { \1 } = modules['\2'];", text)
-    if re.search(r"^import\b", found, re.MULTILINE) or "</script" in found:
+    linked = _IMPORT.sub(r"const { \1 } = modules['\2'];", text)
+    if re.search(r"^import\b", linked, re.MULTILINE) or "</script" in linked:
         raise ValueError("a module of the page cannot be put into a report")
-    return found
+    return linked
 
 
 def _box_shapes(source: Source, duration: float) -> list[Array]:
@@ -117,7 +117,7 @@ def _box_shapes(source: Source, duration: float) -> list[Array]:
         there = [shape for shape, _ in source.boxes()]
         shapes |= {shape.tobytes(): shape for shape in there}
         most |= Counter(shape.tobytes() for shape in there)
-    return [shapes[one] for one in most.elements()]
+    return [shapes[key] for key in most.elements()]
 
 
 def _packed(poses: Array) -> tuple[str, list[float], float]:

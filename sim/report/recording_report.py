@@ -70,7 +70,7 @@ def recording_report(path: Path) -> str:
     count = len(trace.ids)
     return page(
         title=path.stem,
-        question=f"Recording of {count} robot{'s' * (count > 1)}, {trace.duration:.0f} s",
+        question=f"Recording of {count} robot{'s' if count > 1 else ''}, {trace.duration:.0f} s",
         summary=str(path.name),
         sections=sections,
         player=player,
@@ -82,7 +82,9 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
 
     ConfigError if no robot recorded odometry.
     """
-    tracks = {name: one for name, one in timeline.tracks.items() if one.topics["odometry"].times}
+    tracks = {
+        name: track for name, track in timeline.tracks.items() if track.topics["odometry"].times
+    }
     if not tracks:
         raise ConfigError(f"{path}: no odometry was recorded, so there are no positions")
     duration = timeline.duration
@@ -183,7 +185,7 @@ def _stops(trace: Trace) -> list[tuple[str, ...]]:
     assert trace.state is not None
     assert trace.reason is not None
     assert trace.requested is not None
-    found: list[tuple[float, tuple[str, ...]]] = []
+    stops: list[tuple[float, tuple[str, ...]]] = []
     for row, name in enumerate(trace.ids):
         state, reason = trace.state[:, row], trace.reason[:, row]
         asked = (np.abs(np.nan_to_num(trace.requested[:, row])) > MOVING).any(axis=1)
@@ -196,8 +198,8 @@ def _stops(trace: Trace) -> list[tuple[str, ...]]:
                 words = [str(word) for word in reason[first : last + 1] if word] or [""]
                 why = max(set(words), key=words.count).replace("_", " ") or str(state[first])
                 at = float(trace.t[first])
-                found.append((at, (f"{at:.1f} s", name, f"{seconds:.1f} s", why)))
-    return [cells for _, cells in sorted(found)]
+                stops.append((at, (f"{at:.1f} s", name, f"{seconds:.1f} s", why)))
+    return [cells for _, cells in sorted(stops)]
 
 
 def _events(timeline: Timeline) -> list[tuple[str, ...]]:
@@ -296,7 +298,9 @@ def _clocks(about: Mapping[str, str]) -> str:
     """The estimates of `record merge`; empty for one robot."""
     if "clocks" not in about:
         return ""
-    rows = [(one["robot"], *clock_cells(one)) for one in json.loads(about["clocks"])]
+    rows = [
+        (clock_row["robot"], *clock_cells(clock_row)) for clock_row in json.loads(about["clocks"])
+    ]
     head = ("ROBOT", "OFFSET", "DRIFT", "ERROR AT MOST", "VIA")
     return table(head, [tuple(map(escape, row)) for row in rows], "clocks")
 

@@ -32,22 +32,28 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") ->
 
 def metrics_table(results: Results, variant: str, metrics: Sequence[Metric]) -> str:
     """The statistics of metrics, each with its meaning."""
-    found = results.summary(variant, metrics)
-    rows = summary_rows((one, found[one.name]) for one in metrics)
+    summaries = results.summary(variant, metrics)
+    rows = summary_rows((metric, summaries[metric.name]) for metric in metrics)
     named = zip(metrics, rows, strict=True)
-    return table(HEADER, [(_meaning(one), *map(escape, row[1:])) for one, row in named], "metrics")
+    return table(
+        HEADER, [(_meaning(metric), *map(escape, row[1:])) for metric, row in named], "metrics"
+    )
 
 
 def shown_metrics(
     results: Results, asked: Sequence[Metric] | None
 ) -> tuple[list[Metric], list[Metric]]:
-    """The metrics to show first, those `asked` for or default ones; and others with a value."""
-    found = [one for one in map(results.about, results.metrics) if _has_value(results, one)]
+    """The metrics to show first, `asked` or by default, and the rest of those with a value."""
+    measured = [
+        metric for metric in map(results.about, results.metrics) if _has_value(results, metric)
+    ]
     first = asked
     if first is None:
-        first = [one for one in found if one.name in RUN_BY_RUN or one.name not in METRICS]
-    names = {one.name for one in first}
-    return list(first), [one for one in found if one.name not in names]
+        first = [
+            metric for metric in measured if metric.name in RUN_BY_RUN or metric.name not in METRICS
+        ]
+    names = {metric.name for metric in first}
+    return list(first), [metric for metric in measured if metric.name not in names]
 
 
 def _has_value(results: Results, metric: Metric) -> bool:
@@ -63,14 +69,14 @@ def differences_tables(results: Results, metrics: Sequence[Metric]) -> str:
         _plain(*sweep.variants_table(results, metrics)),
         f'<p class="dim">{sweep.READING}</p>',
     ]
-    if found := sweep.factors(results, metrics):
-        rows = [row for one in found for row in sweep.marginal_rows(one)]
+    if effects := sweep.factors(results, metrics):
+        rows = [row for effect in effects for row in sweep.marginal_rows(effect)]
         parts += ["<h3>Each swept key</h3>", _plain(sweep.MARGINAL_HEADER, rows)]
-        rows = [sweep.interaction_row(one) for one in found]
+        rows = [sweep.interaction_row(effect) for effect in effects]
         parts += ["<h3>Interaction of both keys</h3>", _plain(sweep.INTERACTION_HEADER, rows)]
     for name, differences in zip(names[1:], sweep.first_and_others(results, metrics), strict=True):
-        paired = any(one.is_paired for one in differences)
-        how = "paired by seed" if paired else "independent samples"
+        is_paired = any(difference.is_paired for difference in differences)
+        how = "paired by seed" if is_paired else "independent samples"
         parts.append(f"<h3>B: {escape(name)}, and A: {escape(names[0])}</h3>")
         text = (
             f"{how}; 95 % bootstrap intervals of B - A; p with Holm's correction for all variants"
@@ -100,13 +106,17 @@ def contacts_table(results: Results) -> str:
             trace = results.traces[run.id]
         except SwarmError:  # not kept
             continue
-        for one in contact_list(trace):
+        for contact in contact_list(trace):
             count += 1
-            moving = [
-                w for w, is_so in ((one.a, one.is_a_moving), (one.b, one.is_b_moving)) if is_so
-            ]
-            cells = (run.title, f"{one.start:.1f} s", f"{one.a}, {one.b}", ", ".join(moving) or "-")
-            rows.append((*map(escape, cells), f"{one.closing_speed:.3f} m/s"))
+            sides = ((contact.a, contact.is_a_moving), (contact.b, contact.is_b_moving))
+            moving = ", ".join(name for name, is_moving in sides if is_moving)
+            cells = (
+                run.title,
+                f"{contact.start:.1f} s",
+                f"{contact.a}, {contact.b}",
+                moving or "-",
+            )
+            rows.append((*map(escape, cells), f"{contact.closing_speed:.3f} m/s"))
     if not touched:
         return ""
     text = f"{len(touched)} of {len(results.runs)} runs had contacts"
@@ -142,6 +152,9 @@ def _breakable(name: str) -> str:
     return escape(name).replace("_", "_<wbr>")
 
 
-def _differences(found: Sequence[Difference]) -> str:
-    rows = [(_breakable(one.metric), *map(escape, difference_row(one)[1:])) for one in found]
+def _differences(differences: Sequence[Difference]) -> str:
+    rows = [
+        (_breakable(difference.metric), *map(escape, difference_row(difference)[1:]))
+        for difference in differences
+    ]
     return table(DIFFERENCE_HEADER, rows, "differences")

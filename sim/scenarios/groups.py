@@ -113,11 +113,11 @@ def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform,
         if wanted.setdefault(name, section.platform) != section.platform:
             text = f"{dotted(keys)} is {section.platform}, but another group has {wanted[name]}"
             raise layers.error(keys, f"{text}; give one of the two another name")
-    found = {name: _platform(layers, file, text) for name, text in wanted.items()}
+    platforms = {name: _platform(layers, file, text) for name, text in wanted.items()}
     for name in file.platforms:
-        if name not in found:
+        if name not in platforms:
             _platform(layers, file, name)
-    return found
+    return platforms
 
 
 def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platform, Data]:

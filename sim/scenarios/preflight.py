@@ -136,13 +136,13 @@ def check_compatibility(
     if file.lidar_visibility == "body":
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
     notes, held = [], []
-    for own, found in _pairs(groups.robots.values(), accepts):
-        if found.kind == "unseen" and found.holds and is_told:
-            notes.append(f"{own}: {found.text.partition(';')[0]}; told by range and bearing")
-        elif found.holds:
-            held.append((own, found))
-        elif file.lidar_visibility != "body" or found.kind == "faster":
-            notes.append(f"{own}: {found.text}")
+    for own, finding in _pairs(groups.robots.values(), accepts):
+        if finding.kind == "unseen" and finding.holds and is_told:
+            notes.append(f"{own}: {finding.text.partition(';')[0]}; told by range and bearing")
+        elif finding.holds:
+            held.append((own, finding))
+        elif file.lidar_visibility != "body" or finding.kind == "faster":
+            notes.append(f"{own}: {finding.text}")
     if held:
         raise _refusal(layers, held)
     return accepts, tuple(notes)
@@ -150,10 +150,10 @@ def check_compatibility(
 
 def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> ConfigError:
     """Names the pairs that would be held, and what helps, in one line."""
-    pairs = [f"{own}: {found.text.partition(';')[0]}" for own, found in held[:_MOST_NAMED]]
+    pairs = [f"{own}: {finding.text.partition(';')[0]}" for own, finding in held[:_MOST_NAMED]]
     if len(held) > _MOST_NAMED:
         pairs.append(f"and {len(held) - _MOST_NAMED} more")
-    kinds = dict.fromkeys(found.kind for _, found in held)
+    kinds = dict.fromkeys(finding.kind for _, finding in held)
     ways = [f"see accepts_{kind}, or {_WAYS[kind]}" for kind in kinds]
     return layers.error((f"accepts_{held[0][1].kind}",), "; ".join((*pairs, *ways)))
 
@@ -172,5 +172,5 @@ def _pairs(platforms: Iterable[Platform], accepts: Accepts) -> Iterator[tuple[st
         is_alone = own is peer and counts[own.name] == 1
         if is_alone or own.protection["mode"] == "off":  # that promises nothing
             continue
-        found = findings(body_of(own), assumed_speed(own), peer.name, body_of(peer), accepts)
-        yield from ((own.name, one) for one in found)
+        on_peer = findings(body_of(own), assumed_speed(own), peer.name, body_of(peer), accepts)
+        yield from ((own.name, finding) for finding in on_peer)

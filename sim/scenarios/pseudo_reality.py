@@ -50,12 +50,12 @@ def bounds_of(value: bool | Mapping[str, Any], realism: Realism, radio: RadioSet
 
     Both ends of all bounds must fit the other values.
     """
-    found: Bounds = BOUNDS if value is True else {}
+    bounds: Bounds = BOUNDS if value is True else {}
     if isinstance(value, Mapping):
-        found = {key: _pair(key, pair) for key, pair in value.items()}
+        bounds = {key: _pair(key, pair) for key, pair in value.items()}
     for end in (0, 1):
-        _with({key: pair[end] for key, pair in found.items()}, realism, radio)
-    return found
+        _with({key: pair[end] for key, pair in bounds.items()}, realism, radio)
+    return bounds
 
 
 def draws(bounds: Bounds, seed: int) -> dict[str, float]:
@@ -114,8 +114,8 @@ def _with(
 
 
 def _leaves(data: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    found = []
+    leaves = []
     for name, value in data.items():
         is_section = isinstance(value, Mapping)
-        found += _leaves(value, f"{prefix}{name}.") if is_section else [(f"{prefix}{name}", value)]
-    return found
+        leaves += _leaves(value, f"{prefix}{name}.") if is_section else [(f"{prefix}{name}", value)]
+    return leaves

@@ -38,10 +38,12 @@ Action = Literal[
 class ScheduledEvent:
     """An action at `at` s of simulation.
 
-    On `robots` for run (with `pattern`, `parameters` and perhaps `seconds` and `until`), param
-    (`parameters`), stop, estop, reset, join, leave and kill; to the box `box` for place (at
-    `pose` x, y in m, yaw in rad); to the box `box`, or to `robots` if it is empty, for remove; for
-    fields, `fields` take the place of all fields with their names.
+    - run: on `robots`, with `pattern`, `parameters` and perhaps `seconds` and `until`.
+    - param: on `robots`, with `parameters`.
+    - stop, estop, reset, join, leave, kill: on `robots`.
+    - place: on the box `box`, at `pose` (x, y in m, yaw in rad).
+    - remove: on the box `box`, or on `robots` without a box.
+    - fields: `fields` take the place of all fields with their names.
     """
 
     at: float
@@ -58,24 +60,16 @@ class ScheduledEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scenario:
-    """A run except its seed.
-
-    `robots`: platform by id, in the order of ids, which is that of a trace's rows; the order of a
-    file has no effect. `starts(seed)` gives start poses (n, 3) x, y in m and yaw in rad;
-    ConfigError without room. `groups`: ids by group name. `absent`: ids without a daemon until a
-    join event; their bases stand at their start poses. `layers(robot, pattern)` are the configured
-    parameters, below those of a run; `touch[robot]` are the touch zones of patterns. `accepts`: the
-    peers that robots accept. `notes`: a line for each pair of platforms that fits only by what the
-    scenario says. `events` in order of time. `pseudo_reality`: the bounds by key within which each
-    seed draws. `effective` is the complete configuration in plain values after all overrides:
-    `scenario_of(effective)` gives the same scenario.
-    """
+    """A run except its seed."""
 
     name: str
     description: str
-    duration: float
+    duration: float  # s
+    # Platform by id, in the order of ids, which is that of a trace's rows: the order of a file has
+    # no effect.
     robots: Mapping[str, Platform]
-    groups: Mapping[str, tuple[str, ...]]
+    groups: Mapping[str, tuple[str, ...]]  # ids by group name
+    # Start poses (n, 3) x, y in m and yaw in rad by seed; ConfigError without room.
     starts: Callable[[int], Array]
     arena: Arena
     fields: tuple[Field, ...]
@@ -83,13 +77,18 @@ class Scenario:
     realism: Realism
     visibility: Visibility
     radio: RadioSettings
+    # The configured parameters of a robot and pattern, below those of a run.
     layers: Callable[[str, str], Layers]
-    events: tuple[ScheduledEvent, ...]
+    events: tuple[ScheduledEvent, ...]  # in order of time
+    # Ids without a daemon until a join event; their bases stand at their start poses.
     absent: frozenset[str] = frozenset()
-    touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)
-    accepts: Accepts = ACCEPTS_NONE
-    notes: tuple[str, ...] = ()
+    touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)  # by robot, pattern
+    accepts: Accepts = ACCEPTS_NONE  # the peers that robots accept
+    notes: tuple[str, ...] = ()  # a line for each pair of platforms that fits only by exceptions
     trace_rate: float = 10.0
     plugin_dir: Path | None = None
+    # The bounds by key within which each seed draws.
     pseudo_reality: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    # The complete configuration in plain values after all overrides: `scenario_of(effective)` gives
+    # the same scenario.
     effective: Mapping[str, Any] = field(default_factory=dict)

@@ -112,8 +112,8 @@ def _anchored(data: Data, folder: Path) -> Data:
     for section, key in (("groups", "platform"), ("platforms", "extends")):
         items = data.get(section)
         holders += [(item, key) for item in (items.values() if isinstance(items, dict) else ())]
-    floors = [data, *(one for one in _dicts(data.get("events")))]
-    fields = [field for one in floors for field in _dicts(one.get("fields"))]
+    with_fields = [data, *_dicts(data.get("events"))]
+    fields = [field for holder in with_fields for field in _dicts(holder.get("fields"))]
     holders += [(patch, "image") for field in fields for patch in _dicts(field.get("patches"))]
     for holder, key in holders:
         value = holder.get(key) if isinstance(holder, dict) else None
@@ -124,7 +124,7 @@ def _anchored(data: Data, folder: Path) -> Data:
 
 def _dicts(items: Any) -> list[Data]:
     """The mappings of a list; none of anything else."""
-    return [one for one in items if isinstance(one, dict)] if isinstance(items, list) else []
+    return [item for item in items if isinstance(item, dict)] if isinstance(items, list) else []
 
 
 def _overridden(

@@ -105,13 +105,13 @@ def _field_event(
     layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys
 ) -> ScheduledEvent:
     """Fields for those of their names; robots keep their sensors, so that no reading is new."""
-    known = {name for one in fields_of(layers, file.fields) for name in channels_of(one)}
+    known = {name for field in fields_of(layers, file.fields) for name in channels_of(field)}
     fields = fields_of(layers, section.fields or (), keys)
     name = f"events[{keys[1]}].fields"
     if not fields:
         raise layers.error(keys, f"{name} is empty; expected a field at least")
-    for index, one in enumerate(fields):
-        for channel in channels_of(one):
+    for index, new_field in enumerate(fields):
+        for channel in channels_of(new_field):
             if channel not in known:
                 text = f"{name}[{index}]: {unknown('reading of a field', channel, known)}"
                 raise layers.error((*keys, index), text)
@@ -251,7 +251,9 @@ class _ScheduleChecker:
                 fault = "there already" if is_joining else "not there"
             if fault:
                 raise self._error(keys, f"{robot} is {fault} at {event.at:g} s")
-            state.is_there, state.is_out, state.pattern = is_joining, is_removed, ""
+            state.is_there = is_joining
+            state.is_out = is_removed
+            state.pattern = ""
 
     def _present(self, event: ScheduledEvent) -> list[tuple[str, _Robot]]:
         return [(r, self._robots[r]) for r in event.robots if self._robots[r].is_there]

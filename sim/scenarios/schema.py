@@ -77,8 +77,8 @@ class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Robots of one platform: `count` named `<prefix>-01` and on, or the ids of `robots`.
 
-    They run `pattern` from the start, except robots that join later, which need a run event;
-    `parameters` apply to it whenever it runs. `touch` grants patterns touch zones, as a daemon's
+    The robots run `pattern` from the start, except robots that join later, which need a run event.
+    `parameters` apply whenever `pattern` runs. `touch` grants patterns touch zones, as a daemon's
     file does.
     """
 
@@ -95,10 +95,10 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Exactly one of the actions of `schedule.ACTIONS`, `at` a time.
 
-    stop, estop, reset, join, leave and kill name robots, a group or `all`; run names a pattern,
-    param holds values, and both act on `targets` (default: all); place names a box; remove names a
-    box, or robots whose daemons are killed and which leave the arena for good; fields holds fields
-    that take the place of all fields with their names.
+    stop, estop, reset, join, leave and kill name robots, a group or `all`. run names a pattern and
+    param holds values; both act on `targets` (default: all). place names a box. remove names a box,
+    or robots whose daemons are killed and which leave the arena for good. fields holds fields that
+    take the place of all fields with their names.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]

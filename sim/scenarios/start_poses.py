@@ -31,7 +31,9 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 """The keys of each layout."""
 
 _SEEDED = ("random", "chain")
-_SPACING, _RADIUS, _CLEARANCE = 1.0, 1.5, 0.2  # m, the defaults
+_SPACING = 1.0  # m, the default, as the next two
+_RADIUS = 1.5
+_CLEARANCE = 0.2
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,7 +31,7 @@ def shown_arena(arena: Arena, fields: Sequence[Field] = ()) -> ShownArena:
         size,
         [box.corners for _, box in arena.fixed],
         [(pole.x, pole.y, pole.radius) for pole in arena.poles],
-        _grids(arena, [one for one in fields if not isinstance(one, FloorField)]),
+        _grids(arena, [field for field in fields if not isinstance(field, FloorField)]),
         "" if pixels is None else f"data:image/png;base64,{b64encode(png_of(pixels)).decode()}",
     )
 

@@ -38,7 +38,7 @@ _NO_LINKS: Sequence[tuple[int, int]] = ()
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A trace, and of its scenario what no trace has: fields, and `platforms` by name."""
+    """A trace, and those parts of its scenario that no trace has: fields and platforms by name."""
 
     trace: Trace
     fields: Sequence[Field] = ()
@@ -46,7 +46,7 @@ class RecordedRun:
 
 
 class TraceSource:
-    """See `swarmd.view.source.Source`. One of several runs is shown."""
+    """Shows one of several runs; see `swarmd.view.source.Source`."""
 
     kind = "run"
     patterns: Sequence[str] = ()
@@ -120,7 +120,7 @@ class TraceSource:
         return self._shown.detail(name, self.playback.time)
 
     def select(self, names: Sequence[str]) -> None:
-        """All is known of each robot already."""
+        """No effect: the values of all robots are known."""
 
 
 class _ShownRun:
@@ -226,17 +226,19 @@ class _ShownRun:
         values += [[f"Reading {key}", _short(value)] for key, value in row["readings"].items()]
         if self._sensors is not None:
             values.append(["Scan", "ideal: computed from positions, without noise"])
-        touches = [(one.start - self._start, _other(one, name)) for one in self._contacts]
+        touches = [(c.start - self._start, _partner(c, name)) for c in self._contacts]
         events = [
-            [f"{at:.1f} s", f"touches {other}"] for at, other in touches if other and at <= now
+            [f"{at:.1f} s", f"touches {partner}"]
+            for at, partner in touches
+            if partner and at <= now
         ]
         return {"values": values, "events": events[: -MAX_EVENTS - 1 : -1]}
 
     def _marks(self) -> list[tuple[float, str, Sequence[str]]]:
         ids, state = self._trace.ids, self._trace.state
         lines = [
-            EventLine(one.start - self._start, one.a, "event", f"touches {_other(one, one.a)}")
-            for one in self._contacts
+            EventLine(c.start - self._start, c.a, "event", f"touches {_partner(c, c.a)}")
+            for c in self._contacts
         ]
         for event in self._trace.meta.get("events", ()):
             text = " ".join(filter(None, (event["action"], event.get("pattern"))))
@@ -246,8 +248,8 @@ class _ShownRun:
             for at, i in np.argwhere(state[1:] != state[:-1]).tolist():
                 word = str(state[at + 1, i])
                 lines.append(EventLine(float(self._t[at + 1]), ids[i], "event", word))
-        found = together(lines)[:MAX_MARKS]
-        return [(round(one.at, 2), one.text, robots) for one, robots in found]
+        marks = together(lines)[:MAX_MARKS]
+        return [(round(line.at, 2), line.text, robots) for line, robots in marks]
 
     def _at(self, now: float) -> int:
         return min(int(np.searchsorted(self._t, now)), len(self._t) - 1)
@@ -283,17 +285,17 @@ class _ShownRun:
 
     def _touched(self, now: float) -> dict[str, str]:
         time = now + self._start + 1e-9
-        found = {}
-        for one in self._contacts:
-            if one.start <= time <= one.end + CONTACT_TIME:
-                found[one.a] = _other(one, one.a)
-                if one.kind == "robot":
-                    found[one.b] = one.a
-        return found
+        partners = {}
+        for contact in self._contacts:
+            if contact.start <= time <= contact.end + CONTACT_TIME:
+                partners[contact.a] = _partner(contact, contact.a)
+                if contact.kind == "robot":
+                    partners[contact.b] = contact.a
+        return partners
 
 
-def _other(contact: Contact, robot: str) -> str:
-    """What a robot touches in a contact; empty if it has no part in it."""
+def _partner(contact: Contact, robot: str) -> str:
+    """The partner of a robot in a contact; empty for a contact of other robots."""
     if contact.a == robot:
         return f"box {contact.b}" if contact.kind == "box" else contact.b
     return contact.a if contact.kind == "robot" and contact.b == robot else ""
@@ -302,7 +304,7 @@ def _other(contact: Contact, robot: str) -> str:
 def _largest(trace: Trace) -> list[float]:
     """The highest commands of the run, to scale the dial."""
     both = [trace.safe] if trace.requested is None else [trace.safe, trace.requested]
-    values = np.concatenate([one.reshape(-1, 3) for one in both])
+    values = np.concatenate([commands.reshape(-1, 3) for commands in both])
     values = np.abs(values[np.isfinite(values).all(axis=1)])
     largest = np.maximum(values.max(axis=0) if len(values) else np.ones(3), 0.01)
     return [float(value) for value in largest]

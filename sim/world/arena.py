@@ -221,8 +221,8 @@ def parse_arena(text: str) -> Arena:
     """Parse an arena of the command line; raises ConfigError.
 
     `LxW` in m, then any number of `,box:x:y:length:width:yaw_deg:mass`, `,pole:x:y:radius` and
-    `,segment:x1:y1:x2:y2`. The yaw and mass of a box are optional: without a mass it is fixed.
-    `box/crate:...` names it; `:out` after the mass leaves it out of the arena at first.
+    `,segment:x1:y1:x2:y2`. The yaw and mass of a box are optional: a box without a mass is fixed.
+    `box/crate:...` gives a name. `:out` after the mass leaves the box out of the arena at first.
     `,item/NAME:x:y:size:mass` is an item, whose mass is optional too.
     """
     try:
@@ -240,26 +240,26 @@ def _parsed(text: str) -> Arena:
     match = _SIZE.fullmatch(size)
     if match is None:
         raise _TextError(f"{size!r} is no length and width")
-    found: dict[str, list[Any]] = {"box": [], "pole": [], "segment": [], "item": []}
+    parts: dict[str, list[Any]] = {"box": [], "pole": [], "segment": [], "item": []}
     for item in items:
         head, *words = item.split(":")
         kind, _, name = head.partition("/")
         if kind == "box" and 4 <= len(words) <= 7:
-            found["box"].append(_box(name, words))
+            parts["box"].append(_box(name, words))
         elif head == "pole" and len(words) == 3:
             x, y, radius = map(_number, words)
-            found["pole"].append(Pole(x, y, _size(radius)))
+            parts["pole"].append(Pole(x, y, _size(radius)))
         elif head == "segment" and len(words) == 4:
             segment = Segment(*map(_number, words))
             _size(segment.box.length)
-            found["segment"].append(segment)
+            parts["segment"].append(segment)
         elif kind == "item" and 3 <= len(words) <= 4:
             at, side, *mass = map(_number, words)
-            found["item"].append(Item(at, side, _size(mass[0]), name, *mass[1:]))
+            parts["item"].append(Item(at, side, _size(mass[0]), name, *mass[1:]))
         else:
             raise _TextError(f"{item!r} is not a valid box, pole, segment or item")
     length, width = (_size(_number(word)) for word in match.groups())
-    return Arena(length, width, *(tuple(kind) for kind in found.values()))
+    return Arena(length, width, *(tuple(kind) for kind in parts.values()))
 
 
 def _box(name: str, words: list[str]) -> Box:

@@ -28,8 +28,10 @@ ARENA_TYPE = SOLID_BIT | GHOST_BIT
 _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
 _HEIGHT = 0.5
 # MuJoCo reserves memory for constraints of each joint with each other one: 40 GB for 10,000 robots.
-# They use 4 MB, or 36 MB with 3,000. What is reserved takes no memory until it is used.
-_MANY, _MEMORY, _PAIR_MEMORY = 1000, 200_000, 16  # robots, bytes of each and of each pair
+# They use 4 MB, or 36 MB with 3,000. Reserved memory costs nothing until it is used.
+_MANY = 1000  # robots
+_MEMORY = 200_000  # bytes for each robot
+_PAIR_MEMORY = 16  # bytes for each pair
 _WALL = 0.1
 # Impedance of dry friction: with the default of 0.9 a pushed box at rest creeps by 1 mm/s.
 _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
@@ -63,7 +65,8 @@ def build_spec(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoc
 
 
 def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
-    x, y, half = arena.length / 2.0, arena.width / 2.0, _WALL / 2.0
+    x, y = arena.length / 2.0, arena.width / 2.0
+    half = _WALL / 2.0
     for name, pos, size in (
         ("wall/west", (-x - half, 0.0), (half, y + _WALL)),
         ("wall/east", (x + half, 0.0), (half, y + _WALL)),

@@ -93,15 +93,15 @@ class ContactReader:
         `qpos` and `qvel` are from before the step: MuJoCo detects contacts there, before the
         solver stops the colliding bodies.
         """
-        found = data.contact
-        geoms = np.asarray(found.geom, dtype=np.intp)
+        contact = data.contact
+        geoms = np.asarray(contact.geom, dtype=np.intp)
         rows = self._rows.take(geoms)
-        is_touching = (found.dist <= 0.0) & (rows.min(axis=1) < self._robots)
+        is_touching = (contact.dist <= 0.0) & (rows.min(axis=1) < self._robots)
         if self._is_left_out is not None:
             is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
         touching = is_touching.nonzero()[0]
         geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
-        place, normal = found.pos.take(touching, axis=0), found.frame.take(touching, axis=0)
+        place, normal = contact.pos.take(touching, axis=0), contact.frame.take(touching, axis=0)
         standing = np.zeros((1, 3))
         poses = np.concatenate((qpos.reshape(-1, 3), standing)).take(rows, axis=0)
         twists = np.concatenate((qvel.reshape(-1, 3), standing)).take(rows, axis=0)

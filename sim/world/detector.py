@@ -52,12 +52,12 @@ def detections_of(
             )
             ends = eye + to[near] * share[:, None]
             is_seen[near] = is_clear(np.broadcast_to(eye, ends.shape), ends)
-    found = np.flatnonzero(is_seen)
-    to = objects.places[found] - pose[:2]
+    seen = np.flatnonzero(is_seen)
+    to = objects.places[seen] - pose[:2]
     bearings = np.arctan2(to[:, 1], to[:, 0]) - pose[2]
     bearings = np.arctan2(np.sin(bearings), np.cos(bearings))
     places = zip(bearings.tolist(), np.hypot(to[:, 0], to[:, 1]).tolist(), strict=True)
     return tuple(
         Detection(objects.names[row][0], bearing, distance, objects.names[row][1])
-        for row, (bearing, distance) in zip(found.tolist(), places, strict=True)
+        for row, (bearing, distance) in zip(seen.tolist(), places, strict=True)
     )[:MAX_DETECTIONS]

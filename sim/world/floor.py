@@ -150,7 +150,7 @@ def floor_pixels(
 
     Of several floors the first one. The longer side has `longest` pixels.
     """
-    floor = next((one for one in fields if isinstance(one, FloorField)), None)
+    floor = next((field for field in fields if isinstance(field, FloorField)), None)
     if floor is None:
         return None
     pixel = max(size) / longest

@@ -36,7 +36,9 @@ class Items:
         self, kinds: Sequence[ItemKind], arena: Arena, platforms: Sequence[Platform], seed: int
     ) -> None:
         """Items without places yet: `begin` gives them."""
-        self._kinds, self._arena, n = tuple(kinds), arena, len(platforms)
+        self._kinds = tuple(kinds)
+        self._arena = arena
+        n = len(platforms)
         self._solid = [box.corners for _, box in arena.fixed]
         self._solid += [pole.corners for pole in arena.poles]
         things = [kind.things for kind in kinds]
@@ -99,7 +101,7 @@ class Items:
         """Carry, pick up and drop flat items, with robots at `poses` (n, 3).
 
         `is_closed` (n,): the command of each gripper. A gripper that closes takes the nearest item
-        within GRIP m of the front edge. It drops its item as it opens.
+        within GRIP m of the front edge. A gripper that opens drops its item.
         """
         changed = np.flatnonzero(is_closed != self._is_closed).tolist()
         if not changed and not (self._held >= 0).any():
@@ -117,26 +119,27 @@ class Items:
         self._places[self._held[holding], :2] = front[holding]
 
     def readings(self, robot: int, pose: Array) -> dict[str, float]:
-        """What `robot` at `pose` (3,) senses of items; see ItemKind."""
-        found = {}
+        """The readings of items of `robot` at `pose` (3,); see ItemKind."""
+        readings = {}
         places = self.poses()[:, :2]
         away = places - pose[:2]
         distance = np.hypot(away[:, 0], away[:, 1])
         distance[self._held[self._held >= 0]] = np.inf
         for number, kind in enumerate(self._kinds):
             near = np.flatnonzero((self._of == number) & (distance <= kind.range))
-            found[kind.name] = float(len(near))
+            readings[kind.name] = float(len(near))
             bearing = reach = 0.0
             if len(near):
                 nearest = near[distance[near].argmin()]
                 x, y = away[nearest]
                 reach = float(distance[nearest])
                 bearing = math.remainder(math.atan2(y, x) - float(pose[2]), 2.0 * math.pi)
-            found[f"{kind.name}_distance"], found[f"{kind.name}_bearing"] = reach, bearing
+            readings[f"{kind.name}_distance"] = reach
+            readings[f"{kind.name}_bearing"] = bearing
         if self.has_flat:
-            found[HELD] = float(self._held[robot] >= 0)
-            found[DELIVERED] = float(self.delivered[robot])
-        return found
+            readings[HELD] = float(self._held[robot] >= 0)
+            readings[DELIVERED] = float(self.delivered[robot])
+        return readings
 
     def release(self, robot: int) -> None:
         """Leave the item of a robot that is taken out of the arena where it is."""
@@ -173,6 +176,6 @@ class Items:
             if len(taken) and np.hypot(*(taken - place).T).min() < kind.size:
                 continue
             square = place + self.shapes[self._of == number][0]
-            if not any(overlaps(square, other) for other in solid):
+            if not any(overlaps(square, body) for body in solid):
                 return place
         raise ConfigError(f"items {kind.name}: no room in the source {list(kind.source)}")

@@ -21,9 +21,13 @@ _TRIES = 2000
 def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: int) -> Array:
     """Start poses (n, 3) x, y in m and yaw in rad, one for each footprint.
 
-    `row:1.0` along y through the middle, `paper:1.0` along y from the middle on (experiment 1),
-    `grid:1.0` by spacing, all heading along x; `ring:1.5` by radius, heading inwards;
-    `random:0.2` by clearance, seeded; `list:0:0:90,1:0:0` by x, y and heading in degrees.
+    - `row:1.0`: by spacing, along y through the middle, heading along x.
+    - `paper:1.0`: by spacing, along y from the middle on (experiment 1), heading along x.
+    - `grid:1.0`: by spacing, heading along x.
+    - `ring:1.5`: by radius, heading inwards.
+    - `random:0.2`: by clearance, seeded.
+    - `list:0:0:90,1:0:0`: by x, y and heading in degrees.
+
     Raises ConfigError for an unknown layout or a robot that overlaps a wall or another robot.
     """
     name, _, rest = text.partition(":")
@@ -124,10 +128,10 @@ class Placement:
         if any(float(gaps(body, obstacle)) <= clearance for obstacle in self._obstacles):
             return f"{robot} stands in a box, pole or segment"
         apart = np.hypot(*(self.poses[:, :2] - pose[:2]).T) - self._reaches - self._reaches[index]
-        for other in np.nonzero(apart <= clearance)[0].tolist():
-            shape = transform(self._footprints[other], self.poses[other])
+        for near in np.nonzero(apart <= clearance)[0].tolist():
+            shape = transform(self._footprints[near], self.poses[near])
             if float(gaps(body, shape)) <= clearance:
-                return f"{robot} touches {self.names[other]}"
+                return f"{robot} touches {self.names[near]}"
         return ""
 
 
@@ -185,7 +189,7 @@ def chain(
             base = placed[int(rng.integers(len(placed)))][:2]
             distance, angle, yaw = rng.uniform([near, -math.pi, -math.pi], [far, math.pi, math.pi])
             place = base + distance * np.array([math.cos(angle), math.sin(angle)])
-            if all(math.dist(place, other[:2]) >= near for other in placed):
+            if all(math.dist(place, pose[:2]) >= near for pose in placed):
                 yield _headed(np.array([*place, yaw]), heading)
 
     _place_each(placement, robots, candidates(), 0.0, f"{near:g} to {far:g} m from the nearest")

@@ -57,7 +57,8 @@ class Shadows:
         """`shapes` (k, 2): the outline of each body in its own frame."""
         most = max(map(len, shapes))
         # A repeated corner makes an edge without length, which hides nothing.
-        self._shapes = np.stack([one[np.minimum(np.arange(most), len(one) - 1)] for one in shapes])
+        repeated = (np.minimum(np.arange(most), len(shape) - 1) for shape in shapes)
+        self._shapes = np.stack([s[rows] for s, rows in zip(shapes, repeated, strict=True)])
         self._sight = LineOfSight(arena)
 
     def around(self, body: int, poses: Array) -> IsClear:

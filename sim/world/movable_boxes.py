@@ -30,7 +30,9 @@ class MovableBoxes:
         """
         boxes = [box for _, box in arena.movable_boxes]
         m = len(boxes)
-        self._arena, self._model, self._data = arena, model, data
+        self._arena = arena
+        self._model = model
+        self._data = data
         self._dofs = slice(3 * robots, 3 * (robots + m))
         self.names = tuple(name for name, _ in arena.movable_boxes)
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
@@ -108,9 +110,9 @@ class MovableBoxes:
         corners = transform(self.shapes[row], pose)
         if (np.abs(corners) > np.array([self._arena.length, self._arena.width]) / 2.0).any():
             return "it would be outside the walls"
-        for other, outline in (*robots, *self._obstacles(row)):
+        for name, outline in (*robots, *self._obstacles(row)):
             if overlaps(corners, outline):
-                return f"it would overlap {other}"
+                return f"it would overlap {name}"
         return ""
 
     def _obstacles(self, row: int) -> list[tuple[str, Array]]:

@@ -30,7 +30,9 @@ NEIGHBORS_RATE = 2.0
 _BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, which measure 10 times a second
 
 # Errors of range-and-bearing boards: our choice, of the order that their makers report.
-_DISTANCE_SD, _DISTANCE_SHARE, _ANGLE_SD = 0.02, 0.02, math.radians(2.0)
+_DISTANCE_SD = 0.02  # m
+_DISTANCE_SHARE = 0.02
+_ANGLE_SD = math.radians(2.0)
 _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
 
 

@@ -1,8 +1,13 @@
 """Imperfections of simulated robots: noise, bias, drop-outs, delays.
 
-Sources: [LDS] ROBOTIS e-Manual, appendices LDS-01 and LDS-02; [driver] hls_lfcd_lds_driver, the
-ROS driver of the LDS-01; [UMBmark] Borenstein and Feng 1995, systematic errors of differential
-drives; [sim] turtlebot3_simulations model.sdf. Values without a source are marked "our choice".
+Sources:
+
+- [LDS] ROBOTIS e-Manual, appendices LDS-01 and LDS-02.
+- [driver] hls_lfcd_lds_driver, the ROS driver of the LDS-01.
+- [UMBmark] Borenstein and Feng 1995, systematic errors of differential drives.
+- [sim] turtlebot3_simulations model.sdf.
+
+Values without a source are marked "our choice".
 """
 
 from __future__ import annotations
@@ -27,29 +32,31 @@ Acceleration = Annotated[float, Meta(ge=0.01, le=1000.0)]
 
 
 class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Errors of a scan: a range r becomes r (1 + b) + N(0, sd), then is rounded.
+    """Errors of a scan: a range r becomes r (1 + b) + N(0, sd), then is rounded."""
 
-    bias: the standard deviation of b, drawn once for each robot, as a share of the range.
-    near_sd: the sd in m of ranges below `near` (m). far_sd: the sd of all others, as a share of
-    the range. resolution: the step in m to which ranges are rounded; 0: not at all.
-    dropout: the share of rays lost one by one. block_dropout: the share of blocks of six rays lost
-    whole, of sensors with `zero: lds` alone, whose driver skips what arrives damaged. [driver]
-    rolling: each ray is measured at its own time, where the platform's file describes the `sweep`.
-    latency: the mean age of the rays on arrival, in scan periods; those of a rolling scan are on
-    average half a sweep older than its last ray, which is the least. delay: of the transport of
-    each scan in s. jitter: its further delay in s is drawn from 0 to this; no scan overtakes one.
-    """
-
+    # the standard deviation of b, drawn once for each robot, as a share of the range
     bias: Spread = 0.0
+    # the sd in m of ranges below `near`
     near_sd: Length = 0.0
+    # m
     near: Annotated[float, Meta(ge=0.0, le=100.0)] = 0.5
+    # the sd of ranges from `near` on, as a share of the range
     far_sd: Spread = 0.0
+    # the step in m to which ranges are rounded; 0: not at all
     resolution: Length = 0.0
+    # the share of rays lost one by one
     dropout: Share = 0.0
+    # the share of blocks of six rays lost whole, of sensors with `zero: lds` alone, whose driver
+    # skips damaged blocks [driver]
     block_dropout: Share = 0.0
+    # each ray is measured at its own time, where the platform's file describes the `sweep`
     rolling: bool = False
+    # the mean age of the rays on arrival, in scan periods; with `rolling` at least half a sweep, by
+    # which the rays are older than the last ray on average
     latency: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.0
+    # s, of the transport of each scan
     delay: Delay = 0.0
+    # a further delay of each scan is drawn from 0 to this, in s; no scan overtakes an earlier scan
     jitter: Delay = 0.0
 
     @property

@@ -94,10 +94,10 @@ def _channels(
 ) -> Mapping[str, Array]:
     if isinstance(field, LightField):
         return {field.name: field.at(places, bearings, is_clear)}
-    found = {field.name: field.at(places)}
+    values = {field.name: field.at(places)}
     if isinstance(field, FloorField) and field.is_coloured:
-        found |= dict(zip(field.channels[1:], field.colours(places).T, strict=True))
-    return found
+        values |= dict(zip(field.channels[1:], field.colours(places).T, strict=True))
+    return values
 
 
 def readings_at(
@@ -109,10 +109,11 @@ def readings_at(
     """The readings of a robot at `pose` (3,): of a field's sensors if it has any, else at its axle.
 
     `sensors` by name of the field (k, 3): x, y and bearing in the base frame, NaN for a sensor of
-    all directions. The reading of the name is their mean; each has its own, `<name>_1` and on.
+    all directions. The reading of the name is the mean of the sensors. Each sensor has a reading of
+    its own, `<name>_1` and on.
     """
     at_axle = [field for field in fields if field.name not in sensors]
-    found = {
+    readings = {
         name: float(value[0])
         for name, value in sample(at_axle, pose[None, :2], None, is_clear).items()
     }
@@ -121,18 +122,18 @@ def readings_at(
         places = transform(own[:, :2], pose)
         for channel, values in sample(read, places, pose[2] + own[:, 2], is_clear).items():
             each = float(values.mean()), *values.tolist()
-            found |= zip(sensor_names(channel, len(values)), each, strict=True)
-    return found
+            readings |= zip(sensor_names(channel, len(values)), each, strict=True)
+    return readings
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
     """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors.
 
-    It also has `detections` if it has such sensors.
+    With sensors of detections the platform also provides `detections`.
     """
     words = {DETECTIONS} & platform.sensors.keys()
     for field in fields:
         count = len(platform.sensors.get(field.name, ()))
         for name in channels_of(field):
-            words |= {f"reading:{one}" for one in sensor_names(name, count)}
+            words |= {f"reading:{sensor}" for sensor in sensor_names(name, count)}
     return replace(platform, provides=platform.provides | words)

@@ -99,7 +99,8 @@ class World:
         self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
         for ages in self._at_once:
             ages.flags.writeable = False
-        self._seq, self._ring_seq, self._is_out = [0] * n, [0] * n, np.zeros(n, dtype=np.bool_)
+        self._seq, self._ring_seq = [0] * n, [0] * n
+        self._is_out = np.zeros(n, dtype=np.bool_)
         self._are_all_in = True
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
@@ -120,8 +121,8 @@ class World:
         rates = [specs[row].rate for row in self.rings]
         self.ring_rates: Array = np.array(rates, dtype=np.float64)
         if self.rings:
-            ringed = [replace(one, scan=s) for one, s in zip(self.platforms, specs, strict=True)]
-            # It looks below the plane of lidars: it sees whole bodies.
+            ringed = [replace(p, scan=scan) for p, scan in zip(self.platforms, specs, strict=True)]
+            # A ring looks below the plane of lidars, and sees whole bodies.
             self._ring_sensors = RangeSensors(ringed, arena, "body")
             names = [f"ring of {robot}" for robot in self.ids]
             self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
@@ -287,8 +288,8 @@ class World:
         if any(isinstance(field, LightField) and field.shadows for field in self.fields):
             is_clear = self._clear_around(robot)
         pose = self.poses()[robot]
-        found = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
-        return found | self._items.readings(robot, pose) if self._items.names else found
+        of_fields = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
+        return of_fields | self._items.readings(robot, pose) if self._items.names else of_fields
 
     @property
     def has_readings(self) -> bool:
@@ -335,7 +336,7 @@ class World:
     def change_fields(self, fields: Sequence[Field]) -> None:
         """Put `fields` in the place of all fields that have their names."""
         names = {field.name for field in fields}
-        self.fields = (*(one for one in self.fields if one.name not in names), *fields)
+        self.fields = (*(field for field in self.fields if field.name not in names), *fields)
 
     def box_poses(self) -> Array:
         """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN for one outside the arena."""

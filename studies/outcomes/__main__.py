@@ -30,12 +30,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"| pattern | {' | '.join(HEAD)} |\n|---{'|---' * len(HEAD)}|")
     missed = 0
     for name in options.patterns or MODULES:
-        found = MODULES[name].outcomes(range(options.seeds), options.jobs)
-        for outcome in found:
+        outcomes = MODULES[name].outcomes(range(options.seeds), options.jobs)
+        for outcome in outcomes:
             print(f"| {outcome.pattern} {outcome.row}", flush=True)
             missed += not outcome.is_reached
         if options.keep:
-            keep(name, options.seeds, found)
+            keep(name, options.seeds, outcomes)
     return 1 if missed else 0
 
 

@@ -65,17 +65,17 @@ def share_of(is_so: Iterable[bool]) -> Joined:
 def ratio_of(above: Iterable[float], below: Iterable[float]) -> Joined:
     """The mean of one kind of run by the mean of another."""
     samples = tuple(map(float, above)), tuple(map(float, below))
-    one, other = map(np.array, samples)
-    return Joined("ratio", float(one.mean() / other.mean()), ratio_interval(one, other), samples)
+    upper, lower = map(np.array, samples)
+    ratio = float(upper.mean() / lower.mean())
+    return Joined("ratio", ratio, ratio_interval(upper, lower), samples)
 
 
 def difference_of(more: Iterable[float], less: Iterable[float]) -> Joined:
     """The mean of one kind of run less the mean of another."""
     samples = tuple(map(float, more)), tuple(map(float, less))
-    one, other = map(np.array, samples)
-    return Joined(
-        "difference", float(one.mean() - other.mean()), difference_interval(other, one), samples
-    )
+    larger, smaller = map(np.array, samples)
+    difference = float(larger.mean() - smaller.mean())
+    return Joined("difference", difference, difference_interval(smaller, larger), samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class Kept(msgspec.Struct, frozen=True):
     def table(self) -> str:
         """The table of a page."""
         lines = ["| " + " | ".join(HEAD) + " |", "|---" * len(HEAD) + "|"]
-        return "\n".join([*lines, *(one.row for one in self.outcomes)])
+        return "\n".join([*lines, *(outcome.row for outcome in self.outcomes)])
 
 
 def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:

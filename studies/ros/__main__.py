@@ -39,31 +39,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parts = [chosen[start :: options.jobs] for start in range(options.jobs)]
     with ThreadPoolExecutor(options.jobs) as pool:
         played = list(pool.map(partial(_play, seed=options.seed), parts))
-    found = {fault: row for rows_of, _, _ in played for fault, row in rows_of.items()}
+    rows_by_name = {fault: row for rows_of, _, _ in played for fault, row in rows_of.items()}
     texts = {fault: text for _, texts_of, _ in played for fault, text in texts_of.items()}
     touched = [
         sum(pair) for pair in zip(*(json.loads(ended) for _, _, ended in played), strict=True)
     ]
     every = [fault.name for fault in chosen]
-    text = summary([found[name] for name in every], json.dumps(touched), options.seed)
+    text = summary([rows_by_name[name] for name in every], json.dumps(touched), options.seed)
     lines = [*HEAD, *(texts[name] for name in every), "", text]
     print(*lines[-2:], sep="\n")
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "faults.md").write_text("\n".join(lines) + "\n")
     if not options.only:
         insert(PAGE, lines)
-    return 1 if any(row.is_late for row in found.values()) else 0
+    return 1 if any(row.is_late for row in rows_by_name.values()) else 0
 
 
 def _play(part: Sequence[Fault], seed: int) -> tuple[dict[str, Row], dict[str, str], str]:
     """The rows of some faults and their lines by name, and the contacts, of a chain of its own."""
-    found, texts = {}, {}
+    rows_by_name, texts = {}, {}
     with tempfile.TemporaryDirectory() as folder, Chain(Path(folder), seed) as chain:
         for row in rows(chain, part):
-            found[row.fault.name] = row
+            rows_by_name[row.fault.name] = row
             texts[row.fault.name] = line(row, chain.bridge.endpoint)
             print(texts[row.fault.name], flush=True)
-    return found, texts, chain.contacts
+    return rows_by_name, texts, chain.contacts
 
 
 if __name__ == "__main__":

@@ -269,7 +269,7 @@ class Chain:
 
     def path(self, body: str, since: float, until: float = math.inf) -> float:
         """The length in m of a body's way between two times, as far as it was not carried."""
-        way = [one[1:3] for one in self.poses.get(body, [])[:] if since <= one[0] <= until]
+        way = [pose[1:3] for pose in self.poses.get(body, [])[:] if since <= pose[0] <= until]
         return sum(step for step in (math.dist(a, b) for a, b in pairwise(way)) if step < _CARRIED)
 
     def speed(self, body: str, within: float = 0.5) -> float:
@@ -278,13 +278,13 @@ class Chain:
 
     def moving_commands(self, body: str, since: float, until: float = math.inf) -> list[float]:
         """The times of swarmd's commands to move that a body took between two times."""
-        taken = [one for one in self.commands.get(body, [])[:] if since <= one.at <= until]
-        return [one.at for one in taken if not one.is_zero and one.linear != RIVAL_SPEED]
+        taken = [c for c in self.commands.get(body, [])[:] if since <= c.at <= until]
+        return [c.at for c in taken if not c.is_zero and c.linear != RIVAL_SPEED]
 
     def standing(self, body: str, since: float) -> float:
         """When a body stood for good, in s after `since`; inf if it moves still."""
         last = since
-        for a, b in pairwise([one for one in self.poses.get(body, [])[:] if one[0] >= since]):
+        for a, b in pairwise([pose for pose in self.poses.get(body, [])[:] if pose[0] >= since]):
             if math.dist(a[1:3], b[1:3]) > 0.001 or abs(a[3] - b[3]) > 0.005:
                 last = b[0]
         return math.inf if time.monotonic() - last < 2.0 * _PAUSE else last - since

@@ -79,8 +79,10 @@ def play(chain: Chain, fault: Fault) -> Row:
     code, taken, output = chain.swarmctl(fault.order, *fault.robots)
     acknowledged = time.monotonic()
     time.sleep(fault.stays)
-    told = [*looking.end(), *(_noticed(chain, one, begun, ordered) for one in fault.robots)]
-    others = {one: _noticed(chain, one, begun, ordered)[1] for one in set(ROBOTS) - {*fault.robots}}
+    told = [*looking.end(), *(_noticed(chain, robot, begun, ordered) for robot in fault.robots)]
+    others = {
+        robot: _noticed(chain, robot, begun, ordered)[1] for robot in set(ROBOTS) - {*fault.robots}
+    }
     fault.mend(chain)
     mended = time.monotonic()
     time.sleep(SETTLED)
@@ -96,7 +98,7 @@ def play(chain: Chain, fault: Fault) -> Row:
     if not is_mended and fault.mend_more is not None:
         fault.mend_more(chain)
         is_mended = wait(lambda: _drives(chain, fault.robots), MEND_CAP) < math.inf
-    at, says = min(told, key=lambda one: one[0])
+    at, says = min(told, key=lambda noticed: noticed[0])
     return Row(
         fault=fault,
         noticed=at - begun,
@@ -110,7 +112,7 @@ def play(chain: Chain, fault: Fault) -> Row:
         late=len(late),
         again=time.monotonic() - mended if is_mended else math.inf,
         needs_more=needs_more,
-        others="; ".join(f"{one}: {text}" for one, text in sorted(others.items()) if text),
+        others="; ".join(f"{robot}: {text}" for robot, text in sorted(others.items()) if text),
     )
 
 
@@ -147,7 +149,7 @@ def _has_delay(status: Status | None) -> bool:
     """Whether stamps tell the delay of scans, as they do after some seconds with one clock."""
     delay = None if status is None else status.scan_delay
     return delay is not None and any(
-        one.method == "stamps" and one.delay is not None for one in delay.figures
+        figure.method == "stamps" and figure.delay is not None for figure in delay.figures
     )
 
 
@@ -164,7 +166,7 @@ def _carry(chain: Chain, robot: str) -> None:
     """Carry a robot to a place with a free way, unless it has one."""
     if _is_free(chain, robot):
         return
-    start = next((one for one in STARTS if _is_free(chain, robot, one)), STARTS[0])
+    start = next((start for start in STARTS if _is_free(chain, robot, start)), STARTS[0])
     chain.carry(robot, start)
     wait(lambda: math.dist(chain.poses[robot][-1][1:3], start[:2]) < ASIDE, PATIENCE)
 
@@ -234,8 +236,8 @@ def _fault(status: Status, usual: str, *, is_ordered: bool) -> str:
 def _answer(output: str, robot: str) -> str:
     """The first words of a robot's answer to an order, such as `commanded zero`."""
     words = rf"^{robot} +(?:applied +)?([^:;\n]+?)(?: *[:;]| +-$|$)"
-    found = re.search(words, output, re.MULTILINE)
-    return found[1] if found else ""
+    match = re.search(words, output, re.MULTILINE)
+    return match[1] if match else ""
 
 
 def _driver(status: Status | None) -> str:

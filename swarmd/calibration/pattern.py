@@ -196,9 +196,9 @@ class Calibration(Pattern[CalibrationParams]):
         for at, points in zip(arrivals, seen, strict=True):
             yield ZERO  # one a step: a step must not take long
             guess = self._relative(self._pose_at(at - self._spec.latency - self._late))
-            found = self._locate(points, guess)
-            if found is not None and found.binds_yaw:
-                off = math.remainder(found.pose.yaw - guess.yaw, 2.0 * math.pi)
+            located = self._locate(points, guess)
+            if located is not None and located.binds_yaw:
+                off = math.remainder(located.pose.yaw - guess.yaw, 2.0 * math.pi)
                 headings.append((at, guess.yaw + off))
         self._finish(stops, scales, headings, track)
 
@@ -370,8 +370,8 @@ class Calibration(Pattern[CalibrationParams]):
         (a, seen_a), (b, seen_b) = before, after
         if seen_a is None or seen_b is None or not (seen_a.binds_place and seen_b.binds_place):
             return
-        one, other = seen_a.pose, seen_b.pose
-        way = math.hypot(other.x - one.x, other.y - one.y)
+        start, end = seen_a.pose, seen_b.pose
+        way = math.hypot(end.x - start.x, end.y - start.y)
         if way >= _LEAST_WAY:
             scales.append(math.hypot(b.x - a.x, b.y - a.y) / way)
 
@@ -401,7 +401,7 @@ class Calibration(Pattern[CalibrationParams]):
         track: Array,
     ) -> None:
         barrier = self.context.platform.protection.get("barrier") or {}
-        found: dict[str, Figure] = {}
+        measured: dict[str, Figure] = {}
         at, seen = np.array(headings).reshape(-1, 2).T
         late, turned = turn_delay(at, seen, track[:, 0], track[:, 3] - self._start.yaw)
         if self._reference is None or not headings:
@@ -420,23 +420,23 @@ class Calibration(Pattern[CalibrationParams]):
             # `braking_linear` holds in each direction.
             declared = "braking_angular" if word == "angular" else "braking_linear"
             braking = float(barrier.get(declared, math.nan))
-            found[f"braking_{word}"] = brake._replace(assumed=braking)
-            found[f"reaction_{word}"] = delay._replace(assumed=REACTION_TIME)
-            found[f"speed_{word}"] = share._replace(assumed=1.0)
-            found[f"odometry_{word}"] = scale._replace(assumed=1.0)
-        found["margin"] = self._margin(*(found[f"reaction_{word}"] for word in stops))
+            measured[f"braking_{word}"] = brake._replace(assumed=braking)
+            measured[f"reaction_{word}"] = delay._replace(assumed=REACTION_TIME)
+            measured[f"speed_{word}"] = share._replace(assumed=1.0)
+            measured[f"odometry_{word}"] = scale._replace(assumed=1.0)
+        measured["margin"] = self._margin(*(measured[f"reaction_{word}"] for word in stops))
         ages = np.array(self._ages) - self._offset
-        found["odometry_age"] = mean_of(ages.tolist(), "no odometry")
+        measured["odometry_age"] = mean_of(ages.tolist(), "no odometry")
         if late.is_measured and self._scan is not None and self._scan.ages is not None:
             # The pose of a scan is that of its newest ray, its delay the mean age of its rays. All
             # ages are equal while their order is not known: then the pose is that of the mean ray.
             ages_of_rays = self._scan.ages - self._scan.ages.min()
             late = late._replace(value=late.value + float(ages_of_rays.mean()))
-        found["scan_delay"] = late._replace(assumed=self._spec.latency)
+        measured["scan_delay"] = late._replace(assumed=self._spec.latency)
         self._report = {
             "state": figures.DONE,
             "drove": " ".join(f"{self._speeds[axis]:.6g}" for axis in AXES if axis in stops),
-            **{name: figure.text for name, figure in found.items()},
+            **{name: figure.text for name, figure in measured.items()},
         }
 
     def _margin(self, *delays: Figure) -> Figure:
@@ -451,10 +451,10 @@ class Calibration(Pattern[CalibrationParams]):
         limits = self.context.platform.limits
         own = math.hypot(limits.linear, limits.lateral)
         surface = max(barrier.get("surface_speed") or others, own)
-        late = max((one.value + 2.0 * one.spread for one in delays if one.is_measured), default=0.0)
+        late = max((d.value + 2.0 * d.spread for d in delays if d.is_measured), default=0.0)
         more = max(late - REACTION_TIME, 0.0) * (surface + others)
         margin = float(barrier["margin"])
-        return Figure(margin + more, 0.0, sum(one.samples for one in delays), margin)
+        return Figure(margin + more, 0.0, sum(delay.samples for delay in delays), margin)
 
 
 def _way(track: Array, axis: str, sign: float) -> Array:

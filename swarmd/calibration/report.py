@@ -52,32 +52,32 @@ def settings(
     `drove`: the fastest speeds that were commanded, in m/s and rad/s, in the order of AXES.
     `sweep`: as measured; None if the present file gives it.
     """
-    found = []
+    chosen = []
     for word, speed in zip(AXES, drove, strict=False):
         share = figures[f"speed_{word}"]
         if word != "lateral":
             axes = [word, "lateral"] if word == "linear" and len(drove) > 2 else [word]
-            found += _braking(word, {axis: figures[f"braking_{axis}"] for axis in axes})
+            chosen += _braking(word, {axis: figures[f"braking_{axis}"] for axis in axes})
         if share.is_measured and share.value < 1.0 - _SLOWER:
             text = f"{_text(share)} of the {speed:.3g} commanded"
-            found.append(_lower(f"limits.{word}", _down(share.value * speed), speed, text))
+            chosen.append(_lower(f"limits.{word}", _down(share.value * speed), speed, text))
     late, margin = figures["scan_delay"], figures["margin"]
     if late.is_measured:
         value = _up(late.value + _DEVIATIONS * late.spread)
         text = f"{_text(late)}, and 2 sd"
         is_safe = value >= late.assumed
-        found.append(Setting("scan.latency", value, late.assumed, text, is_safe))
+        chosen.append(Setting("scan.latency", value, late.assumed, text, is_safe))
     if sweep is not None and sweep.direction:
         way = f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction}"
         value_of = f"{way}, duration: {sweep.duration:.3g}}}" if sweep.duration else "null"
         text = f"measured in {sweep.samples} pairs of scans"
-        found.append(Setting("scan.sweep", value_of, "measured", text, True))
+        chosen.append(Setting("scan.sweep", value_of, "measured", text, True))
     if margin.is_measured and margin.value > margin.assumed:
         text = "for a response after more than 0.05 s: see the reaction delays"
-        found.append(
+        chosen.append(
             Setting("protection.barrier.margin", _up(margin.value), margin.assumed, text, True)
         )
-    return found
+    return chosen
 
 
 def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
@@ -85,15 +85,19 @@ def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
 
     None if nothing is measured, nor for a stronger braking that was not measured on each axis.
     """
-    found = []
+    candidates = []
     for axis, brake in brakes.items():
         if brake.is_measured and not math.isnan(brake.assumed):
             value = _down(max(brake.value - _DEVIATIONS * brake.spread, 0.01 * brake.value))
             text = f"{_text(brake)}{'' if axis == word else f' {axis}'}, less 2 sd"
             key = f"protection.barrier.braking_{word}"
-            found.append(_lower(key, value, brake.assumed, text))
-    found.sort(key=lambda setting: setting.value)
-    return found[:1] if found[:1] and (found[0].is_safe or len(found) == len(brakes)) else []
+            candidates.append(_lower(key, value, brake.assumed, text))
+    candidates.sort(key=lambda setting: setting.value)
+    return (
+        candidates[:1]
+        if candidates[:1] and (candidates[0].is_safe or len(candidates) == len(brakes))
+        else []
+    )
 
 
 def platform_file(
@@ -107,13 +111,13 @@ def platform_file(
         f"# Measured by `swarmctl calibrate {robot}` on {day}: mean +- sd (samples).",
     ]
     lines += [f"#   {_line(name, figures[name])}" for name in NAMES if name in figures]
-    unsafe = [one for one in chosen if not one.is_safe]
+    unsafe = [setting for setting in chosen if not setting.is_safe]
     if unsafe:
         lines += [
             "# A commented key is less careful than the file that this one extends. Check what was",
             "# measured, and uncomment it yourself.",
         ]
-    lines += ["", *_nested([(one.key.split("."), one) for one in chosen], 0)]
+    lines += ["", *_nested([(setting.key.split("."), setting) for setting in chosen], 0)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -122,14 +126,14 @@ def _nested(keys: list[tuple[list[str], Setting]], depth: int) -> list[str]:
     lines: list[str] = []
     indent = "  " * depth
     for name in dict.fromkeys(path[0] for path, _ in keys):
-        within = [(path[1:], one) for path, one in keys if path[0] == name]
-        mark = "" if any(one.is_safe for _, one in within) else "# "
+        within = [(path[1:], setting) for path, setting in keys if path[0] == name]
+        mark = "" if any(setting.is_safe for _, setting in within) else "# "
         if within[0][0]:
             lines += [f"{mark}{indent}{name}:", *_nested(within, depth + 1)]
         else:
-            one = within[0][1]
-            text = f"{one.text}; the file has {_number(one.assumed)}"
-            lines.append(f"{mark}{indent}{name}: {_number(one.value)}  # {text}")
+            setting = within[0][1]
+            text = f"{setting.text}; the file has {_number(setting.assumed)}"
+            lines.append(f"{mark}{indent}{name}: {_number(setting.value)}  # {text}")
     return lines
 
 

@@ -92,8 +92,8 @@ def _middle(points: Array) -> Array:
     ranges, bearings = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
     bins = ((bearings + np.pi) * (_BINS / (2.0 * np.pi))).astype(np.intp) % _BINS
     middle = []
-    for one in np.unique(bins):
-        among = bins == one
+    for number in np.unique(bins):
+        among = bins == number
         middle.append((float(np.median(ranges[among])), float(np.median(bearings[among]))))
     r, b = np.array(middle).T
     return np.stack((r * np.cos(b), r * np.sin(b)), axis=1)

@@ -54,9 +54,9 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
     A file without labels leaves them as they are; without a goal or parameters likewise.
     """
     there = {
-        name: one.status
-        for name, one in view.members.items()
-        if one.status is not None and one.contact is Contact.ANSWERED
+        name: member.status
+        for name, member in view.members.items()
+        if member.status is not None and member.contact is Contact.ANSWERED
     }
     expected = sorted(view.expected - there.keys())
     unknown = {name: absence(view.members.get(name)) for name in expected}
@@ -120,10 +120,10 @@ def is_like(goal: Goal | None, content: Mapping[str, Any]) -> bool:
 
 def params_in(file: SwarmFile, robot: str, labels: tuple[str, ...], pattern: str) -> Params:
     """The parameters of a robot's pattern in a file: of its labels, then its own above them."""
-    found: dict[str, Any] = {}
+    params: dict[str, Any] = {}
     for label in labels:
-        found |= file.parameters.labels.get(label, {}).get(pattern, {})
-    return found | file.parameters.robots.get(robot, {}).get(pattern, {})
+        params |= file.parameters.labels.get(label, {}).get(pattern, {})
+    return params | file.parameters.robots.get(robot, {}).get(pattern, {})
 
 
 def _param_changes(
@@ -143,7 +143,7 @@ def _param_changes(
     wanted = dict(params_in(file, robot, labels.get(robot, status.labels), pattern))
     if file.goal is not None and file.goal.pattern == pattern:
         wanted |= file.goal.params
-    known = {key: one.value for key, one in status.params.items()}
+    known = {key: param.value for key, param in status.params.items()}
     return {key: value for key, value in wanted.items() if key in known and known[key] != value}
 
 

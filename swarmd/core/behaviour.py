@@ -133,7 +133,7 @@ def read_table(manifests: Manifests) -> Table:
 def merged(table: Iterable[Entry], others: Iterable[Entry]) -> Table:
     """The table of two, without entries that a greater one for the same robots covers."""
     kept: list[Entry] = []
-    for entry in sorted({*table, *others}, key=lambda one: one.order, reverse=True):
+    for entry in sorted({*table, *others}, key=lambda entry: entry.order, reverse=True):
         if not any(greater.covers(entry) for greater in kept):
             kept.append(entry)
     while len(kept) > MAX_TABLE:
@@ -144,11 +144,11 @@ def merged(table: Iterable[Entry], others: Iterable[Entry]) -> Table:
 
 def wanted_by(robot: str, labels: Collection[str], table: Table) -> Mapping[str, Entry]:
     """What a robot with these labels is to have, by name, removals included."""
-    found: dict[str, Entry] = {}
+    entries: dict[str, Entry] = {}
     for entry in table:
         if entry.manifest.is_for(robot, labels):
-            found.setdefault(entry.manifest.name, entry)
-    return found
+            entries.setdefault(entry.manifest.name, entry)
+    return entries
 
 
 def greatest_generation(table: Table) -> int:

@@ -52,7 +52,7 @@ def decode(decoder: msgspec.msgpack.Decoder[T], content: bytes | memoryview, wha
 
 
 class Decoder(Generic[T]):
-    """Decodes one type of struct; make it once, since making it is slow.
+    """Decodes one type of struct. To make a decoder is slow: make one for each type.
 
     `any_version`: for a stable subset, which is read from payloads of every version.
     """

@@ -115,17 +115,20 @@ def auto_pickle(value: bool) -> Callable[[type], Any]:
 def cclass(kind: type) -> Any:
     """The extension type: a class with its declared attributes alone, each at its zero."""
     declared = inspect.get_annotations(kind, eval_str=True)
-    declared |= {name: one.kind for name, one in vars(kind).items() if isinstance(one, _Declared)}
-    types = {name: one if isinstance(one, _Type) else _Type(None) for name, one in declared.items()}
+    attributes = vars(kind).items()
+    declared |= {name: value.kind for name, value in attributes if isinstance(value, _Declared)}
+    types = {
+        name: hint if isinstance(hint, _Type) else _Type(None) for name, hint in declared.items()
+    }
 
     def new(cls: type, *_given: object, **_named: object) -> Any:
         self: Any = object.__new__(cls)
-        for name, one in types.items():
-            setattr(self, name, one.begin())
+        for name, type_ in types.items():
+            setattr(self, name, type_.begin())
         return self
 
     left = {*types, "__dict__", "__weakref__"}
-    members = {name: one for name, one in vars(kind).items() if name not in left}
+    members = {name: value for name, value in attributes if name not in left}
     return type(kind.__name__, (), {**members, "__slots__": tuple(types), "__new__": new})
 
 

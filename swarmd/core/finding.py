@@ -17,9 +17,9 @@ class Level(StrEnum):
 
 
 class Finding(Struct, frozen=True):
-    """`text` about `subject`; `remedy`: the next step if it is not well, unless the text has it.
+    """`text` about `subject`; `remedy`: the next step where the subject is not well.
 
-    `is_measured` False: nothing could be measured, so it is not known to be well; no fault either.
+    `is_measured` False: nothing could be measured, so that neither health nor a fault is known.
     `is_minor`: not well, and a warning only.
     """
 

@@ -30,11 +30,14 @@ Validity = Annotated[float, Meta(gt=0.0, le=1e7)]
 class Goal(Record, frozen=True, kw_only=True):
     """What robots are to do.
 
-    `id`: of the request that set it. `pattern` None: the robots stand. `seconds` and `conditions`
-    end a run, as those of `RunRequest`. `on_join`: what a robot does that finds this goal later:
-    `offer` shows it, `run` runs it while the goal is younger than `valid` seconds. `lease`: seconds
-    without its operator after which the run ends. `undoes`: the id of the goal that this one takes
-    back, so that no robot is to do it any more. `signature`: of the bytes of the goal without it.
+    - `id`: of the request that set the goal.
+    - `pattern` None: the robots stand.
+    - `seconds` and `conditions` end a run, as those of `RunRequest`.
+    - `on_join`: what a robot does that learns the goal later. `offer` shows the goal, `run` runs
+      the pattern while the goal is younger than `valid` seconds.
+    - `lease`: seconds without its operator after which the run ends.
+    - `undoes`: the id of the goal that this goal takes back, which no robot carries out any more.
+    - `signature`: of the bytes of the goal without the signature.
     """
 
     id: Name
@@ -87,8 +90,8 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
 class KnownGoal(Struct, frozen=True, kw_only=True):
     """A goal as a robot knows it; `digest` is in hex.
 
-    `age`: s since it was set, as handed on from robot to robot; None after a restart, until a peer
-    tells it.
+    `age`: s since the goal was set, as handed on from robot to robot; None after a restart, until a
+    peer sends the age.
     """
 
     goal: Goal
@@ -99,11 +102,13 @@ class KnownGoal(Struct, frozen=True, kw_only=True):
 class GoalStatus(Struct, frozen=True, kw_only=True):
     """The goals of a robot, for its status.
 
-    `held`: the greatest goal that it has seen. `own`: the greatest goal for this robot, and
-    `state` what it does about it; both are None before there is one. `reason`: why it does not do
-    what its own goal wants, empty if it does; `superseded`: the goal that ended its last run, such
-    as `goal 7 of bob: flocking`. `lease_left`: s until the run ends if its operator is not heard.
-    `before`: the goal that the held one replaced, with another id.
+    - `held`: the greatest goal that the robot has seen.
+    - `before`: the goal that `held` replaced, with another id.
+    - `own`: the greatest goal for this robot; None without.
+    - `state`: what the robot does about `own`; None without.
+    - `reason`: why the robot does not do what `own` wants, empty if it does.
+    - `superseded`: the goal that ended the last run, such as `goal 7 of bob: flocking`.
+    - `lease_left`: s until the run ends if its operator is not heard.
     """
 
     held: KnownGoal | None = None
@@ -135,7 +140,7 @@ def signed_part(goal: Goal) -> bytes:
 
 
 def decode_goal(content: bytes) -> Goal:
-    """The goal in these bytes. CodecError if it is malformed, or too long once it is encoded."""
+    """The goal in these bytes. CodecError if they are malformed, or too long once encoded again."""
     if len(content) > MAX_GOAL:
         raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}")
     goal = decode(_decoder, content, "a goal")

@@ -33,26 +33,21 @@ REQUEST_LAYER = "request"
 
 
 class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
-    """Load a pattern. `layers`: parameters by source, weakest first, above its defaults.
-
-    `is_fresh`: load it in a new host, because the present one hangs. `until`: conditions, the first
-    of which to hold ends the run (`swarmd.kit.conditions`). `origins`: where each pattern is
-    found, name -> (module:Class or path, whether it is a file); the runner fills it in.
-    `digests`: the SHA-256 that the code of pushed patterns must have, by name.
-    `is_restart`: of a pattern that failed, with the code that it ran.
-    """
+    """Load a pattern."""
 
     generation: int
     pattern: str
-    layers: Layers
+    layers: Layers  # parameters by source, weakest first, above the pattern's defaults
     robot: str
     platform: Platform
     seed: int
-    is_fresh: bool = False
+    is_fresh: bool = False  # load in a new host, because the present host hangs
+    # The first of these conditions to hold ends the run (`swarmd.kit.conditions`).
     until: tuple[str, ...] = ()
+    # By pattern (module:Class or path, whether that is a file); the runner fills the mapping in.
     origins: Mapping[str, tuple[str, bool]] = {}
-    is_restart: bool = False
-    digests: Mapping[str, bytes] = {}
+    is_restart: bool = False  # of a pattern that failed, with the code that it ran
+    digests: Mapping[str, bytes] = {}  # the SHA-256 of the code of pushed patterns, by pattern
 
 
 class Step(Struct, frozen=True, eq=False, array_like=True, tag="step"):

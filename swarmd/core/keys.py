@@ -22,8 +22,12 @@ ANY = "*"
 _ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
 ANYONE = "anyone"
 """The asker in an insecure swarm."""
-STATE, CONTROL, SHARED, MESSAGE = "state", "control", "shared", "message"
-MULTICAST, UNICAST = "multicast", "unicast"
+STATE = "state"
+CONTROL = "control"
+SHARED = "shared"
+MESSAGE = "message"
+MULTICAST = "multicast"
+UNICAST = "unicast"
 """The planes; `core/key_table.py` lists the names of each."""
 _ASKED = frozenset({CONTROL, SHARED})
 _SIX_CHUNKS = _ASKED | {MESSAGE}

@@ -45,17 +45,19 @@ class LogRing:
     def since(self, seq: int) -> list[LogRecord]:
         """The records after the one numbered `seq`, at most LOG_PAGE: the latest ones."""
         with self._lock:
-            found = [one for one in self._records if one.seq > seq]
-        return found[-LOG_PAGE:]
+            records = [record for record in self._records if record.seq > seq]
+        return records[-LOG_PAGE:]
 
     def matching(self, query: LogsQuery) -> list[LogRecord]:
         """The last records that a query asks for."""
         with self._lock:
-            found = list(self._records)
-        return list(matching(found, query.level, query.grep))[-query.count :]
+            records = list(self._records)
+        return list(matching(records, query.level, query.grep))[-query.count :]
 
 
 def matching(records: Iterable[LogRecord], level: int, grep: str) -> Iterable[LogRecord]:
     """The records of at least a level that hold a text, in any case."""
     wanted = grep.casefold()
-    return (one for one in records if one.level >= level and wanted in one.text.casefold())
+    return (
+        record for record in records if record.level >= level and wanted in record.text.casefold()
+    )

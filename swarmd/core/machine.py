@@ -46,7 +46,8 @@ def is_clock_synced() -> bool | None:
 
 
 def _disk(purpose: str, folder: Path) -> DiskFacts:
-    fault, free, size = write_fault(folder), 0, 0
+    fault = write_fault(folder)
+    free = size = 0
     with suppress(OSError, StopIteration):
         there = next(path for path in (folder, *folder.parents) if path.exists())
         usage = shutil.disk_usage(there)
@@ -55,9 +56,9 @@ def _disk(purpose: str, folder: Path) -> DiskFacts:
 
 
 def _memory() -> dict[str, int]:
-    found = {}
+    sizes = {}
     with suppress(OSError, ValueError, IndexError):
         for line in Path("/proc/meminfo").read_text().splitlines()[:8]:
             name, _, rest = line.partition(":")
-            found[name] = int(rest.split()[0]) * 1024
-    return found
+            sizes[name] = int(rest.split()[0]) * 1024
+    return sizes

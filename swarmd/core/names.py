@@ -44,11 +44,11 @@ def expand_globs(text: str) -> tuple[str, ...]:
 def select_names(words: tuple[str, ...], known: tuple[str, ...]) -> tuple[str, ...]:
     """The names that words, ranges and globs give, all of them without words. ConfigError."""
     chosen: dict[str, None] = {} if words else dict.fromkeys(known)
-    for glob in (one for word in words for one in expand_globs(word)):
-        found = [name for name in known if fnmatchcase(name, glob)]
-        if not found:
+    for glob in (glob for word in words for glob in expand_globs(word)):
+        matching = [name for name in known if fnmatchcase(name, glob)]
+        if not matching:
             raise ConfigError(f"{unknown('name', glob, known)}; see `swarmctl keys list`")
-        chosen |= dict.fromkeys(found)
+        chosen |= dict.fromkeys(matching)
     return tuple(chosen)
 
 

@@ -109,10 +109,10 @@ SHORT_SLICE = 100_000
 def ask_for_slices(slice: int | None) -> None:
     """Ask for slices of the processor of `slice` ns; None: usual ones. Children inherit them.
 
-    A process with short slices gets the processor sooner when it wakes, and no larger share of it.
-    Without them the scheduler of Linux 6.6 and later lets a daemon that has just sent a step wait
-    for milliseconds until it may read the answer, once each core has a process that computes. A
-    kernel before 6.12 keeps its own slices.
+    A process with short slices gets the processor sooner when it wakes, and no larger share.
+    Without short slices the scheduler of Linux 6.6 and later lets a daemon that has just sent a
+    step wait for milliseconds until the daemon reads the answer, once each core has a process that
+    computes. A kernel before 6.12 keeps its own slices.
     """
     number = _SET_SCHEDULER.get(os.uname().machine)
     if number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:

@@ -45,12 +45,12 @@ class Record(Struct, frozen=True, kw_only=True):
         return self.generation, self.issuer
 
     def is_for(self, robot: str, labels: Collection[str]) -> bool:
-        """True if it targets a robot with these labels."""
+        """True if the record targets a robot with these labels."""
         return not self.targets or any(
-            one.removeprefix(LABEL) in labels
-            if one.startswith(LABEL)
-            else fnmatch.fnmatchcase(robot, one)
-            for one in self.targets
+            target.removeprefix(LABEL) in labels
+            if target.startswith(LABEL)
+            else fnmatch.fnmatchcase(robot, target)
+            for target in self.targets
         )
 
 

@@ -23,21 +23,17 @@ from swarmd.settings.yamlfile import read as read_yaml
 
 @dataclass(slots=True)
 class Document:
-    """A mission as its file has it, without what is faulty; `faults` lists that.
-
-    `root` is None if any element is faulty. `maps` holds the place of each map. `names` has all
-    parts, also faulty ones.
-    """
+    """The contents of a mission's file, without the faulty parts, which `faults` lists."""
 
     path: Path
     description: str
     parts: dict[str, Part]
-    names: Collection[str]
-    maps: list[tuple[Keys, Map]]
+    names: Collection[str]  # of all parts, the faulty ones included
+    maps: list[tuple[Keys, Map]]  # each with its place in the file
     report: Mapping[str, Reference]
     parameters: Mapping[str, Reference]
     recovery: bool | None
-    root: Element | None
+    root: Element | None  # None if any element is faulty
     faults: list[Fault] = field(default_factory=list)
 
 
@@ -50,10 +46,10 @@ def read_document(path: Path) -> Document:
     maps: list[tuple[Keys, Map]] = []
 
     def check(value: Any, keys: Keys) -> Iterator[Fault]:
-        found = list(check_value(value, keys, names))
-        if isinstance(value, Map) and not found:
+        value_faults = list(check_value(value, keys, names))
+        if isinstance(value, Map) and not value_faults:
             maps.append((keys, value))
-        yield from found
+        yield from value_faults
 
     file, faults = read(own, MissionFile, check)
     expanded = _expanded(rest)
@@ -100,7 +96,7 @@ def _expanded(element: Any) -> Any:
     if not isinstance(element, dict):
         return element
     return {
-        key: [_expanded(one) for one in value]
+        key: [_expanded(child) for child in value]
         if key in KINDS and isinstance(value, list)
         else value
         for key, value in element.items()

@@ -53,7 +53,7 @@ def is_part_name(name: str) -> bool:
 
 
 def _can_end(element: Element) -> bool:
-    """Whether it can end: by its condition, or because all that runs last in it can."""
+    """Whether an element can end: by its condition, or because its last items can end."""
     if element.until is not None:
         return True
     if isinstance(element, Sequence):
@@ -64,7 +64,7 @@ def _can_end(element: Element) -> bool:
 
 
 def _can_fail(element: Element) -> bool:
-    """Whether it can fail: by its condition, or because what runs in it can."""
+    """Whether an element can fail: by its condition, or because its items can fail."""
     if element.fails is not None:
         return True
     if isinstance(element, Fallback):
@@ -73,7 +73,7 @@ def _can_fail(element: Element) -> bool:
 
 
 def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    """What the types of a struct cannot express."""
+    """Faults that the types of a struct cannot express."""
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -133,10 +133,10 @@ def check_names(element: Any, keys: Keys, names: Collection[str]) -> Iterator[Fa
 
 
 def _check_transitions(steps: list[Any], keys: Keys) -> Iterator[Fault]:
-    found = [one if isinstance(one, dict) else {} for one in steps]
-    labels = [one.get("name") or one.get("part") or "" for one in found]
+    sections = [step if isinstance(step, dict) else {} for step in steps]
+    labels = [section.get("name") or section.get("part") or "" for section in sections]
     named = Counter(map(str, labels))
-    for index, step in enumerate(found):
+    for index, step in enumerate(sections):
         transitions = step.get("transitions")
         for name in transitions if isinstance(transitions, dict) else ():
             where = (*keys, index, "transitions", name)
@@ -167,24 +167,25 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
 
 
 def _reached(sequence: Sequence) -> set[int]:
-    """The steps that can be the present one, if each transition can hold.
+    """The indices of the steps that the sequence can reach, if each transition can hold.
 
-    The step after one without an end and without transitions counts: it has a fault of its own.
+    A step without an end and without transitions has a fault of its own: the step after it counts
+    as reached.
     """
     steps = sequence.children
     indices = {step.label: index for index, step in enumerate(steps)}
-    found: set[int] = set()
+    reached: set[int] = set()
     todo = [0]
     while todo:
         index = todo.pop()
-        if index in found or index == len(steps):
+        if index in reached or index == len(steps):
             continue
-        found.add(index)
+        reached.add(index)
         targets = steps[index].transitions
         if _can_end(steps[index]) or targets is None:
             todo.append(index + 1)
         todo += [indices[name] for name in targets or () if name in indices]
-    return found
+    return reached
 
 
 def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
@@ -201,19 +202,19 @@ def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
         yield fault_at((*keys, "drives"), text)
 
 
-def _check_map(one: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    yield from _check_reference(one.source, (*keys, "from"), names)
-    yield from _check_reference(one.target, (*keys, "to"), names)
-    (source, _), (target, param) = split(one.source), split(one.target)
+def _check_map(mapping: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    yield from _check_reference(mapping.source, (*keys, "from"), names)
+    yield from _check_reference(mapping.target, (*keys, "to"), names)
+    (source, _), (target, param) = split(mapping.source), split(mapping.target)
     if param in _SHARED:
         yield fault_at((*keys, "to"), _SHARED[param])
     if source == target:
         yield fault_at((*keys, "to"), f"is a parameter of {source} itself; expected another part's")
-    if (one.values is None) == (one.base is None):
+    if (mapping.values is None) == (mapping.base is None):
         yield fault_at(keys, "needs either values, or base and step")
-    elif one.base is not None and one.step is None:
+    elif mapping.base is not None and mapping.step is None:
         yield fault_at((*keys, "step"), "is missing; expected a number, as base is there")
-    elif one.base is None and (one.step, one.count) != (None, None):
+    elif mapping.base is None and (mapping.step, mapping.count) != (None, None):
         yield fault_at(keys, "has step or count, which go with base, beside values")
 
 
@@ -231,10 +232,10 @@ def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iter
 
 
 def valid_names(
-    key: str, found: Mapping[str, str], names: Collection[str], faults: list[Fault]
+    key: str, references: Mapping[str, str], names: Collection[str], faults: list[Fault]
 ) -> Iterator[tuple[str, Reference]]:
     """The valid entries of `report` or `parameters`; the faults of the others are appended."""
-    for own, reference in found.items():
+    for own, reference in references.items():
         wrong = list(_check_reference(reference, (key, own), names))
         if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
             text = (
@@ -267,14 +268,14 @@ def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
         elif "avoidance" in (document.parts[name].params if name in document.parts else ()):
             yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
     setters: dict[Reference, str] = {}
-    for keys, one in document.maps:
-        if split(one.target) in setters:
-            yield fault_at((*keys, "to"), f"is {one.target}, which another map sets; keep one")
-        setters[split(one.target)] = "a map"
+    for keys, entry in document.maps:
+        if split(entry.target) in setters:
+            yield fault_at((*keys, "to"), f"is {entry.target}, which another map sets; keep entry")
+        setters[split(entry.target)] = "a map"
     for own, reference in document.parameters.items():
         if reference[1] in _SHARED:
             yield fault_at(("parameters", own), _SHARED[reference[1]])
         if reference in setters:
-            text = f"is {'.'.join(reference)}, which {setters[reference]} sets too; keep one"
+            text = f"is {'.'.join(reference)}, which {setters[reference]} sets too; keep entry"
             yield fault_at(("parameters", own), text)
         setters.setdefault(reference, own)

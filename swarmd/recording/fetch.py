@@ -33,16 +33,13 @@ _fetched = Decoder(verbs.FetchReply, 2 * PIECE)
 
 
 class Copy(NamedTuple):
-    """A file that was copied: bytes that came now, its size here, and whether it was finished.
-
-    `fault`: why the robot did not hand it out, such as a file that it removed meanwhile.
-    """
+    """A file that was copied from a robot."""
 
     path: Path
-    received: int
-    size: int
+    received: int  # bytes that came now
+    size: int  # bytes here
     is_whole: bool
-    fault: str = ""
+    fault: str = ""  # why the robot did not hand the file out, such as a file removed meanwhile
 
 
 def recordings_of(ask: Ask, robot: str) -> verbs.RecordingsReply:

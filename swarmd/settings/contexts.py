@@ -72,7 +72,7 @@ class Contexts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
     def without(self, name: str) -> Contexts:
         """The same without this context. ConfigError if there is no such context."""
         self.get(name)
-        left = {one: context for one, context in self.contexts.items() if one != name}
+        left = {known: context for known, context in self.contexts.items() if known != name}
         return Contexts(use=None if self.use == name else self.use, contexts=left)
 
 

@@ -39,8 +39,8 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
       itself after so many s. `none`: never, so that the watchdog sends zero. By default `none`, of
       a simulated driver `base`. A value shorter than the base's own is wrong: a robot whose daemon
       is lost drives on for longer than assumed.
-    - `idle_output`: `zeros` are sent to an idle robot at every tick, or it is left `silent` so that
-      a joystick can drive it; then nothing stops it while it is idle.
+    - `idle_output`: with `zeros`, zeros are sent to an idle robot at every tick. With `silent` no
+      command is sent to an idle robot, so that a joystick can drive; then nothing stops the robot.
     """
 
     command_timeout: Timeout | Literal["base", "none"] | None = None
@@ -69,13 +69,13 @@ class IdleOutputFilter:
 def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
     """The common options of a driver; ConfigError, starting with `what:`, if one is wrong."""
     common = {key: options[key] for key in BaseOptions.__struct_fields__ if key in options}
-    found = Layered((what, common)).build(BaseOptions)
-    if found.idle_output == "silent" and found.command_timeout == "none":
+    base = Layered((what, common)).build(BaseOptions)
+    if base.idle_output == "silent" and base.command_timeout == "none":
         raise ConfigError(
             f"{what}: idle_output is silent, but command_timeout is none: a base that never stops"
             " by itself needs zeros; expected idle_output: zeros, or a base with a timeout"
         )
-    return found
+    return base
 
 
 def stops_after(options: Mapping[str, Value], what: str) -> float:

@@ -66,8 +66,8 @@ def checked_settings(name: str, swarm: str, settings: Mapping[str, Any]) -> dict
 
     Keys that `swarm_settings` leaves out are refused: no bundle has them, unless it was changed.
     """
-    if found := sorted(_OF_ONE_MACHINE & settings.keys()):
-        raise ConfigError(f"{name}: a bundle does not set {', '.join(found)}; make a new one")
+    if refused := sorted(_OF_ONE_MACHINE & settings.keys()):
+        raise ConfigError(f"{name}: a bundle does not set {', '.join(refused)}; make a new one")
     layers = Layered((name, {**settings, "swarm": swarm}))
     layers.build(SwarmFile)
     layers.build(DaemonFile, check)

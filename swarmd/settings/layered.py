@@ -148,11 +148,11 @@ class _Reader:
 
     def _tagged(self, data: Data, kinds: Sequence[Any], keys: Keys) -> Any:
         tags = {kind.__struct_config__.tag: kind for kind in kinds}
-        found = [tag for tag in tags if tag in data]
-        if len(found) == 1:
-            return tags[found[0]]
-        has = " and ".join(found or data) or "nothing"
-        near = next((hint for key in data if (hint := nearest(key, tags))), "") if not found else ""
+        given = [tag for tag in tags if tag in data]
+        if len(given) == 1:
+            return tags[given[0]]
+        has = " and ".join(given or data) or "nothing"
+        near = next((hint for key in data if (hint := nearest(key, tags))), "") if not given else ""
         meant = f"; did you mean {near!r}?" if near else ""
         text = f"has {has}; expected exactly one of {', '.join(tags)}{meant}"
         self.faults.append(fault_at(keys, text))
@@ -207,8 +207,8 @@ def _arms(kind: Any, limits: tuple[Any, ...] = ()) -> Iterator[tuple[Any, tuple[
         inner, *more = get_args(kind)
         yield from _arms(inner, (*limits, *more))
     elif origin in (Union, UnionType):
-        for one in get_args(kind):
-            yield from _arms(one, limits)
+        for arm in get_args(kind):
+            yield from _arms(arm, limits)
     else:
         yield kind, limits
 
@@ -254,8 +254,10 @@ def _described(node: inspect.Type) -> str:
         case inspect.UnionType():
             types = list(node.types)
             words = ["a number, text, true or false"] if set(map(type, types)) >= _SCALARS else []
-            others = [one for one in types if not words or type(one) not in _SCALARS]
-            others.sort(key=lambda one: isinstance(one, inspect.ListType))  # its items end the text
+            others = [kind for kind in types if not words or type(kind) not in _SCALARS]
+            others.sort(
+                key=lambda kind: isinstance(kind, inspect.ListType)
+            )  # its items end the text
             return " or ".join(dict.fromkeys([*words, *map(_described, others)]))
         case inspect.TupleType():
             return f"[{', '.join(_described(part) for part in node.item_types)}]"

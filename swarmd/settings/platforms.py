@@ -67,9 +67,10 @@ class SweepSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The range sensor.
 
-    - `rays`: their number, spread evenly over 360 degrees; or `bearings_deg`: the bearing of each.
+    - `rays`: their number, spread evenly over 360 degrees.
+    - `bearings_deg`: instead of `rays` the bearing of each ray.
     - `rate`: scans a second (Hz). Too high: the robot is held, as its scans count as too old.
-    - `range_min`, `range_max`: the ranges in m that it measures.
+    - `range_min`, `range_max`: the ranges in m that the sensor measures.
     - `first_bearing_deg`: bearing of the first ray. Wrong: every obstacle is turned.
     - `offset`: its position from the axle, m. Wrong: obstacles are nearer than assumed.
     - `zero`: the meaning of a range of 0.
@@ -77,10 +78,11 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `max_gap_deg`: the widest unknown sector that is bridged. Wider: a larger object can stand in
       it unseen. Narrower: more scans are invalid, which holds the robot.
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
-    - `latency`: mean age of its rays in s when a scan arrives; None: half a scan period, as of a
+    - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
       rotating lidar. Too low: protection acts on where obstacles were.
-    - `sweep`: how a rotating sensor turns; None: it measures all rays at once; measured: the robot
-      finds out while it turns, and until then takes each ray for as old as the oldest.
+    - `sweep`: how a rotating sensor turns. None: the sensor measures all rays at once. measured:
+      the robot measures the sweep while turning, and until then takes each ray for as old as the
+      oldest.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -103,7 +105,7 @@ class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     - `scan_plane`: of the rays. Wrong: a robot that is not seen counts as seen, and is hit.
     - `lowest`, `highest`: a level plane between them meets an opaque part of the robot from every
-      side (wheels do not count). Too far apart: others count on seeing it, and hit it.
+      side (wheels do not count). Too far apart: other robots expect to see this robot, and hit it.
     """
 
     scan_plane: Annotated[float, Meta(ge=0.0, le=10.0)]
@@ -147,20 +149,20 @@ Sensors = Annotated[list[SensorSection], Meta(min_length=1, max_length=64)]
 class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of a platform's file.
 
-    - `extends`: a platform or file; this file then holds only what differs.
+    - `extends`: a platform or file. This file then holds only the differences.
     - `ranges`: a ring of further range sensors, for what the lidar does not see, with the keys of
-      `scan`. Without fresh values of it the robot is held. None: the ranges of a driver are the
-      scan.
-    - `footprint`: convex outline in m, counter-clockwise. Too small: collisions; too large: the
+      `scan`. Without fresh values of the ring the robot is held. None: the ranges of a driver are
+      the scan.
+    - `footprint`: convex outline in m, counter-clockwise. Too small: collisions. Too large: the
       robot stops earlier and does not fit through gaps that it could pass.
     - `provides`: what patterns may need. Patterns that need more are refused.
     - `patterns`: parameters by pattern that override the derived ones.
     - `drivers`: default options by driver.
-    - `heights`: None: whether others see this robot, and whether it sees them, is not known.
-    - `body`: properties of the simulated robot; no effect on a real one.
-    - `sensors`: in the simulated world, where the sensors of a field are, by its name, such as
-      `ground`; without them the robot reads a field at its axle. Those named `detections` recognise
-      robots, boxes and lamps. No effect on a real one.
+    - `heights`: None: whether this robot and other robots see each other is not known.
+    - `body`: properties of the simulated robot, without effect on a real robot.
+    - `sensors`: in the simulated world, the places of the sensors of a field, by its name, such as
+      `ground`. Without sensors the robot reads a field at its axle. Sensors named `detections`
+      recognise robots, boxes and lamps. Without effect on a real robot.
     """
 
     description: str = ""
@@ -287,8 +289,8 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
 
 def _check_sensors(file: PlatformFile) -> Iterator[Fault]:
     for name, some in file.sensors.items():
-        for index, one in enumerate(some):
-            is_given = one.field_of_view_deg is not None, one.range is not None
+        for index, sensor in enumerate(some):
+            is_given = sensor.field_of_view_deg is not None, sensor.range is not None
             if is_given != (name == "detections",) * 2:
                 wanted = "both" if name == "detections" else "neither: only detections have them"
                 text = f"of field_of_view_deg and range has {sum(is_given)}; expected {wanted}"
@@ -345,7 +347,8 @@ def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
 
 def _check_sight(platform: Platform) -> Iterator[Fault]:
     """The sensor must see early and far enough to stop; only mode `barrier` says how far."""
-    scan, limits, barrier = platform.scan, platform.limits, barrier_settings(platform)
+    scan, limits = platform.scan, platform.limits
+    barrier = barrier_settings(platform)
     yield from _check_rate(scan, "scan")
     if barrier is None:
         return
@@ -455,11 +458,17 @@ def _platform(name: str, file: PlatformFile) -> Platform:
 
 
 def _sensors(sections: list[SensorSection]) -> Array:
-    bearings = (math.nan if one.bearing_deg is None else one.bearing_deg for one in sections)
+    bearings = (
+        math.nan if section.bearing_deg is None else section.bearing_deg for section in sections
+    )
     rows = [
-        (*one.at, math.radians(bearing)) for one, bearing in zip(sections, bearings, strict=True)
+        (*section.at, math.radians(bearing))
+        for section, bearing in zip(sections, bearings, strict=True)
     ]
     if sections[0].field_of_view_deg is not None:
-        seen = [(math.radians(one.field_of_view_deg or 0.0), one.range or 0.0) for one in sections]
+        seen = [
+            (math.radians(section.field_of_view_deg or 0.0), section.range or 0.0)
+            for section in sections
+        ]
         return np.column_stack((rows, seen))
     return np.array(rows, dtype=np.float64)

@@ -184,17 +184,17 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 def _read(options: Mapping[str, Value]) -> set[str]:
     """The inputs that a driver with these options reads besides: patterns may need them."""
     readings = options.get("readings")
-    found = {word for word in OPTION_INPUTS if options.get(word)}
+    inputs = {word for word in OPTION_INPUTS if options.get(word)}
     if options.get("shared_pose"):
-        found.add("pose")
+        inputs.add("pose")
     for name, entry in readings.items() if isinstance(readings, dict) else ():
         given = entry if isinstance(entry, dict) else {}
         topic, count = given.get("topic"), given.get("count")
         several = len(topic) if isinstance(topic, list) else 0
         if isinstance(count, int):
             several = count * max(several, 1)
-        found |= {f"reading:{one}" for one in sensor_names(name, several)}
-    return found
+        inputs |= {f"reading:{sensor}" for sensor in sensor_names(name, several)}
+    return inputs
 
 
 def state_folder(environ: Mapping[str, str]) -> Path:
@@ -217,12 +217,12 @@ def _provenance(
     derived = {"id": "host name" if identity is None else "identity"}
     if identity is not None and file.identity is None:
         derived["identity"] = "found for the swarm"
-    found = {
+    sources = {
         key: layers.source(key) or derived.get(key, swarmfile.DEFAULT)
         for key in swarmfile.DaemonFile.__struct_fields__
         if key != "swarm_file"
     }
     if platform.drivers.get(file.driver):
-        given = [found["driver_options"]] if file.driver_options else []
-        found["driver_options"] = ", ".join([*given, f"platform {platform.name}"])
-    return found
+        given = [sources["driver_options"]] if file.driver_options else []
+        sources["driver_options"] = ", ".join([*given, f"platform {platform.name}"])
+    return sources

@@ -73,7 +73,7 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return {
             "pattern": self.pattern,
             "params": self.params,
-            "targets": tuple(name for one in self.targets for name in _targets(one)),
+            "targets": tuple(name for word in self.targets for name in _targets(word)),
             "seconds": self.seconds,
             "conditions": tuple(self.until),
             "on_join": self.on_join,
@@ -84,18 +84,18 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of swarm.yaml, which the robots of one swarm share, beside those of the network.
 
-    - `identity`: the folder of the identity; by default that of the user, or of the machine, for
+    - `identity`: the folder of the identity, by default that of the user, or of the machine, for
       this swarm.
     - `insecure`: without keys, so that anyone on the network can drive the robots.
-    - `roster`: ids of all robots, also ranges such as `tb3-[01-07]`; then an unknown id in this
-      file is an error, and missing robots are reported.
+    - `roster`: ids of all robots, also ranges such as `tb3-[01-07]`. With a roster an unknown id in
+      this file is an error, and missing robots are reported.
     - `labels`: names for groups of robots (ids and ranges), as targets and for `parameters`.
-    - `goal`: what `swarmctl apply` lets robots run; daemons ignore it.
+    - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
     - `accepts_unseen`, `accepts_faster`: platforms of which robots may drive beside a robot that
-      does not see them, or that assumes less than their speed; a list, or reasons by platform.
-      Such a robot may be driven into.
+      does not see them, or that assumes less than their speed, as a list, or as reasons by
+      platform. Such a robot may be driven into.
     """
 
     identity: str | None = None

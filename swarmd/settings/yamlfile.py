@@ -80,23 +80,23 @@ def read_value(text: str) -> Any:
 
 def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
     """The line of each key and list item of a file; {} if the file cannot be read any more."""
-    found: dict[tuple[str | int, ...], int] = {}
+    lines: dict[tuple[str | int, ...], int] = {}
 
     def walk(node: yaml.Node | None, keys: tuple[str | int, ...]) -> None:
         if isinstance(node, yaml.MappingNode):
             for key, value in node.value:
-                found[(*keys, str(key.value))] = key.start_mark.line + 1
+                lines[(*keys, str(key.value))] = key.start_mark.line + 1
                 walk(value, (*keys, str(key.value)))
         elif isinstance(node, yaml.SequenceNode):
             for index, value in enumerate(node.value):
-                found[(*keys, index)] = value.start_mark.line + 1
+                lines[(*keys, index)] = value.start_mark.line + 1
                 walk(value, (*keys, index))
 
     try:
         walk(yaml.compose(path.read_bytes(), Loader=yaml.SafeLoader), ())
     except (OSError, yaml.YAMLError, ValueError, RecursionError):
         return {}
-    return found
+    return lines
 
 
 def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
@@ -224,7 +224,7 @@ def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
     begin = error.context_mark
     if "escape" in (error.problem or ""):
         return rf":{error.problem_mark.line + 1}: {error.problem}; write \ twice, or take ' for \""
-    if begin is not None and any(one in (error.context or "") for one in ("quoted", "flow")):
+    if begin is not None and any(word in (error.context or "") for word in ("quoted", "flow")):
         what = "quote" if "quoted" in str(error.context) else "bracket"
         return f":{begin.line + 1}: the {what} that begins here is not closed; close it"
     lines = content.decode(errors="replace").splitlines()[: error.problem_mark.line + 1]
@@ -240,9 +240,9 @@ def _fault_of_indent(lines: list[str]) -> str:
     if "\t" in line[: len(line) - len(line.lstrip())]:
         return "the line begins with a tab; indent it with spaces"
     levels = [0]
-    for one in above:
-        if one.strip() and not one.lstrip().startswith("#"):
-            levels = [n for n in levels if n < _indent(one)] + [_indent(one)]
+    for earlier in above:
+        if earlier.strip() and not earlier.lstrip().startswith("#"):
+            levels = [n for n in levels if n < _indent(earlier)] + [_indent(earlier)]
     if _indent(line) not in levels:
         wanted = " or ".join(map(str, levels))
         return f"the line is indented by {_indent(line)} spaces; expected {wanted}, as lines above"

@@ -276,7 +276,7 @@ def _connected(story: Callable[[Any, DriverHarness], Awaitable[None]]) -> Callab
 
 
 class DriverContract:
-    """Subclass it in a test module, give it a rig, and pytest runs it."""
+    """The contract of a driver: subclass it in a test module with a `rig`, for pytest to run."""
 
     def rig(self) -> Rig:
         """A fresh base, still silent."""
@@ -403,7 +403,7 @@ class DriverContract:
             order = harness.sink.order
             await harness.until(lambda: "scan" in order, publishing=True)
             assert order.index("up") < order.index("hazards") < order.index("scan")
-            assert [one.kind for one in dangers[0]] == [HazardKind.NOT_HEARD]
+            assert [hazard.kind for hazard in dangers[0]] == [HazardKind.NOT_HEARD]
 
             def is_told(hazards: tuple[Hazard, ...], *, is_present: bool) -> bool:
                 rig.publish_hazard(is_present=is_present)
@@ -470,7 +470,8 @@ class DriverContract:
         self, harness: DriverHarness
     ) -> None:
         """It comes to `ranges`, advances, and changes no scan of the lidar."""
-        rig, sink, spec = harness.rig, harness.sink, harness.rig.platform.ranges
+        rig, sink = harness.rig, harness.sink
+        spec = rig.platform.ranges
         if spec is None or not isinstance(rig, RingRig):
             pytest.skip("this rig is no RingRig")
         ranges = np.linspace(spec.range_min, spec.range_max, len(spec.bearings))
@@ -498,12 +499,17 @@ class DriverContract:
         """One scan a second is no silence, and fifty are no flood."""
 
         async def story(harness: DriverHarness) -> None:
-            rig, sink, loop = _scripted(harness), harness.sink, asyncio.get_running_loop()
-            spec, n, numbers = harness.rig.platform.scan, len(_bearings(harness)), itertools.count()
+            rig, sink = _scripted(harness), harness.sink
+            loop = asyncio.get_running_loop()
+            spec = harness.rig.platform.scan
+            n = len(_bearings(harness))
+            numbers = itertools.count()
 
             async def arrives() -> bool:
                 """Whether half of the scans of some seconds arrive: the newest counts, not each."""
-                known, begin, sent = len(sink.scans), loop.time(), 0
+                known = len(sink.scans)
+                begin = loop.time()
+                sent = 0
                 while (passed := loop.time() - begin) < seconds:
                     rig.publish_odometry()
                     if passed * rate >= sent:
@@ -677,8 +683,10 @@ async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges:
     """
     spec, bearings = harness.rig.platform.scan, _regular(harness, len(ranges))
     scan = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
-    known, loop, due = len(harness.sink.scans), asyncio.get_running_loop(), -math.inf
-    found: list[Scan] = []
+    known = len(harness.sink.scans)
+    loop = asyncio.get_running_loop()
+    due = -math.inf
+    arrived: list[Scan] = []
 
     def has_ranges(scan: Scan) -> bool:
         return scan.ranges.shape == ranges.shape and np.allclose(
@@ -691,11 +699,11 @@ async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges:
             due = loop.time() + 1.0
             rig.publish_scan(scan)
             rig.publish_odometry()
-        found.extend(filter(has_ranges, harness.sink.scans[known:]))
-        return bool(found)
+        arrived.extend(filter(has_ranges, harness.sink.scans[known:]))
+        return bool(arrived)
 
     await harness.until(has_come)
-    return found[0]
+    return arrived[0]
 
 
 def _bearings(harness: DriverHarness) -> Array:
@@ -734,14 +742,14 @@ def is_running(pid: int) -> bool:
 
 def _marked_processes(mark: str) -> list[int]:
     """The living processes that were started with this mark in their environment."""
-    wanted, found = f"{_MARK}={mark}".encode(), []
+    wanted, pids = f"{_MARK}={mark}".encode(), []
     for environ in Path("/proc").glob("[0-9]*/environ"):
         try:
             if wanted in environ.read_bytes().split(b"\0"):
-                found.append(int(environ.parent.name))
+                pids.append(int(environ.parent.name))
         except OSError:  # it has ended meanwhile, or belongs to another user
             continue
-    return [pid for pid in found if is_running(pid)]
+    return [pid for pid in pids if is_running(pid)]
 
 
 def _open_files() -> int:

@@ -49,13 +49,13 @@ def forbidden_imports(source: bytes) -> Iterator[tuple[int, str]]:
     """The line and the module of each import of FORBIDDEN_IMPORTS, within functions, too."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            names = [one.name for one in node.names]
+            names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{one.name}" for one in node.names]
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
         else:
             continue
         for name in names:
-            if any(f"{name}.".startswith(f"{one}.") for one in FORBIDDEN_IMPORTS):
+            if any(f"{name}.".startswith(f"{module}.") for module in FORBIDDEN_IMPORTS):
                 yield node.lineno, name
 
 

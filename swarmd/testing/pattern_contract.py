@@ -105,7 +105,7 @@ class Subject:
         type.
         """
         with no_side_effects(self.kind.__module__):
-            return [checked_outputs(pattern.step(one), pattern.channels) for one in story]
+            return [checked_outputs(pattern.step(inputs), pattern.channels) for inputs in story]
 
     def story(self, pattern: Pattern[Any], scans: Sequence[Scan | None]) -> Iterator[Inputs]:
         """Inputs for these scans: 10 Hz, with every sensor that the pattern needs."""
@@ -147,7 +147,10 @@ _platform = cache(load_platform)  # asked for by each test of each pattern
 
 
 class PatternContract:
-    """Subclass it in a test module, set `pattern`, and pytest runs it for every platform."""
+    """The contract of a pattern: subclass it in a test module with `pattern`, for pytest to run.
+
+    Each test runs on every platform.
+    """
 
     pattern: ClassVar[type[Pattern[Any]]]
     params: ClassVar[Mapping[str, Value]] = {}
@@ -256,8 +259,8 @@ class PatternContract:
         _check_repeatable(subject, scans)
         pattern = subject.make()
         copies = [
-            one if one.scan is None else structs.replace(one, scan=read_only(one.scan))
-            for one in subject.story(pattern, scans)
+            inputs if inputs.scan is None else structs.replace(inputs, scan=read_only(inputs.scan))
+            for inputs in subject.story(pattern, scans)
         ]
         text = "the run differs where each step has a copy of the scan"
         _check_same(subject.steps(pattern, copies), subject.run(scans), text)
@@ -361,8 +364,8 @@ def _check_sane(run: Iterable[Outputs], platform: Platform) -> None:
 
 
 def _check_close(here: Twist, there: Twist, what: str) -> None:
-    one, other = msgspec.structs.astuple(here), msgspec.structs.astuple(there)
-    is_close = np.allclose(one, other, rtol=0.0, atol=_TOLERANCE, equal_nan=True)
+    speeds = msgspec.structs.astuple(here), msgspec.structs.astuple(there)
+    is_close = np.allclose(*speeds, rtol=0.0, atol=_TOLERANCE, equal_nan=True)
     assert is_close, f"{what}: {here} and {there}"
 
 
@@ -387,16 +390,16 @@ def _shared_values(kind: type[Pattern[Any]]) -> dict[str, bytes]:
     """The values of a pattern's module and of its classes, as far as they have an encoding."""
     module = sys.modules[kind.__module__]
     owners = [("", vars(module))] + [
-        (f"{name}.", dict(vars(one)))
-        for name, one in vars(module).items()
-        if isinstance(one, type) and one.__module__ == module.__name__
+        (f"{name}.", dict(vars(member)))
+        for name, member in vars(module).items()
+        if isinstance(member, type) and member.__module__ == module.__name__
     ]
-    found = {}
+    encoded = {}
     for place, values in owners:
         for name, value in values.items():
             if name.startswith("__") or isinstance(value, ModuleType | FunctionType | type):
                 continue
             # What has no encoding, such as a descriptor, is no memory.
             with suppress(TypeError, AttributeError, pickle.PicklingError):
-                found[f"{place}{name}"] = pickle.dumps(value)
-    return found
+                encoded[f"{place}{name}"] = pickle.dumps(value)
+    return encoded
