@@ -45,8 +45,8 @@ class ScanConditioner:
 
     `take` returns the conditioned scan or the reason to reject it:
 
-    - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite,
-      or an impossible age of a ray
+    - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite, or an impossible age of a
+      ray
     - INVALID_SCAN: fewer than half of the rays known, an unknown sector wider than `max_gap`, or
       such a sector without rays, unless the sensor never has rays there
     - INVALID_SCAN: no return at all after a scan with many far returns
