@@ -34,7 +34,7 @@ class Sink(Protocol):
         """The base is connected, or lost and why.
 
         `hold`: why the robot must not move although its base is connected. `gets_zero`: the base is
-        lost, but the zeros of a stopped robot are sent to it.
+        lost, but the zeros of a stopped robot are sent to it, or the driver moves no base at all.
         """
 
     def dropped(self, what: str) -> None:
