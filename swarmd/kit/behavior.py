@@ -69,7 +69,7 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
-    - `needs`: what the robot must have, of scan, ranges, odometry, detections, pose, neighbors,
+    - `needs`: what the robot must have: fields of `Inputs`, such as scan, odometry and neighbors;
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
