@@ -39,7 +39,7 @@ _MAX_DIGITS = 9  # of an int32
 _CORNERS = (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)  # of a tag, in its sides
 
 
-class Encoder(Protocol):
+class InputEncoder(Protocol):
     """The messages of one kind of input, or of one entry of it."""
 
     topics: Sequence[tuple[str, type]]  # with their message classes
@@ -198,7 +198,7 @@ def _number(name: str) -> int:
 
 def encoders(
     options: RosOptions, platform: Platform
-) -> dict[type[SensorInput], tuple[Encoder, ...]]:
+) -> dict[type[SensorInput], tuple[InputEncoder, ...]]:
     """The encoders that suit a robot's options, by the kind of their input.
 
     Other kinds have none.

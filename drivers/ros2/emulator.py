@@ -22,7 +22,7 @@ from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
-from swarmd.drivers.ros.to_ros import Encoder, encoders, tag_encoders
+from swarmd.drivers.ros.to_ros import InputEncoder, encoders, tag_encoders
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
@@ -129,7 +129,7 @@ class _Robot:
         self._scheme, self._stamp = scheme, 0.0
         published: list[TopicEnd] = []
         # By kind of input, each encoder with the number of its first publisher.
-        self._encoders: dict[type[SensorInput], list[tuple[int, Encoder]]] = {}
+        self._encoders: dict[type[SensorInput], list[tuple[int, InputEncoder]]] = {}
         for kind, listed in encoders(options, platform).items():
             self._encoders[kind] = []
             for encoder in listed:

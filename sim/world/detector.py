@@ -16,7 +16,7 @@ DETECTIONS = "detections"
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class ObjectsAround:
     """What a robot may recognise; NaN for what is not there."""
 
     pose: Array  # (3,) of the robot
@@ -26,7 +26,7 @@ class Surroundings:
     is_clear: IsClear
 
 
-def detections_of(sensors: Array, around: Surroundings) -> tuple[Detection, ...]:
+def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...]:
     """What the sensors of a robot recognise, each object once, without errors.
 
     `sensors` (s, 5): x, y, bearing, field of view and range in the base frame. An object is

@@ -48,7 +48,7 @@ def detections(world: World, row: int, stamp: float) -> DetectionsInput | None:
     sensors = world.platforms[row].sensors.get(DETECTIONS)
     if sensors is None:
         return None
-    return DetectionsInput(detections_of(sensors, world.surroundings(row)))
+    return DetectionsInput(detections_of(sensors, world.objects_around(row)))
 
 
 SENSORS = (

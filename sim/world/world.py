@@ -21,7 +21,7 @@ from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
-from swarmd.sim.world.detector import Surroundings
+from swarmd.sim.world.detector import ObjectsAround
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.items import Items
@@ -300,7 +300,7 @@ class World:
         pose = Pose(*self.poses()[robot].tolist())
         return SharedPose(stamp, pose, _POSE_ERROR, _POSE_YAW_ERROR, "world")
 
-    def surroundings(self, robot: int) -> Surroundings:
+    def objects_around(self, robot: int) -> ObjectsAround:
         """All that a robot may recognise where it is: bodies but itself, and lamps."""
         poses = self._all_poses()
         names = [("robot", name) for name in self.ids]
@@ -311,7 +311,7 @@ class World:
         places[robot] = np.nan
         extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
         names += [("lamp", lamp.name) for lamp in lamps]
-        return Surroundings(poses[robot], names, places, extents, self._clear_around(robot))
+        return ObjectsAround(poses[robot], names, places, extents, self._clear_around(robot))
 
     def _clear_around(self, robot: int) -> IsClear:
         if self._shadows is None:
