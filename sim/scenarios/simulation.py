@@ -9,6 +9,7 @@ from msgspec import to_builtins
 
 from swarmd.sim.scenarios.pseudo_reality import draws
 from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.world.lidar import LidarModel
 from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.world import World
 
@@ -19,12 +20,11 @@ def world_of(scenario: Scenario, seed: int, *, sectors: int = 10) -> World:
         scenario.robots,
         scenario.arena,
         scenario.starts(seed),
-        visibility=scenario.visibility,
+        lidars=LidarModel(scenario.visibility, sectors),
         realism=scenario.realism,
         fields=scenario.fields,
         items=scenario.items,
         seed=seed,
-        sectors=sectors,
     )
 
 

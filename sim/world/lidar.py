@@ -19,6 +19,22 @@ from swarmd.sim.world.geometry import Indices
 
 Visibility = Literal["body", "real"]
 
+
+@dataclass(frozen=True, slots=True)
+class LidarModel:
+    """How the lidars of a world see and turn.
+
+    `body` is the default because the published behaviours need it: with true heights a Waffle Pi
+    sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and protection that needs more than 5
+    rays detects it only at 1 m.
+    """
+
+    visibility: Visibility = "body"
+    """Of another robot: its whole footprint (`body`), or the cross-section in the plane (`real`)"""
+    sectors: int = 10
+    """In so many sectors, or more, a rolling scan is measured"""
+
+
 _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
 # Rad by which rays may differ from equal steps for their places to be computed, not searched.
 _MAX_UNEVENNESS = 1e-13

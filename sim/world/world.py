@@ -25,7 +25,7 @@ from swarmd.sim.world.detector import ObjectsAround
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.items import Items
-from swarmd.sim.world.lidar import RangeSensors, Visibility
+from swarmd.sim.world.lidar import LidarModel, RangeSensors
 from swarmd.sim.world.light import IsClear, LightField, Shadows
 from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
@@ -34,6 +34,7 @@ from swarmd.sim.world.realism import IDEAL, Realism
 from swarmd.sim.world.rolling import RollingScans
 from swarmd.sim.world.scalar_fields import Field, readings_at
 
+TIME_STEP = 0.01  # s of a step
 _POSE_ERROR, _POSE_YAW_ERROR = 0.01, 0.01  # m and rad, as of motion capture
 
 
@@ -52,31 +53,36 @@ class World:
         arena: Arena,
         starts: Array,
         *,
-        visibility: Visibility = "body",
+        lidars: LidarModel = LidarModel(),  # noqa: B008  # it is frozen
         realism: Realism = IDEAL,
         seed: int = 0,
         fields: Sequence[Field] = (),
         items: Sequence[ItemKind] = (),
-        dt: float = 0.01,
-        sectors: int = 10,
     ) -> None:
         """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
 
         `seed` is for the randomness of `realism` and the places of `items`, which are those of
-        `arena`; `readings` samples `fields`. `visibility`: a
-        range sensor sees the whole footprint of another robot (`body`), or only the cross-section
-        in its plane (`real`). `body` is the default because the published behaviours need it: with
-        true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and
-        protection that needs more than 5 rays detects it only at 1 m. A rolling scan is measured
-        in that many `sectors`, or more.
+        `arena`; `readings` samples `fields`.
         """
         n = len(robots)
         if starts.shape != (n, 3):
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
-        self.arena, self.dt = arena, dt
+        self.arena, self.dt, self._steps = arena, TIME_STEP, 0
+        self.fields = tuple(fields)
+        self._begin_bodies(robots, starts)
+        self._items = Items(items, arena, self.platforms, seed)
+        self._begin_items(starts)
+        self._begin_bases(realism, starts, seed)
+        self._begin_lidars(lidars, realism, seed)
+        self._begin_rings(realism, seed)
+        self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
+
+    def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
+        """The model of MuJoCo, with robots and boxes at their places."""
+        n, arena = len(robots), self.arena
         pucks = tuple(item for item in arena.items if item.mass is not None)
-        self.model = bodies.build_model(robots, replace(arena, items=pucks), dt)
+        self.model = bodies.build_model(robots, replace(arena, items=pucks), self.dt)
         self.data = mujoco.MjData(self.model)
         # Views of MuJoCo's memory.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
@@ -84,50 +90,9 @@ class World:
         self._robot_poses = self._qpos[: 3 * n].reshape(-1, 3)
         self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
-        self._items = Items(items, arena, self.platforms, seed)
-        self._begin_items(starts)
-        self.loose = (*self.movable_boxes, *self._items.names)
-        self.loose_shapes = np.concatenate((self.box_shapes, self._items.shapes))
-        self.grips = np.zeros(n, dtype=np.bool_)
-        mujoco.mj_forward(self.model, self.data)
-        memory = self.data.qpos, self.data.qvel, self.data.qfrc_applied
-        base = load_kernel("swarmd.sim.world.base")
-        self._bases = base.Bases(realism.actuation, self.platforms, memory, dt)
-        self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
-        self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
-        self._steps = 0
-        self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
-        for ages in self._at_once:
-            ages.flags.writeable = False
-        self._seq, self._ring_seq = [0] * n, [0] * n
-        self._is_out = np.zeros(n, dtype=np.bool_)
-        self._are_all_in = True
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
-        self._sensors = RangeSensors(self.platforms, arena, visibility)
-        self._rolling: list[RollingScans] = []
-        self._rolling_of: list[RollingScans | None] = [None] * n  # by row
-        for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
-            platform = self.platforms[rows[0]]
-            if platform.scan.sweep is not None:
-                rolling = RollingScans(lidar, platform, n, dt, sectors)
-                self._rolling.append(rolling)
-                for row in rows.tolist():
-                    self._rolling_of[row] = rolling
-        self._is_rolled = False  # the rays of this step are measured
-        self.posed = frozenset[int]()  # the rows of the robots that something tells their pose
-        self.rings = [row for row in range(n) if self.platforms[row].ranges is not None]
-        specs = [platform.ranges or platform.scan for platform in self.platforms]
-        rates = [specs[row].rate for row in self.rings]
-        self.ring_rates: Array = np.array(rates, dtype=np.float64)
-        if self.rings:
-            ringed = [replace(p, scan=scan) for p, scan in zip(self.platforms, specs, strict=True)]
-            # A ring looks below the plane of lidars, and sees whole bodies.
-            self._ring_sensors = RangeSensors(ringed, arena, "body")
-            names = [f"ring of {robot}" for robot in self.ids]
-            self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
-        self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
-        self.fields = tuple(fields)
+        self._is_out, self._are_all_in = np.zeros(n, dtype=np.bool_), True
         shapes = [platform.footprint for platform in self.platforms]
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
@@ -143,6 +108,54 @@ class World:
         is_there = np.isfinite(boxes[:, 0])
         outlines += list(transform(self.box_shapes[is_there], boxes[is_there]))
         self._items.begin(self.model, self.data, outlines)
+        self.loose = (*self.movable_boxes, *self._items.names)
+        self.loose_shapes = np.concatenate((self.box_shapes, self._items.shapes))
+        self.grips = np.zeros(len(starts), dtype=np.bool_)
+        mujoco.mj_forward(self.model, self.data)
+
+    def _begin_bases(self, realism: Realism, starts: Array, seed: int) -> None:
+        memory = self.data.qpos, self.data.qvel, self.data.qfrc_applied
+        base = load_kernel("swarmd.sim.world.base")
+        self._bases = base.Bases(realism.actuation, self.platforms, memory, self.dt)
+        self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
+        self.posed = frozenset[int]()  # the rows of the robots that something tells their pose
+
+    def _begin_lidars(self, model: LidarModel, realism: Realism, seed: int) -> None:
+        n = len(self.ids)
+        self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
+        self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
+        for ages in self._at_once:
+            ages.flags.writeable = False
+        self._seq = [0] * n
+        self._sensors = RangeSensors(self.platforms, self.arena, model.visibility)
+        self._rolling: list[RollingScans] = []
+        self._rolling_of: list[RollingScans | None] = [None] * n  # by row
+        self._is_rolled = False  # the rays of this step are measured
+        for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
+            platform = self.platforms[rows[0]]
+            if platform.scan.sweep is not None:
+                rolling = RollingScans(lidar, platform, n, self.dt, model.sectors)
+                self._rolling.append(rolling)
+                for row in rows.tolist():
+                    self._rolling_of[row] = rolling
+
+    def _begin_rings(self, realism: Realism, seed: int) -> None:
+        """Rings of range sensors."""
+        n = len(self.ids)
+        self._ring_seq = [0] * n
+        self.rings = [row for row in range(n) if self.platforms[row].ranges is not None]
+        specs = [platform.ranges or platform.scan for platform in self.platforms]
+        rates = [specs[row].rate for row in self.rings]
+        self.ring_rates: Array = np.array(rates, dtype=np.float64)
+        if self.rings:
+            ringed = [
+                replace(platform, scan=scan)
+                for platform, scan in zip(self.platforms, specs, strict=True)
+            ]
+            # A ring looks below the plane of lidars, and sees whole bodies.
+            self._ring_sensors = RangeSensors(ringed, self.arena, "body")
+            names = [f"ring of {robot}" for robot in self.ids]
+            self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
 
     @property
     def time(self) -> float:

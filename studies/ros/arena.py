@@ -37,6 +37,7 @@ from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.lidar import LidarModel
 from swarmd.sim.world.realism import REALISTIC
 from swarmd.sim.world.world import World
 
@@ -134,7 +135,9 @@ def main(folder: Path, seed: int) -> None:
     robots = dict.fromkeys(BODIES, platform)
     arena = parse_arena(ARENA)
     starts = parse_layout(LAYOUT, [platform.footprint] * len(robots), arena, seed=seed)
-    world = World(robots, arena, starts, realism=REALISTIC, seed=seed, sectors=100)
+    world = World(
+        robots, arena, starts, realism=REALISTIC, seed=seed, lidars=LidarModel(sectors=100)
+    )
     link = WorldLink("arena", robots, "tcp/127.0.0.1:0")
     nodes: list[Nodes] = []
 

@@ -23,11 +23,17 @@ from swarmd.client.ask_robots import in_reach
 from swarmd.client.runs import goal_targets
 from swarmd.client.session import gap
 from swarmd.client.targets import Targets, targets_of
-from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, read_entry
 from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import Code
-from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply, PushRequest
+from swarmd.core.pattern_manifest import (
+    MAX_CODE,
+    PatternManifest,
+    Signed,
+    encode_manifest,
+    read_entry,
+)
+from swarmd.core.verbs import PLUGINS, PushedPatternReport, PushedPatternsReply, PushRequest
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT, code_of_answers
 from swarmd.plugins import pattern_name
 from swarmd.texts.values import NOTHING
@@ -139,7 +145,7 @@ def list_pushed(options: CommonOptions, targets: Targets) -> None:
     with options.operator() as operator:
         view = known_members(options, operator, needs_status=bool(targets.labels))
         names = targets_of(view, targets)
-        found = behaviours_of(options, operator, view, names)
+        found = pushed_patterns_of(options, operator, view, names)
         missing = [name for name in names if name not in found]
         code = code_of_answers(names, found)
         marked = _differing(found)
@@ -149,7 +155,7 @@ def list_pushed(options: CommonOptions, targets: Targets) -> None:
             rows = [
                 (robot, *_row(one), "!" if (robot, one.name) in marked else "")
                 for robot, reply in found.items()
-                for one in reply.behaviours
+                for one in reply.patterns
             ]
             header = ("NAME", "PATTERN", "VERSION", "HASH", "STANDING", "FROM", "TEXT", "")
             print_table(header, rows)
@@ -158,14 +164,14 @@ def list_pushed(options: CommonOptions, targets: Targets) -> None:
         click.get_current_context().exit(code)
 
 
-def behaviours_of(
+def pushed_patterns_of(
     options: CommonOptions, operator: Operator, view: MembersView, names: Collection[str]
-) -> dict[str, BehavioursReply]:
+) -> dict[str, PushedPatternsReply]:
     """What robots in reach have, by robot; those that do not answer are left out."""
     return ask_robots(options, operator, in_reach(view, names), PLUGINS)
 
 
-def _row(one: BehaviourReport) -> tuple[str, ...]:
+def _row(one: PushedPatternReport) -> tuple[str, ...]:
     standing = one.standing
     if standing == "provisional" and one.ran:
         standing += f" ({one.ran:.0f} s)"
@@ -174,22 +180,22 @@ def _row(one: BehaviourReport) -> tuple[str, ...]:
     return tuple(cell or NOTHING for cell in cells)
 
 
-def _differing(found: Mapping[str, BehavioursReply]) -> set[tuple[str, str]]:
+def _differing(found: Mapping[str, PushedPatternsReply]) -> set[tuple[str, str]]:
     """Robots and names whose hash differs from that of most robots that have the name."""
     hashes: dict[str, Counter[str]] = {}
     for reply in found.values():
-        for one in reply.behaviours:
+        for one in reply.patterns:
             hashes.setdefault(one.name, Counter())[one.digest] += 1
     return {
         (robot, one.name)
         for robot, reply in found.items()
-        for one in reply.behaviours
+        for one in reply.patterns
         if one.digest != hashes[one.name].most_common(1)[0][0]
     }
 
 
 def _print_list_json(
-    found: Mapping[str, BehavioursReply],
+    found: Mapping[str, PushedPatternsReply],
     missing: Collection[str],
     marked: Collection[tuple[str, str]],
     code: int,
@@ -204,12 +210,12 @@ def _print_list_json(
                 **fields(one, "issuer", "generation", "source", "text"),
                 "differs": (robot, one.name) in marked,
             }
-            for one in reply.behaviours
+            for one in reply.patterns
         ]
         for robot, reply in found.items()
     }
     answer = {"robots": robots, "missing": list(missing), "exit_code": code}
-    print_json("Behaviours", answer)
+    print_json("PushedPatterns", answer)
 
 
 def read_source(file: Path) -> Source:
@@ -234,8 +240,8 @@ def read_source(file: Path) -> Source:
     return Source(name, "file", "", "", code)
 
 
-def greatest_of(replies: Iterable[BehavioursReply], identity: Identity | None) -> int:
-    """The greatest generation of a behaviour that robots know; 0 without any.
+def greatest_of(replies: Iterable[PushedPatternsReply], identity: Identity | None) -> int:
+    """The greatest generation of a pushed pattern that robots know; 0 without any.
 
     In a secured swarm an operator of the roster must have signed it: a robot that was taken over
     may tell any.
@@ -258,7 +264,7 @@ def greatest_of(replies: Iterable[BehavioursReply], identity: Identity | None) -
 
 
 class _Pusher:
-    """Pushes one behaviour, or its removal (`source` None), with one operator."""
+    """Pushes one pattern, or its removal (`source` None), with one operator."""
 
     def __init__(
         self,
@@ -280,16 +286,16 @@ class _Pusher:
         Failure if no robot answers; ConfigError after the last generation.
         """
         options, view = self._asked.options, self._asked.view
-        found = behaviours_of(options, self._operator, view, view.members)
+        found = pushed_patterns_of(options, self._operator, view, view.members)
         if not found:
             names = ", ".join(sorted(view.members)) or "any robot"
-            raise Failure(f"no answer about behaviours from {names}; nothing was sent", TIMEOUT)
+            raise Failure(f"no answer about patterns from {names}; nothing was sent", TIMEOUT)
         generation = 1 + greatest_of(found.values(), self._operator.identity)
         if generation > MAX_GENERATION:
             raise ConfigError(
-                f"a behaviour of the last generation, {MAX_GENERATION}, was pushed; nothing can"
+                f"a pattern of the last generation, {MAX_GENERATION}, was pushed; nothing can"
                 " follow it: revoke the operator who pushed it, or, without keys, remove"
-                " `behaviours` from the state folders of the robots and restart them"
+                " `patterns` from the state folders of the robots and restart them"
             )
         return generation
 
@@ -323,7 +329,7 @@ class _Pusher:
         identity = operator.identity
         issuer = operator.name[:63] if identity is None else identity.name
         swarm = operator.settings.swarm
-        manifest = Manifest(
+        manifest = PatternManifest(
             swarm=swarm,
             name=self._name,
             generation=generation,
@@ -382,7 +388,7 @@ def _await_canary(
     until = time.monotonic() + limit
     while True:
         view = operator.members(timeout=options.timeout)
-        found = behaviours_of(options, operator, view, first)
+        found = pushed_patterns_of(options, operator, view, first)
         is_waiting, unproven = False, []
         for name in first:
             one = _named(found.get(name), source.name)
@@ -419,6 +425,6 @@ def _untouched(why: str, rest: Collection[str]) -> Failure:
     return Failure(f"{why}; nothing was sent to {', '.join(rest)}", PARTIAL)
 
 
-def _named(reply: BehavioursReply | None, name: str) -> BehaviourReport | None:
-    rows = () if reply is None else reply.behaviours
+def _named(reply: PushedPatternsReply | None, name: str) -> PushedPatternReport | None:
+    rows = () if reply is None else reply.patterns
     return next((one for one in rows if one.name == name), None)

@@ -57,8 +57,8 @@ ANSWERED: Mapping[str, type[Struct]] = {"status": Status}
 """What a query of `state/<name>` gets, without a payload."""
 HANDED_OVER: Mapping[str, str] = {
     "roster": "the signed roster of the swarm",
-    "behaviours": "the table of pushed behaviours",
-    "behaviour": "the code of one behaviour",
+    "patterns": "the table of pushed patterns",
+    "pattern": "the code of one pushed pattern",
 }
 """What a query of `shared/<name>/<asker>` gets, piece by piece: `network/spread/pull.py`."""
 _QUERIED = {STATE: ANSWERED, CONTROL: VERBS, SHARED: HANDED_OVER}

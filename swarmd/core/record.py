@@ -1,4 +1,4 @@
-"""What goals and manifests of behaviours share: issuer, targets, their order, and their digest.
+"""What goals and manifests of patterns share: issuer, targets, their order, and their digest.
 
 The greater record holds everywhere, in any order of arrival, so that no coordinator is needed.
 Records are ordered by (generation, issuer), then by their signed bytes, and never by a signature.
@@ -29,7 +29,7 @@ class RecordKind(IntEnum):
 
     LATCH = 0
     GOAL = 1
-    BEHAVIOUR = 2
+    PATTERN = 2
 
 
 class Record(Struct, frozen=True, kw_only=True):

@@ -147,9 +147,9 @@ class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
 
 
 class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
-    """A piece of a behaviour for robots; with the last one they try it and take it.
+    """A piece of a pushed pattern for robots; with the last one they try it and take it.
 
-    `content` and `signature`: of the manifest (`core/behaviour.py`). `is_rerun`: as in
+    `content` and `signature`: of the manifest (`core/pattern_manifest.py`). `is_rerun`: as in
     `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as
     that of RunRequest.
     """
@@ -293,8 +293,8 @@ class FetchReply(Struct, frozen=True, kw_only=True):
     text: Line = ""
 
 
-class BehaviourReport(Struct, frozen=True, kw_only=True):
-    """A pushed behaviour on a robot.
+class PushedPatternReport(Struct, frozen=True, kw_only=True):
+    """A pushed pattern on a robot.
 
     `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version` and
     `digest` (hex) of the code that a run takes, empty without code; `pushed`: the digest of the
@@ -314,15 +314,15 @@ class BehaviourReport(Struct, frozen=True, kw_only=True):
     text: Line = ""
 
 
-class BehavioursReply(Struct, frozen=True, kw_only=True):
-    """The pushed behaviours of a robot; `generation`: the greatest that it knows.
+class PushedPatternsReply(Struct, frozen=True, kw_only=True):
+    """The pushed patterns of a robot; `generation`: the greatest that it knows.
 
     `newest`, `signature`: the manifest of that generation, which proves it.
     """
 
     robot: Name
     generation: Count = 0
-    behaviours: tuple[BehaviourReport, ...] = ()
+    patterns: tuple[PushedPatternReport, ...] = ()
     newest: Annotated[bytes, Meta(max_length=8192)] = b""
     signature: Annotated[bytes, Meta(max_length=64)] = b""
 
@@ -578,7 +578,7 @@ def _reason_line(request: ResetRequest | EstopRequest) -> str:
 
 
 def _push_line(request: PushRequest) -> str:
-    from swarmd.core.behaviour import Signed, read_entry  # not at each start of swarmctl
+    from swarmd.core.pattern_manifest import Signed, read_entry  # not at each start of swarmctl
 
     try:
         return read_entry(Signed(request.content)).manifest.label
@@ -669,7 +669,7 @@ _ROBOT, _TOOLS, _RECORDING = Handler.ROBOT, Handler.TOOLS, Handler.RECORDING
 MEMBERS = Verb("members", MembersQuery, PeerView, Handler.NETWORK)
 RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _RECORDING)
 FETCH = Verb("fetch", FetchQuery, FetchReply, _RECORDING)
-PLUGINS = Verb("plugins", Nothing, BehavioursReply, Handler.PUSHED)
+PLUGINS = Verb("plugins", Nothing, PushedPatternsReply, Handler.PUSHED)
 LOGS = Verb("logs", LogsQuery, LogBatch, _TOOLS)
 AUDIT = Verb("audit", AuditQuery, AuditReply, _TOOLS, is_for_operators=True)
 LINKS = Verb("links", LinksQuery, LinksReply, _TOOLS)

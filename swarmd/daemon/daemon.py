@@ -25,29 +25,29 @@ from typing import Any
 from msgspec.structs import replace
 
 from swarmd.core import events
-from swarmd.core.behaviour import Entry
 from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Reply, ShownMessage, Status
+from swarmd.core.pattern_manifest import Entry
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.code_transfer import CodeIntake, CodePull
-from swarmd.daemon.code_versions import CodeControl, CodeRuns, CodeVersions
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkRobot
+from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
+from swarmd.daemon.pattern_versions import PatternControl, PatternVersions, PushedRuns
 from swarmd.daemon.recorder import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
-from swarmd.daemon.store import CodeFiles, LatchFile
+from swarmd.daemon.store import LatchFile, PatternFiles
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
@@ -172,23 +172,25 @@ class Daemon:
     def _begin_code(self, folder: Path) -> None:
         """Pushed patterns, and the pattern host that runs them."""
         settings = self._settings
-        behaviours = CodeFiles(folder / "behaviours")
+        files = PatternFiles(folder / "patterns")
         with suppress(OSError):  # a sandbox permits only what exists when it begins
-            behaviours.folder.mkdir(parents=True, exist_ok=True)
+            files.folder.mkdir(parents=True, exist_ok=True)
         swarm = settings.network.swarm
-        self._behaviour_state = CodeVersions(behaviours, settings.id, swarm, self._operators)
-        self._behaviours = CodeIntake(self._behaviour_state, self._drops)
-        self._code_runs = CodeRuns(self._behaviour_state)
-        state, intake = self._behaviour_state, self._behaviours
-        self._code_pull = CodePull(state, intake, self._puller, self._on_pulled_code, self._drops)
-        self._pulled = {RecordKind.BEHAVIOUR: self._code_pull}
+        self._pattern_versions = PatternVersions(files, settings.id, swarm, self._operators)
+        self._pattern_intake = PatternIntake(self._pattern_versions, self._drops)
+        self._pushed_runs = PushedRuns(self._pattern_versions)
+        state, intake = self._pattern_versions, self._pattern_intake
+        self._pattern_pull = PatternPull(
+            state, intake, self._puller, self._on_pulled_code, self._drops
+        )
+        self._pulled = {RecordKind.PATTERN: self._pattern_pull}
         identity = settings.identity
         self._runner = ProcessRunner(
             self._loop,
             settings.plugin_dir,
             self._on_host_events,
-            self._code_runs.overlay,
-            code=[behaviours.folder],
+            self._pushed_runs.overlay,
+            code=[files.folder],
             secret=[settings.state_dir, *([] if identity is None else [identity.folder])],
         )
 
@@ -231,8 +233,8 @@ class Daemon:
             Services(
                 recording=self._recording,
                 rosters=self._rosters,
-                pushes=self._behaviours,
-                pushed=self._code_pull,
+                pushes=self._pattern_intake,
+                pushed=self._pattern_pull,
                 tools=self._tools,
             ),
             drops=self._drops,
@@ -283,7 +285,7 @@ class Daemon:
                 for end in ends:
                     await _end(end)
                 await self._goals.close()
-                await self._behaviour_state.close()
+                await self._pattern_versions.close()
         if self._crash is not None:  # while it was leaving
             raise self._crash
 
@@ -319,7 +321,7 @@ class Daemon:
             log.warning("insecure: anyone on this network can drive this robot")
         if self._settings.identity is not None:
             _warn_of_end(self._settings.identity)
-        control = CodeControl(
+        control = PatternControl(
             self._robot,
             self._runner,
             on_request=self._on_request,
@@ -327,7 +329,7 @@ class Daemon:
             reply=self._requests.reply,
             warn=self.on_event,
         )
-        await self._behaviour_state.open(control)
+        await self._pattern_versions.open(control)
         await self._network.join(self)
         self._has_joined = True
         self.on_members()
@@ -361,7 +363,7 @@ class Daemon:
             self._puller.close()
             for pulled in self._pulled.values():
                 pulled.close()
-            self._behaviours.close()
+            self._pattern_intake.close()
             self._recording.close()
             self._runner.close()
             self._network.close(is_leaving=self._crash is None)
@@ -384,7 +386,7 @@ class Daemon:
 
     def _tell_provisional(self) -> None:
         """Tell the robot which of the patterns that run or load are provisional code."""
-        is_provisional = self._code_runs.is_provisional
+        is_provisional = self._pushed_runs.is_provisional
         current = tuple(filter(is_provisional, self._robot.generations))
         if current != self._provisional:
             self._provisional = current
@@ -452,7 +454,7 @@ class Daemon:
             self.step(events.ForgetInput(foreign))
         self._network.take_identity(taken.identity)
         self._puller.take_identity(taken.identity)
-        self._behaviours.check_again()
+        self._pattern_intake.check_again()
 
     def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
         """A beacon, which is not proven, shows a roster of a greater generation: ask for it."""
@@ -486,7 +488,7 @@ class Daemon:
             cleared=robot.cleared,
         )
 
-    # Pushed behaviours
+    # Pushed patterns
 
     def _operators(self) -> Mapping[str, bytes] | None:
         """The public keys of the operators whose code is taken; None: code needs no signature.
@@ -530,7 +532,7 @@ class Daemon:
             self._check_storage()  # on the loop, where a slow disk would end a run
         if is_due(USAGE_PERIOD):
             robot = self._robot
-            self._code_runs.advance(
+            self._pushed_runs.advance(
                 boottime(), robot.running_generation, is_running=robot.is_running
             )
             self._health.measure(self._runner.pid, boottime())
@@ -585,9 +587,9 @@ class Daemon:
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
-            kept = self._behaviours.on_event(event)
+            kept = self._pattern_intake.on_event(event)
             if kept is not None:
-                self.step(events.HostInput(self._code_runs.granted(kept)))
+                self.step(events.HostInput(self._pushed_runs.granted(kept)))
 
     def _carry_out(self, actions: Actions, *, may_repeat: bool) -> None:
         self._output.command(actions, boottime(), may_repeat=may_repeat)
@@ -622,10 +624,10 @@ class Daemon:
             if self._display is not None:
                 self._shown_status = self._status()
         if actions.failed_code is not None:
-            self._code_runs.on_failed(actions.failed_code)
+            self._pushed_runs.on_failed(actions.failed_code)
         # A robot that stops, or is reset, must not join again after a restart.
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
-        for reply in map(self._behaviours.on_reply, actions.replies):
+        for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:
                 answer = self._loop.create_task(self._answer(reply, is_stored))
                 self._answers.add(answer)
@@ -660,7 +662,7 @@ class Daemon:
         return {"host/frames": self._runner.dropped} if self._runner.dropped else {}
 
     def _head(self) -> RecordingHead:
-        pushed = self._behaviour_state.versions
+        pushed = self._pattern_versions.versions
         return recording_head(self._settings, self._robot, self._instance, self._seed, pushed)
 
 

@@ -29,7 +29,7 @@ from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
 
 if TYPE_CHECKING:
-    from swarmd.daemon.code_transfer import CodeIntake, CodePull
+    from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
     from swarmd.daemon.recorder import RecordingService
     from swarmd.daemon.roster_service import RosterService
     from swarmd.daemon.tools import FieldTools
@@ -77,8 +77,8 @@ class Services:
 
     recording: RecordingService
     rosters: RosterService
-    pushes: CodeIntake
-    pushed: CodePull
+    pushes: PatternIntake
+    pushed: PatternPull
     tools: FieldTools
 
     def handler(self, row: verbs.Verb[Any, Any]) -> Callable[..., Any]:

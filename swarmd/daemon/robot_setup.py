@@ -55,7 +55,7 @@ def make_robot(
 def recording_head(
     settings: DaemonSettings, robot: Robot, instance: str, seed: int, pushed: Iterable[str]
 ) -> RecordingHead:
-    """What recordings tell of a robot. `pushed`: the names of the pushed behaviours."""
+    """What recordings tell of a robot. `pushed`: the names of the pushed patterns."""
     names = {*pattern_names(settings.plugin_dir), *pushed}
     layers = {name: settings.pattern_layers(name, robot.labels) for name in sorted(names)}
     return RecordingHead(

@@ -1,13 +1,13 @@
-"""What a robot keeps on its disk: latches, goals with labels, stop counters, pushed behaviours.
+"""What a robot keeps on its disk: latches, goals with labels, stop counters, pushed patterns.
 
 Each file is whole or absent, also after a power cut. In the folder of one robot::
 
     latches                                    emergency stops; written before their ack
     goal                                       goals and labels
     stops                                      counters of stops that were heard
-    behaviours/record                          the signed manifests of the swarm, and the versions
-    behaviours/code/<name>/<sha256>/<name>.py  a behaviour of one file
-    behaviours/code/<name>/<sha256>/code.whl   a wheel
+    patterns/record                            the signed manifests of the swarm, and the versions
+    patterns/code/<name>/<sha256>/<name>.py    a pushed pattern of one file
+    patterns/code/<name>/<sha256>/code.whl     a wheel
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from typing import Generic, TypeVar
 
 from msgspec import Struct
 
-from swarmd.core.behaviour import Manifest, Manifests, read_table
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.files import sync_folder, write_fault, write_whole
 from swarmd.core.messages import Latch
+from swarmd.core.pattern_manifest import Manifests, PatternManifest, read_table
 from swarmd.pattern_host.wheel import inspect_wheel
 from swarmd.plugins import IN_WHEEL
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.pushed_code import PushedCode
+from swarmd.robot.pushed_pattern import PushedPattern
 
 log = logging.getLogger(__name__)
 
@@ -230,14 +230,14 @@ class CodeRecord(Struct, frozen=True):
     """The manifests of the swarm, and how the versions on this robot stand, by name."""
 
     table: Manifests = ()
-    versions: dict[str, PushedCode] = {}
+    versions: dict[str, PushedPattern] = {}
 
 
-class CodeFiles(StateFile[CodeRecord]):
-    """The folder of the pushed behaviours of one robot; nothing is made before it is needed."""
+class PatternFiles(StateFile[CodeRecord]):
+    """The folder of the pushed patterns of one robot; nothing is made before it is needed."""
 
     def __init__(self, folder: Path) -> None:
-        lost = "behaviours are pulled again"
+        lost = "pushed patterns are pulled again"
         super().__init__(folder / "record", CodeRecord, lost, MAX_CODE_RECORD)
         self.folder = folder
 
@@ -246,7 +246,7 @@ class CodeFiles(StateFile[CodeRecord]):
         read_table(record.table)  # CodecError if a manifest cannot be read
         return record
 
-    def add(self, manifest: Manifest, code: bytes) -> None:
+    def add(self, manifest: PatternManifest, code: bytes) -> None:
         """Write code that a manifest names. PluginError if it is no such code, OSError."""
         if len(code) != manifest.size or hashlib.sha256(code).digest() != manifest.digest:
             raise PluginError(f"{manifest.label}: the code has not the SHA-256 of its manifest")
@@ -279,7 +279,7 @@ class CodeFiles(StateFile[CodeRecord]):
                 return content if hashlib.sha256(content).digest() == digest else None
         return None
 
-    def place(self, manifest: Manifest) -> tuple[str, bool]:
+    def place(self, manifest: PatternManifest) -> tuple[str, bool]:
         """Where a pattern host finds the code, as in `Load.origins`."""
         folder = self._folder_of(manifest.name, manifest.digest)
         if manifest.kind == "file":

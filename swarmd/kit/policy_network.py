@@ -20,7 +20,7 @@ from swarmd.kit.observation import Observation, PolicySpec, check_spec, decode_s
 
 Activation = Literal["tanh", "relu"]
 MAX_BYTES = 512 * 1024
-"""Of a file; as text it fits into one pushed behaviour."""
+"""Of a file; as text it fits into one pushed pattern."""
 _MAX_UNPACKED = 16 * MAX_BYTES  # a small file of zeros else fills the memory of a robot
 
 

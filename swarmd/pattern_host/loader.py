@@ -113,7 +113,7 @@ def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
 
 def _sealed_copy(name: str, content: bytes) -> str:
     """A path in `/proc` of a copy in memory, which no process can change."""
-    import fcntl  # Linux alone has it with seals, and pushed code runs under a daemon
+    import fcntl  # Linux alone has it with seals, and pushed patterns run under a daemon
 
     file = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     with open(file, "wb", closefd=False) as copy:

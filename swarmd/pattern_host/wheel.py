@@ -1,4 +1,4 @@
-"""Wheels of pushed behaviours: their entry point, and what they may hold.
+"""Wheels of pushed patterns: their entry point, and what they may hold.
 
 A wheel is a zip of pure Python with exactly one entry point of the group `swarmd.patterns` (PyPA:
 binary distribution format). Nothing of it is executed here.
@@ -25,7 +25,7 @@ MAX_FILES = 500
 MAX_UNPACKED = 8 * 1024 * 1024
 MAX_METADATA = 256 * 1024
 _NATIVE = (".so", ".pyd", ".dll", ".dylib")
-# What a pattern host has imported before a behaviour comes.
+# What a pattern host has imported before a pushed pattern comes.
 _TAKEN = sys.stdlib_module_names | {"swarmd", "numpy", "msgspec", "msgpack"}
 
 

@@ -62,7 +62,7 @@ class GoalHandler:
         return (request.goal, quoted, self._lifecycle.revision) == (goal, before, after)
 
     def on_new_code(self, pattern: str, effects: Effects) -> None:
-        """Pushed code has passed its trial: the robot may join a goal that waited for it."""
+        """A pushed pattern has passed its trial: the robot may join a goal that waited for it."""
         own, run = self._goals.own, self._lifecycle.pattern_run
         if own is not None and own.goal.pattern == pattern and run.loading is None:
             self._goals.offer_again(run.generation)

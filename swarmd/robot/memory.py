@@ -53,8 +53,8 @@ _PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.")
 _VALUES = frozenset(
     f"swarmd.core.{name}"
     for name in (
-        *("arrival_delay", "behaviour", "events", "goal", "hazard", "host_messages", "messages"),
-        *("message_limits", "record", "token_bucket", "values", "verbs"),
+        *("arrival_delay", "events", "goal", "hazard", "host_messages", "messages"),
+        *("message_limits", "pattern_manifest", "record", "token_bucket", "values", "verbs"),
     )
 )
 """Modules of the core with values and pure classes alone."""

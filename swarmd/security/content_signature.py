@@ -1,4 +1,4 @@
-"""Signatures of goals, manifests of behaviours and rosters: ECDSA with P-256 and SHA-256.
+"""Signatures of goals, manifests of pushed patterns and rosters: ECDSA with P-256 and SHA-256.
 
 FIPS 186-5. A signature has 64 bytes, `r || s`, big endian. The private key of an operator also
 proves its links by TLS, and that of an authority signs certificates: what is signed begins with the
@@ -24,7 +24,7 @@ class Purpose(Enum):
     """The kinds of signed content; the value precedes the content."""
 
     GOAL = b"swarmd goal\0"
-    MANIFEST = b"swarmd behaviour\0"
+    MANIFEST = b"swarmd pattern\0"
     ROSTER = b"swarmd roster\0"
 
 

@@ -37,7 +37,7 @@ class Role(StrEnum):
 
 
 class Roster(Struct, frozen=True, kw_only=True):
-    """The names of a swarm. `operators`: with the public keys that sign goals and behaviours.
+    """The names of a swarm. `operators`: with the public keys that sign goals and pushed patterns.
 
     `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive. `readers`:
     `reader_digest` of the keys of each operator and viewer, so that a robot which hands them over

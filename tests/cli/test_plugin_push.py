@@ -11,9 +11,9 @@ import pytest
 from swarmd.cli import plugin_push
 from swarmd.cli.options import Failure
 from swarmd.cli.plugin_push import _differing, greatest_of, read_source
-from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
 from swarmd.core.errors import SwarmError
-from swarmd.core.verbs import BehaviourReport, BehavioursReply
+from swarmd.core.pattern_manifest import MAX_CODE, PatternManifest, encode_manifest
+from swarmd.core.verbs import PushedPatternReport, PushedPatternsReply
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.private_keys import load_private_key
 from tests.support.keys import SwarmKeys
@@ -49,12 +49,12 @@ def test_a_file_is_the_pattern_of_its_name(tmp_path: Path) -> None:
 
 
 def test_robots_that_differ_from_most_are_marked() -> None:
-    def reply(robot: str, **hashes: str) -> BehavioursReply:
+    def reply(robot: str, **hashes: str) -> PushedPatternsReply:
         rows = tuple(
-            BehaviourReport(name=name, standing="held", digest=digest)
+            PushedPatternReport(name=name, standing="held", digest=digest)
             for name, digest in hashes.items()
         )
-        return BehavioursReply(robot=robot, behaviours=rows)
+        return PushedPatternsReply(robot=robot, patterns=rows)
 
     found = {
         "r1": reply("r1", own="a", other="x"),
@@ -64,16 +64,16 @@ def test_robots_that_differ_from_most_are_marked() -> None:
     assert _differing(found) == {("r3", "own")}
 
 
-def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> None:
+def test_generations_of_pushed_patterns_count_by_their_signatures(tmp_path: Path) -> None:
     keys = SwarmKeys(tmp_path, "lab", ["r1"], operators=["alice"])
 
-    def reply(generation: int, *, is_signed: bool) -> BehavioursReply:
-        manifest = Manifest(
+    def reply(generation: int, *, is_signed: bool) -> PushedPatternsReply:
+        manifest = PatternManifest(
             swarm="lab", name="own", generation=generation, issuer="alice", kind="removed"
         )
         content = encode_manifest(manifest)
         key = load_private_key(keys["alice"].key)
-        return BehavioursReply(
+        return PushedPatternsReply(
             robot="r1",
             generation=generation,
             newest=content,
@@ -83,7 +83,7 @@ def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> 
     replies = (
         reply(7, is_signed=True),
         reply(2**32 - 1, is_signed=False),
-        BehavioursReply(robot="r2", generation=2**40),
+        PushedPatternsReply(robot="r2", generation=2**40),
     )
     assert greatest_of(replies, keys["alice"]) == 7
     assert greatest_of((), keys["alice"]) == 0
@@ -94,8 +94,8 @@ def test_without_an_answer_no_generation_is_guessed(monkeypatch: pytest.MonkeyPa
     view: Any = SimpleNamespace(members={"r1": None, "r2": None})
     asked: Any = SimpleNamespace(options=None, operator=SimpleNamespace(identity=None), view=view)
     pusher = plugin_push._Pusher(asked, None)
-    answers = {"r2": BehavioursReply(robot="r2", generation=4)}
-    monkeypatch.setattr(plugin_push, "behaviours_of", lambda *_: answers)
+    answers = {"r2": PushedPatternsReply(robot="r2", generation=4)}
+    monkeypatch.setattr(plugin_push, "pushed_patterns_of", lambda *_: answers)
     assert pusher.next_generation() == 5
     answers.clear()
     with pytest.raises(Failure, match="from r1, r2; nothing was sent"):

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from swarmd.core.verbs import VERBS, AnyRequest, Handler, Request, Verb
-from swarmd.daemon.code_transfer import CodeIntake, CodePull
+from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
 from swarmd.daemon.recorder import RecordingService
 from swarmd.daemon.requests import RequestServer, Services
 from swarmd.daemon.roster_service import RosterService
@@ -19,8 +19,8 @@ from swarmd.robot.requests import RequestHandler
 from tests.support.fake_services import fake_services
 
 SERVICES = {
-    Handler.PUSHES: CodeIntake,
-    Handler.PUSHED: CodePull,
+    Handler.PUSHES: PatternIntake,
+    Handler.PUSHED: PatternPull,
     Handler.TOOLS: FieldTools,
     Handler.RECORDING: RecordingService,
     Handler.ROSTERS: RosterService,

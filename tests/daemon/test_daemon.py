@@ -323,7 +323,7 @@ async def test_a_disk_that_takes_no_write_stops_no_tick(
 
     async def change() -> None:
         daemon._goals.store(GoalRecord())
-        daemon._behaviour_state.save()
+        daemon._pattern_versions.save()
         while len(asked) < 2:
             await asyncio.sleep(0.01)
         count = len(driver.sent)

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from msgspec import Struct
 
-from swarmd.core.behaviour import Signed
 from swarmd.core.messages import Latch
+from swarmd.core.pattern_manifest import Signed
 from swarmd.daemon import store
-from swarmd.daemon.store import CodeFiles, CodeRecord, LatchFile, RecordWriter, StateFile
+from swarmd.daemon.store import CodeRecord, LatchFile, PatternFiles, RecordWriter, StateFile
 from swarmd.robot.latches import Latches, LatchRecord
 
 
@@ -226,6 +226,6 @@ async def test_a_write_that_raises_something_else_ends_the_daemon() -> None:
 
 
 def test_a_table_with_a_damaged_manifest_is_no_record(tmp_path: Path) -> None:
-    files = CodeFiles(tmp_path)
+    files = PatternFiles(tmp_path)
     files.write(CodeRecord((Signed(b"damaged"),)))
-    assert CodeFiles(tmp_path).read() == CodeRecord()
+    assert PatternFiles(tmp_path).read() == CodeRecord()

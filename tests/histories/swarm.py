@@ -809,7 +809,7 @@ class VirtualDaemon(Node):
         self.swarm.at(self.swarm.now + delay, lambda: self.take(say))
 
     def push(self, pattern: str, request_id: str, operator: str) -> None:
-        """Code of a pattern is stored; the robot tries it, as `CodeControl` asks."""
+        """Code of a pattern is stored; the robot tries it, as `PatternControl` asks."""
         if not self.is_settled:
             return
         self._store(replace(self.disk, patterns=self.disk.patterns | {pattern}))

@@ -28,7 +28,7 @@ def peer(runner: asyncio.Runner, settings: NetworkSettings) -> Iterator[Address]
 
     async def make() -> ZenohBus:
         bus = ZenohBus(session, swarm=settings.swarm, robot="r01", drops=DropCounter())
-        serve_shared(bus, "behaviour", lambda name, asker: BLOBS.get(name))
+        serve_shared(bus, "pattern", lambda name, asker: BLOBS.get(name))
         return bus
 
     bus = runner.run(make())
@@ -41,7 +41,7 @@ def peer(runner: asyncio.Runner, settings: NetworkSettings) -> Iterator[Address]
 @pytest.mark.parametrize("name", BLOBS)
 async def test_a_blob_is_pulled_whole(name: str, settings: NetworkSettings, peer: Address) -> None:
     digest = hashlib.sha256(BLOBS[name]).digest()
-    found = await pull(settings, "r01", peer, "behaviour", "r02", name=name, digest=digest)
+    found = await pull(settings, "r01", peer, "pattern", "r02", name=name, digest=digest)
     assert found == BLOBS[name]
 
 
@@ -49,11 +49,11 @@ async def test_a_blob_that_is_missing_too_long_or_another_is_refused(
     settings: NetworkSettings, peer: Address
 ) -> None:
     with pytest.raises(NetworkError, match="not here"):
-        await pull(settings, "r01", peer, "behaviour", "r02", name="other")
+        await pull(settings, "r01", peer, "pattern", "r02", name="other")
     with pytest.raises(NetworkError, match="at most 2 "):
-        await pull(settings, "r01", peer, "behaviour", "r02", name="small", limit=2)
+        await pull(settings, "r01", peer, "pattern", "r02", name="small", limit=2)
     with pytest.raises(NetworkError, match="SHA-256"):
-        await pull(settings, "r01", peer, "behaviour", "r02", name="small", digest=bytes(32))
+        await pull(settings, "r01", peer, "pattern", "r02", name="small", digest=bytes(32))
 
 
 async def test_a_pull_from_an_address_at_which_nothing_listens_ends(
@@ -67,8 +67,8 @@ async def test_a_pull_from_an_address_at_which_nothing_listens_ends(
         assert blob is None
         done.set_result(why)
 
-    assert puller.pull("r01", ("127.0.0.1", 9), "behaviour", on_done=on_done)
-    assert not puller.pull("r01", ("127.0.0.1", 9), "behaviour", on_done=on_done)  # one at a time
+    assert puller.pull("r01", ("127.0.0.1", 9), "pattern", on_done=on_done)
+    assert not puller.pull("r01", ("127.0.0.1", 9), "pattern", on_done=on_done)  # one at a time
     async with asyncio.timeout(20.0):
         assert "127.0.0.1:9" in await done
     puller.close()

@@ -1,4 +1,4 @@
-"""Wheels of pushed behaviours: what is unpacked, and what is refused."""
+"""Wheels of pushed patterns: what is unpacked, and what is refused."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ class FakeDaemon:
         """It keeps its roster."""
 
     def on_beacon(self, beacon: Beacon, address: Address) -> None:
-        """It takes no pushed behaviours."""
+        """It takes no pushed patterns."""
 
     def status(self) -> Status:
         return light_status(self.robot, self.instance)

@@ -13,8 +13,8 @@ import msgpack
 from hypothesis import strategies as st
 from msgspec import Struct, inspect
 
-from swarmd.core.behaviour import Manifest, Signed
 from swarmd.core.goal import Goal
+from swarmd.core.pattern_manifest import PatternManifest, Signed
 from swarmd.core.verbs import PushRequest, RosterRequest
 from swarmd.network.datagram import GoalReport
 from swarmd.security.roster import Roster, SignedRoster
@@ -74,12 +74,12 @@ WRONG: tuple[object, ...] = (
 )
 # Fields of bytes that hold a message of their own.
 CONTENTS: Mapping[tuple[type, str], type[Struct]] = {
-    (PushRequest, "content"): Manifest,
+    (PushRequest, "content"): PatternManifest,
     (RosterRequest, "roster"): SignedRoster,
     (SignedRoster, "content"): Roster,
     (SharedRoster, "roster"): SignedRoster,
     (GoalReport, "goal"): Goal,
-    (Signed, "content"): Manifest,
+    (Signed, "content"): PatternManifest,
 }
 
 

@@ -20,7 +20,6 @@ from hypothesis import strategies as st
 from msgspec import Struct, to_builtins
 
 from swarmd.core import messages, verbs
-from swarmd.core.behaviour import Signed
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import CodecError
@@ -28,6 +27,7 @@ from swarmd.core.events import NeighborsInput, ReadingsInput
 from swarmd.core.goal import Goal
 from swarmd.core.keys import CONTROL, SHARED, build
 from swarmd.core.messages import Epoch, Presence, State
+from swarmd.core.pattern_manifest import Signed
 from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.core.verbs import VERBS, AnyRequest, FetchQuery, MembersQuery
@@ -156,7 +156,7 @@ def request(verb: str) -> AnyRequest:
         "record": {"action": "start"},
         "goal": {"goal": Goal(generation=1, issuer="eve", id="f00d", pattern="drive")},
         "label": {"labels": ("red",)},
-        "push": {"content": b"behaviour"},
+        "push": {"content": b"pattern"},
         "roster": {"roster": b"roster"},
     }
     request: AnyRequest = VERBS[verb].asked(
@@ -501,7 +501,7 @@ def test_nothing_that_is_pulled_raises(handlers: Handlers) -> None:
     daemon = handlers.daemon
 
     async def take_table(blob: bytes) -> None:
-        await daemon._pulled[RecordKind.BEHAVIOUR]._check("r2", ("127.0.0.1", 9), blob)
+        await daemon._pulled[RecordKind.PATTERN]._check("r2", ("127.0.0.1", 9), blob)
 
     @settings(max_examples=examples(200))
     @given(hostile_message(SharedRoster).map(packed), st.lists(hostile_message(Signed)).map(packed))
@@ -519,7 +519,7 @@ def test_a_daemon_answers_after_hostile_messages(swarm: Swarm, vandal: Vandal) -
     daemon = swarm.start("r1", body)
     vandal.connect()
     names = {"members", "fetch", "recordings", "audit", "logs", "links", "doctor", "plugins"}
-    shared = {"roster", "behaviours", "behaviour"}
+    shared = {"roster", "patterns", "pattern"}
     keys = [build(swarm.name, "r1", CONTROL, name, "eve") for name in sorted(names)]
     keys += [build(swarm.name, "r1", SHARED, name, "eve") for name in sorted(shared)]
     for file in ("a\0.mcap", "../a.mcap", "\0"):

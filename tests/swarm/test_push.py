@@ -1,4 +1,4 @@
-"""Behaviours that an operator pushes to robots: tried, provisional, returned from, pulled."""
+"""Patterns that an operator pushes to robots: tried, provisional, returned from, pulled."""
 
 from __future__ import annotations
 
@@ -53,12 +53,12 @@ class Pushing:
         return self.swarm.ctl("plugin", "push", str(file), *words)
 
     def listed(self, robot: str) -> dict[str, Any]:
-        """What `plugin list` shows of each behaviour of a robot, by name."""
+        """What `plugin list` shows of each pushed pattern of a robot, by name."""
         found = self.swarm.ctl("plugin", "list", robot, "-o", "json").json["robots"]
         return {one["name"]: one for one in found.get(robot, ())}
 
     def run(self, name: str, robot: str, version: int) -> None:
-        """Run the behaviour, and wait until it reports this version."""
+        """Run the pattern, and wait until it reports this version."""
         done = self.swarm.ctl("run", name, robot)
         assert done.code == 0, done
         self.swarm.await_status(
@@ -176,9 +176,9 @@ def test_a_file_and_a_wheel_are_run_and_not_once_they_were_changed_on_the_disk(
         pushing.run(name, "r1", number)
     assert kind == "file" or pushing.listed("r1")[name]["version"] == "3.1"
     assert swarm.ctl("stop", "r1").code == 0
-    behaviours = swarm.folder / "state" / swarm.name / "r1" / "behaviours"
+    patterns = swarm.folder / "state" / swarm.name / "r1" / "patterns"
     said = len(pushing.daemon.text())
-    kept = [path for path in behaviours.rglob("*") if path.is_file()]
+    kept = [path for path in patterns.rglob("*") if path.is_file()]
     changed = [path for path in kept if path.read_bytes() in (codes[1].encode(), contents[1])]
     for path in changed:
         path.write_bytes(codes[0].encode() if path.suffix == ".py" else contents[0])

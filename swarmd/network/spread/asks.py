@@ -1,6 +1,6 @@
 """When a robot may ask another one for what its beacon shows, so that no beacon costs much. Pure.
 
-Latches, goals, behaviours and rosters are asked for by this one rule, each with its own times.
+Latches, goals, pushed patterns and rosters are asked for by this one rule, each with its own times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A robot or operator pulls a named blob from a peer: a roster, a table or a behaviour.
+"""A robot or operator pulls a named blob from a peer: a roster, a table or a pushed pattern.
 
 Robots have no links to each other. A pull opens a short session to the address of one peer, asks
 for pieces on `swarm/<swarm>/<peer>/shared/<what>/<asker>`, compares the SHA-256 of the whole, and

@@ -15,7 +15,7 @@ from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.lidar import RangeSensors, Visibility
+from swarmd.sim.world.lidar import LidarModel, RangeSensors, Visibility
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Actuation, LidarNoise, Realism
 from swarmd.sim.world.world import World
@@ -37,7 +37,7 @@ def bits_of_world(
     platforms = [load_platform(kind) for kind in kinds]
     starts = parse_layout("random:0.02", [p.footprint for p in platforms], ROOM, seed=1)
     robots = {f"r{row}": platform for row, platform in enumerate(platforms)}
-    world = World(robots, ROOM, starts, realism=realism, visibility=visibility)
+    world = World(robots, ROOM, starts, realism=realism, lidars=LidarModel(visibility))
     kept: list[bytes] = []
     for turn, command in enumerate(commands):
         world.set_commands(command)

@@ -15,7 +15,7 @@ from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.lidar import Lidar, Rays, Visibility, shapes_of
+from swarmd.sim.world.lidar import Lidar, LidarModel, Rays, Visibility, shapes_of
 from swarmd.sim.world.world import World
 from tests.support.platforms import with_plain_scan
 
@@ -39,7 +39,7 @@ def world_of(kinds: Sequence[str], arena: str, seed: int, visibility: Visibility
     space = parse_arena(arena)
     starts = parse_layout("random:0.01", [p.footprint for p in platforms], space, seed=seed)
     robots = {f"r{i}": platform for i, platform in enumerate(platforms)}
-    return World(robots, space, starts, visibility=visibility)
+    return World(robots, space, starts, lidars=LidarModel(visibility))
 
 
 def oracle(world: World, robot: int, visibility: Visibility) -> Array:
@@ -136,7 +136,7 @@ def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> No
     widths = {}
     sights: tuple[Visibility, ...] = ("body", "real")
     for visibility in sights:
-        world = World(robots, arena, starts, visibility=visibility)
+        world = World(robots, arena, starts, lidars=LidarModel(visibility))
         widths[visibility] = np.isfinite(world.scans(np.array([0]))[0].ranges).sum()
     assert widths["real"] == 2 * math.floor(math.degrees(math.asin(0.055 / 1.0))) + 1
     assert widths["body"] == 21

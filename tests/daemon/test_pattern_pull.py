@@ -1,4 +1,4 @@
-"""What a robot pulls when beacons show other behaviours; over the network: tests/swarm."""
+"""What a robot pulls when beacons show other pushed patterns; over the network: tests/swarm."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.behaviour import (
+from swarmd.core.clock import boottime
+from swarmd.core.pattern_manifest import (
     Entry,
-    Manifest,
+    PatternManifest,
     Signed,
     digest_of,
     encode_manifest,
@@ -20,18 +21,17 @@ from swarmd.core.behaviour import (
     merged,
     read_entry,
 )
-from swarmd.core.clock import boottime
-from swarmd.daemon.code_transfer import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, CodePull
+from swarmd.daemon.pattern_transfer import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, PatternPull
 from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.robot.pushed_code import PushedCode, Version
-from tests.daemon.test_code_transfer import Rig
+from swarmd.robot.pushed_pattern import PushedPattern, Version
+from tests.daemon.test_pattern_transfer import Rig
 
 ADDRESS = ("10.0.0.7", 7440)
 
 
 def entry(name: str, generation: int = 1, code: bytes = b"x = 1\n") -> Entry:
     digest = hashlib.sha256(code).digest()
-    manifest = Manifest(
+    manifest = PatternManifest(
         swarm="lab",
         name=name,
         generation=generation,
@@ -73,9 +73,9 @@ def rig(runner: asyncio.Runner, tmp_path: Path) -> Rig:
     return made
 
 
-def sync_of(rig: Rig) -> tuple[CodePull, Pulls]:
+def sync_of(rig: Rig) -> tuple[PatternPull, Pulls]:
     pulls = Pulls()
-    return CodePull(
+    return PatternPull(
         rig.state,
         rig.store,
         pulls,  # type: ignore[arg-type]
@@ -84,7 +84,7 @@ def sync_of(rig: Rig) -> tuple[CodePull, Pulls]:
     ), pulls
 
 
-async def settled(sync: CodePull) -> None:
+async def settled(sync: PatternPull) -> None:
     async with asyncio.timeout(20.0):
         while sync._checking is not None:
             await asyncio.sleep(0.005)
@@ -94,21 +94,21 @@ async def test_the_table_is_pulled_and_then_the_code(rig: Rig) -> None:
     sync, pulls = sync_of(rig)
     table = merged((), [entry("own", 3)])
     sync.on_beacon("r2", digest_of(table), ADDRESS, 100.0)
-    assert pulls.asked == [("r2", "behaviours", "")]
+    assert pulls.asked == [("r2", "patterns", "")]
     pulls.done(encode_table(table), "")
     await settled(sync)
     assert rig.state.table == table
-    assert pulls.asked[1:] == [("r2", "behaviour", entry("own").manifest.digest.hex())]
+    assert pulls.asked[1:] == [("r2", "pattern", entry("own").manifest.digest.hex())]
     sync.on_beacon("r2", digest_of(table), ADDRESS, 100.5)
     assert len(pulls.asked) == 2  # the same is asked once in a while
     sync.on_beacon("r3", digest_of(table), ADDRESS, 101.0)
-    assert pulls.asked[2:] == [("r3", "behaviour", entry("own").manifest.digest.hex())]
+    assert pulls.asked[2:] == [("r3", "pattern", entry("own").manifest.digest.hex())]
 
 
 async def test_nothing_is_asked_while_all_agree_or_the_other_is_behind(rig: Rig) -> None:
     sync, pulls = sync_of(rig)
     rig.store.merge([entry("own", 3)])
-    rig.state.versions["own"] = PushedCode().accept(Version.of(entry("own", 3), "alice"))
+    rig.state.versions["own"] = PushedPattern().accept(Version.of(entry("own", 3), "alice"))
     sync.on_beacon("r2", rig.state.digest, ADDRESS, 100.0)
     sync.on_beacon("r2", digest_of(merged((), [entry("own", 2)])), ADDRESS, 101.0)
     sync.on_beacon("r2", b"", ADDRESS, 102.0)

@@ -1,4 +1,4 @@
-"""Pushed code on its way to a robot: handed over, checked, written, tried, and then current.
+"""A pushed pattern on its way to a robot: handed over, checked, written, tried, and then current.
 
 Code becomes current in this order: its signature and SHA-256 are checked and its files written in
 a thread; the robot tries it in a host of its own, as for a reload; after the success of the trial
@@ -21,38 +21,45 @@ from functools import partial
 
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import Entry, Signed, decode_table, encode_table, merged, read_entry
 from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.pattern_manifest import (
+    Entry,
+    Signed,
+    decode_table,
+    encode_table,
+    merged,
+    read_entry,
+)
 from swarmd.core.record import may_replace
-from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest
-from swarmd.daemon.code_versions import Candidate, CodeVersions
+from swarmd.core.verbs import Nothing, PushedPatternsReply, PushRequest, ReloadRequest
+from swarmd.daemon.pattern_versions import Candidate, PatternVersions
 from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
 from swarmd.network.datagram import Address
 from swarmd.network.spread.asks import Asks
 from swarmd.network.spread.pull import Blob, Puller, serve_shared
-from swarmd.robot.pushed_code import Version
+from swarmd.robot.pushed_pattern import Version
 
 log = logging.getLogger(__name__)
 
 MAX_QUEUE = 4
-MAX_UPLOADS = 2  # behaviours of which pieces are kept
+MAX_UPLOADS = 2  # pushed patterns of which pieces are kept
 # Refusals that say nothing about the code: the same push may succeed later.
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
 
 
-class CodeIntake:
-    """Takes behaviours into `state`, one at a time.
+class PatternIntake:
+    """Takes pushed patterns into `state`, one at a time.
 
-    `drops` counts behaviours that raised an error.
+    `drops` counts pushed patterns that raised an error.
     """
 
-    def __init__(self, state: CodeVersions, drops: DropCounter) -> None:
+    def __init__(self, state: PatternVersions, drops: DropCounter) -> None:
         self._state = state
         self._drops = drops
         self._uploads: dict[bytes, bytearray] = {}
@@ -82,7 +89,7 @@ class CodeIntake:
     # Pushes
 
     def on_push(self, request: PushRequest, answer: SendReply) -> None:
-        """Take a piece of a behaviour; the reply to the last piece follows when it is written."""
+        """Take a piece of a pattern; the reply to the last piece follows when it is written."""
         if (reply := self._take_piece(request)) is not None:
             answer(reply, is_audited=reply.code is not Code.APPLIED)
 
@@ -98,14 +105,14 @@ class CodeIntake:
         keep_newest(self._uploads, manifest.digest, code, MAX_UPLOADS)
         if request.offset > len(code) or len(code) > manifest.size:
             self._uploads.pop(manifest.digest, None)
-            text = "a piece of the behaviour is missing; push it again"
+            text = "a piece of the pushed pattern is missing; push it again"
             return self._refused(request.id, Refusal.INVALID_REQUEST, text)
         code[request.offset :] = request.data
         if len(code) < manifest.size:
             text = f"has {len(code)} of {manifest.size} bytes"
             return Reply(id=request.id, robot=self._state.robot, code=Code.APPLIED, text=text)
         if len(self._queue) >= MAX_QUEUE:
-            text = "other behaviours are being tried"
+            text = "other pushed patterns are being tried"
             return self._refused(request.id, Refusal.BUSY, text)
         del self._uploads[manifest.digest]
         self.take(entry, bytes(code), f"push of {request.operator}", request)
@@ -148,7 +155,7 @@ class CodeIntake:
 
     @property
     def is_busy(self) -> bool:
-        """True while a behaviour is checked, written or tried."""
+        """True while a pushed pattern is checked, written or tried."""
         state = self._state
         return self._is_taking or state.candidate is not None or state.is_adopting
 
@@ -307,7 +314,7 @@ class CodeIntake:
         state.save()
 
 
-TABLE, CODE = "behaviours", "behaviour"
+TABLE, CODE = "patterns", "pattern"
 # s until the same is asked of the same robot again: it may not have it, or its manifests may be
 # signed by an operator that the own roster does not have.
 TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
@@ -316,7 +323,7 @@ FALSE_PERIOD = 300.0
 of a core to refuse, and robots keep only entries that they verified."""
 
 
-class CodePull:
+class PatternPull:
     """Pulls what `state` lacks with `puller` and hands it to `store`; serves what it has.
 
     `on_taken(robot, entry)`: code came from a robot, and is tried. `drops` counts the tables that
@@ -325,8 +332,8 @@ class CodePull:
 
     def __init__(
         self,
-        state: CodeVersions,
-        store: CodeIntake,
+        state: PatternVersions,
+        store: PatternIntake,
         puller: Puller,
         on_taken: Callable[[str, Entry], None],
         drops: DropCounter,
@@ -351,8 +358,8 @@ class CodePull:
         """Of the table, for beacons."""
         return self._state.digest
 
-    def on_plugins(self, _: Nothing) -> BehavioursReply:
-        """The pushed behaviours of this robot."""
+    def on_plugins(self, _: Nothing) -> PushedPatternsReply:
+        """The pushed patterns of this robot."""
         return self._state.report()
 
     def close(self) -> None:
@@ -372,7 +379,7 @@ class CodePull:
     def _pull_table(self, robot: str, digest: bytes, address: Address, now: float) -> bool:
         def on_done(blob: Blob, why: str) -> None:
             if blob is None:
-                log.info("the behaviours of %s are not known: %s", robot, why)
+                log.info("the pushed patterns of %s are not known: %s", robot, why)
                 self._asks.wait((robot, digest), now + CODE_PERIOD)
             else:
                 self._checking = asyncio.get_running_loop().create_task(
@@ -387,7 +394,7 @@ class CodePull:
         return is_begun
 
     def _pull_code(self, robot: str, address: Address, now: float) -> None:
-        """Pull the first missing behaviour that this robot may have."""
+        """Pull the first missing pushed pattern that this robot may have."""
         present = self._state.changes, tuple(self._state.control.labels())
         if self._complete_at == present:
             return
@@ -435,7 +442,7 @@ class CodePull:
                 self._asks.wait(robot, boottime() + FALSE_PERIOD)
             if len(good) < count:
                 log.warning(
-                    "%s has behaviours that no operator of the roster signed; they are left out",
+                    "%s has patterns that no operator of the roster signed; they are left out",
                     robot,
                 )
             if good:

@@ -1,4 +1,4 @@
-"""The versions of one pushed behaviour on one robot, and what makes a version current. Pure.
+"""The versions of one pushed pattern on one robot, and what makes a version current. Pure.
 
 ::
 
@@ -20,8 +20,8 @@ from typing import Annotated
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import Entry, Signed
 from swarmd.core.bounds import Line, Seconds
+from swarmd.core.pattern_manifest import Entry, Signed
 
 HOLD_TIME = 60.0
 """Seconds of runs without a fault after which a version is held."""
@@ -30,7 +30,7 @@ MAX_ENDS = 3
 
 
 class Standing(StrEnum):
-    """How a pushed behaviour stands on a robot."""
+    """How a pushed pattern stands on a robot."""
 
     PROVISIONAL = "provisional"
     HELD = "held"
@@ -58,8 +58,8 @@ class Version(Struct, frozen=True, kw_only=True):
         return cls(signed=entry.signed, digest=manifest.digest, label=manifest.label, source=source)
 
 
-class PushedCode(Struct, frozen=True, kw_only=True):
-    """The versions of one behaviour.
+class PushedPattern(Struct, frozen=True, kw_only=True):
+    """The versions of one pushed pattern.
 
     `before`: to which the robot returns while `current` is provisional. `failed`: the version that
     it returned from, or that did not pass its trial here, for the reason `fault`. `is_running`: a
@@ -91,7 +91,7 @@ class PushedCode(Struct, frozen=True, kw_only=True):
         known = (self.current, self.failed)
         return not any(one is not None and one.signed.content == entry.content for one in known)
 
-    def accept(self, version: Version) -> PushedCode:
+    def accept(self, version: Version) -> PushedPattern:
         """The state after a trial that `version` passed.
 
         A newer manifest of the present code changes nothing but the manifest.
@@ -103,13 +103,13 @@ class PushedCode(Struct, frozen=True, kw_only=True):
         # What was held is kept over several provisional versions: the robot returns to known code.
         is_known = now is not None and (now.is_held or self.before is None)
         before = now if is_known else self.before
-        return PushedCode(current=version, before=before)
+        return PushedPattern(current=version, before=before)
 
-    def refuse(self, version: Version, fault: str) -> PushedCode:
+    def refuse(self, version: Version, fault: str) -> PushedPattern:
         """The state after a trial that `version` did not pass: the same code is not tried again."""
         return replace(self, failed=version, fault=fault[:300])
 
-    def ran(self, seconds: float) -> PushedCode:
+    def ran(self, seconds: float) -> PushedPattern:
         """The state after the current version ran for `seconds` more."""
         if self.current is None or self.current.is_held:
             return self
@@ -118,21 +118,21 @@ class PushedCode(Struct, frozen=True, kw_only=True):
         current = replace(self.current, ran=min(total, HOLD_TIME), is_held=is_held)
         return replace(self, current=current, before=None if is_held else self.before)
 
-    def begin(self) -> PushedCode:
+    def begin(self) -> PushedPattern:
         """A run of the current version begins."""
         return replace(self, is_running=True)
 
-    def end(self) -> PushedCode:
+    def end(self) -> PushedPattern:
         """The run has ended."""
         return replace(self, is_running=False)
 
-    def failed_with(self, fault: str) -> PushedCode:
+    def failed_with(self, fault: str) -> PushedPattern:
         """The state after a fault of the current version: a provisional one gives way."""
         if not self.is_provisional:
             return self
-        return PushedCode(current=self.before, failed=self.current, fault=fault[:300])
+        return PushedPattern(current=self.before, failed=self.current, fault=fault[:300])
 
-    def restarted(self) -> PushedCode:
+    def restarted(self) -> PushedPattern:
         """The state at a start of the daemon: an end within a run counts against the version."""
         if not self.is_running or self.current is None:
             return self

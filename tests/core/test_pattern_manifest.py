@@ -1,4 +1,4 @@
-"""Manifests of behaviours, their order, and the table that robots merge."""
+"""Manifests of pushed patterns, their order, and the table that robots merge."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.core import behaviour
-from swarmd.core.behaviour import (
+from swarmd.core import pattern_manifest
+from swarmd.core.errors import CodecError
+from swarmd.core.pattern_manifest import (
     Entry,
-    Manifest,
+    PatternManifest,
     Signed,
     decode_table,
     digest_of,
@@ -22,12 +23,11 @@ from swarmd.core.behaviour import (
     read_entry,
     wanted_by,
 )
-from swarmd.core.errors import CodecError
 
 
 def entry(name: str = "flock", generation: int = 1, **fields: Any) -> Entry:
     wanted = {"swarm": "lab", "issuer": "alice", "kind": "file", "digest": bytes(32), **fields}
-    manifest = Manifest(name=name, generation=generation, **wanted)
+    manifest = PatternManifest(name=name, generation=generation, **wanted)
     return read_entry(Signed(encode_manifest(manifest)))
 
 
@@ -88,7 +88,7 @@ def test_targets_are_names_globs_and_labels() -> None:
 
 
 def test_a_full_table_forgets_old_removals_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(behaviour, "MAX_TABLE", 2)
+    monkeypatch.setattr(pattern_manifest, "MAX_TABLE", 2)
     kept, removal = entry("a", 1), entry("b", 2, kind="removed")
     assert merged([kept, removal], [entry("c", 3)]) == (entry("c", 3), kept)
     assert merged([entry("a", 1), entry("b", 2)], [entry("c", 3)]) == (entry("c", 3), entry("b", 2))

@@ -1,7 +1,7 @@
-"""The versions of pushed code on a robot: known, trusted, on the disk, loaded and returned from.
+"""The versions of pushed patterns on a robot: known, trusted, on the disk, loaded, returned from.
 
-`CodeVersions` has the table and the versions, which `robot/pushed_code.py` advances, and writes
-them to the disk. `CodeRuns` decides which version a load takes, and counts its runs.
+`PatternVersions` has the table and the versions, which `robot/pushed_pattern.py` advances, and
+writes them to the disk. `PushedRuns` decides which version a load takes, and counts its runs.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from msgspec import Struct
 from msgspec.structs import replace
 
-from swarmd.core import behaviour
+from swarmd.core import pattern_manifest
 from swarmd.core.bounds import keep_newest
 from swarmd.core.errors import ChangedCodeError, CodecError, PluginError
 from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
 from swarmd.core.host_messages import HostEvent, Load, Loaded, TrialDone
 from swarmd.core.messages import Epoch, Reply
-from swarmd.core.verbs import BehaviourReport, BehavioursReply, ReloadRequest, Request
-from swarmd.daemon.store import CodeFiles, CodeRecord, RecordWriter
+from swarmd.core.verbs import PushedPatternReport, PushedPatternsReply, ReloadRequest, Request
+from swarmd.daemon.store import CodeRecord, PatternFiles, RecordWriter
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
-from swarmd.robot.pushed_code import PushedCode, Version
+from swarmd.robot.pushed_pattern import PushedPattern, Version
 from swarmd.robot.robot import Robot
 from swarmd.security.content_signature import Purpose, is_signed_by
 
@@ -35,8 +35,8 @@ Operators = Mapping[str, bytes]
 """The public keys of operators by name."""
 
 
-class CodeControl:
-    """What pushed code asks of robot and daemon; all on the daemon's loop.
+class PatternControl:
+    """What pushed patterns ask of robot and daemon; all on the daemon's loop.
 
     `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
     and `warn` a line for the events and a warning for the log.
@@ -58,11 +58,11 @@ class CodeControl:
         self._reply, self._warn = reply, warn
 
     def try_code(self, request: ReloadRequest) -> None:
-        """Hand a reload to the robot; its reply comes to `CodeIntake.on_reply`."""
+        """Hand a reload to the robot; its reply comes to `PatternIntake.on_reply`."""
         self._on_request(request)
 
     def end_trial(self, event: TrialDone) -> None:
-        """Hand the end of a trial to the robot, which `CodeIntake.on_event` held back."""
+        """Hand the end of a trial to the robot, which `PatternIntake.on_event` held back."""
         self._step(HostInput(event))
 
     def code_changed(self) -> None:
@@ -108,14 +108,14 @@ class Candidate(Struct, frozen=True):
     """
 
     id: str
-    entry: behaviour.Entry
+    entry: pattern_manifest.Entry
     version: Version
     is_passed: bool = False
     is_accepted: bool = False
 
 
-class CodeVersions:
-    """The pushed behaviours of `robot`. `operators` None: code needs no signature.
+class PatternVersions:
+    """The pushed patterns of `robot`. `operators` None: code needs no signature.
 
     Else code without a signature of these operators is neither stored nor loaded. Patterns of
     packages and of `plugin_dir` are the owner's and need no signature. `candidate`: code in its
@@ -123,28 +123,28 @@ class CodeVersions:
     """
 
     def __init__(
-        self, files: CodeFiles, robot: str, swarm: str, operators: Callable[[], Operators | None]
+        self, files: PatternFiles, robot: str, swarm: str, operators: Callable[[], Operators | None]
     ) -> None:
         self.files = files
         self._writer = RecordWriter(files, lambda text: self.control.fault(text))
         self.robot, self.swarm = robot, swarm
         self.operators = operators
-        self.control: CodeControl  # from `open` on
-        self.table: behaviour.Table = ()
-        self.versions: dict[str, PushedCode] = {}
+        self.control: PatternControl  # from `open` on
+        self.table: pattern_manifest.Table = ()
+        self.versions: dict[str, PushedPattern] = {}
         self.digest = b""
         self.changes = 0  # of the table or the versions
         self.candidate: Candidate | None = None
         self.pinned: dict[str, Version] = {}
-        self._adopting: tuple[behaviour.Entry, Version] | None = None
+        self._adopting: tuple[pattern_manifest.Entry, Version] | None = None
 
     # On the disk
 
-    async def open(self, control: CodeControl) -> None:
+    async def open(self, control: PatternControl) -> None:
         """Read what is on the disk, and check it; call it once, before the robot may run."""
         self.control = control
         record = await asyncio.to_thread(self.files.read)
-        table, versions = behaviour.read_table(record.table), record.versions
+        table, versions = pattern_manifest.read_table(record.table), record.versions
         if not table and not versions:
             return
         foreign, checked = await asyncio.to_thread(self._check, table, versions)
@@ -170,17 +170,17 @@ class CodeVersions:
         return CodeRecord(tuple(entry.signed for entry in table), versions)
 
     def _adopted(
-        self, entry: behaviour.Entry, version: Version
-    ) -> tuple[behaviour.Table, dict[str, PushedCode]]:
+        self, entry: pattern_manifest.Entry, version: Version
+    ) -> tuple[pattern_manifest.Table, dict[str, PushedPattern]]:
         """The state after a removal, or after a trial that `version` passed."""
         versions, name = dict(self.versions), entry.manifest.name
         if entry.is_removal:
             versions.pop(name, None)
         else:
-            versions[name] = versions.get(name, PushedCode()).accept(version)
-        return behaviour.merged(self.table, [entry]), versions
+            versions[name] = versions.get(name, PushedPattern()).accept(version)
+        return pattern_manifest.merged(self.table, [entry]), versions
 
-    def apply(self, entry: behaviour.Entry, version: Version) -> None:
+    def apply(self, entry: pattern_manifest.Entry, version: Version) -> None:
         """Carry out a removal or make a version current; `save` writes it."""
         table, self.versions = self._adopted(entry, version)
         self.set_table(table)
@@ -191,7 +191,7 @@ class CodeVersions:
         return self._adopting is not None
 
     async def adopt(
-        self, entry: behaviour.Entry, version: Version, is_wanted: Callable[[], bool]
+        self, entry: pattern_manifest.Entry, version: Version, is_wanted: Callable[[], bool]
     ) -> str:
         """The same once it is on the disk; why nothing has changed, empty if it is done.
 
@@ -205,7 +205,7 @@ class CodeVersions:
             self._adopting = None
         if fault:
             fault = "it cannot be written to the disk; see the log"
-        elif not is_wanted() or entry not in behaviour.merged(self.table, [entry]):
+        elif not is_wanted() or entry not in pattern_manifest.merged(self.table, [entry]):
             fault = "another request came while it was written"
         if fault:
             self.save()  # the disk may have it
@@ -245,13 +245,13 @@ class CodeVersions:
         self.save()
 
     def _check(
-        self, table: behaviour.Table, versions: Mapping[str, PushedCode]
-    ) -> tuple[set[behaviour.Entry], dict[str, PushedCode]]:
+        self, table: pattern_manifest.Table, versions: Mapping[str, PushedPattern]
+    ) -> tuple[set[pattern_manifest.Entry], dict[str, PushedPattern]]:
         """In a thread: the entries that are not trusted, and the versions that may be loaded."""
         foreign = {entry for entry in table if not self.is_trusted(entry)}
         return foreign, {name: self._checked(code) for name, code in versions.items()}
 
-    def _checked(self, code: PushedCode) -> PushedCode:
+    def _checked(self, code: PushedPattern) -> PushedPattern:
         """Without versions whose files are damaged or that no operator of the roster signed.
 
         Damaged code is missing: it is pulled from another robot.
@@ -261,32 +261,32 @@ class CodeVersions:
             before = None
         if current is not None and not self._is_signed(current):
             fault = "no operator of the roster has signed it"
-            return PushedCode(current=before, failed=current, fault=fault)
+            return PushedPattern(current=before, failed=current, fault=fault)
         if current is not None and not self._is_whole(current):
             # No return to `before`: who runs the name wants the code that was pushed last.
             fault = f"{CHANGED}: {current.label}"
-            return PushedCode(before=before, fault=fault, is_damaged=True)
+            return PushedPattern(before=before, fault=fault, is_damaged=True)
         return replace(code, before=before)
 
-    def _tell_of_changed_files(self, checked: Mapping[str, PushedCode]) -> None:
+    def _tell_of_changed_files(self, checked: Mapping[str, PushedPattern]) -> None:
         for name, code in checked.items():
             if code.is_damaged and code != self.versions.get(name):
                 self.control.fault(f"{name}: {code.fault}")
 
     def _is_signed(self, version: Version) -> bool:
         try:
-            return self.is_trusted(behaviour.read_entry(version.signed))
+            return self.is_trusted(pattern_manifest.read_entry(version.signed))
         except CodecError:
             return False
 
     def _is_whole(self, version: Version) -> bool:
         try:
-            manifest = behaviour.read_entry(version.signed).manifest
+            manifest = pattern_manifest.read_entry(version.signed).manifest
         except CodecError:
             return False
         return self.files.code(manifest.name, manifest.digest) is not None
 
-    def is_trusted(self, entry: behaviour.Entry) -> bool:
+    def is_trusted(self, entry: pattern_manifest.Entry) -> bool:
         """True if an operator of the roster has signed it, or without keys; takes some 4 ms."""
         operators, manifest = self.operators(), entry.manifest
         if manifest.swarm != self.swarm:
@@ -298,45 +298,45 @@ class CodeVersions:
 
     # What is here
 
-    def set_table(self, table: behaviour.Table) -> None:
+    def set_table(self, table: pattern_manifest.Table) -> None:
         """Replace the table."""
         self.changes += 1
-        self.table, self.digest = table, behaviour.digest_of(table)
+        self.table, self.digest = table, pattern_manifest.digest_of(table)
 
-    def wanted(self) -> Mapping[str, behaviour.Entry]:
+    def wanted(self) -> Mapping[str, pattern_manifest.Entry]:
         """What this robot is to have, by name, removals included."""
-        return behaviour.wanted_by(self.robot, self.control.labels(), self.table)
+        return pattern_manifest.wanted_by(self.robot, self.control.labels(), self.table)
 
-    def has(self, entry: behaviour.Entry) -> bool:
+    def has(self, entry: pattern_manifest.Entry) -> bool:
         """True if the code of an entry is the current one."""
         code = self.versions.get(entry.manifest.name)
         current = None if code is None else code.current
         return current is not None and current.digest == entry.manifest.digest
 
-    def is_taken(self, manifest: behaviour.Manifest) -> bool:
+    def is_taken(self, manifest: pattern_manifest.PatternManifest) -> bool:
         """True if the robot has a pattern of that name by other means, which is not replaced."""
         if manifest.replaces or manifest.kind == "removed":
             return False
         return manifest.name in self.control.own_patterns()
 
-    def note_failed(self, entry: behaviour.Entry, version: Version, text: str) -> None:
+    def note_failed(self, entry: pattern_manifest.Entry, version: Version, text: str) -> None:
         """Note that a version did not pass: the same push is not tried again."""
         name = entry.manifest.name
-        self.versions[name] = self.versions.get(name, PushedCode()).refuse(version, text)
+        self.versions[name] = self.versions.get(name, PushedPattern()).refuse(version, text)
         self.save()
         self.control.event(f"{entry.manifest.label} is refused: {text}")
 
-    def tell_of_return(self, name: str, code: PushedCode) -> None:
+    def tell_of_return(self, name: str, code: PushedPattern) -> None:
         """An event for the return from a version."""
         assert code.failed is not None
         to = "nothing pushed" if code.current is None else code.current.label
         self.control.event(f"{name}: returned from {code.failed.label} to {to}: {code.fault}")
 
-    def missing(self) -> list[behaviour.Entry]:
-        """The behaviours that this robot is to have and does not have."""
+    def missing(self) -> list[pattern_manifest.Entry]:
+        """The pushed patterns that this robot is to have and does not have."""
         found = []
         for name, entry in self.wanted().items():
-            if entry.is_removal or not self.versions.get(name, PushedCode()).lacks(entry):
+            if entry.is_removal or not self.versions.get(name, PushedPattern()).lacks(entry):
                 continue
             if self.is_taken(entry.manifest):
                 text = f"the robot has a pattern {name!r} of its own"
@@ -345,20 +345,20 @@ class CodeVersions:
                 found.append(entry)
         return found
 
-    def report(self) -> BehavioursReply:
-        """All pushed behaviours, for operators."""
+    def report(self) -> PushedPatternsReply:
+        """All pushed patterns, for operators."""
         wanted = self.wanted()
         rows = []
         for name in sorted({*self.versions, *wanted}):
             entry, code = wanted.get(name), self.versions.get(name)
             if code is None and entry is not None and entry.is_removal:
                 continue
-            rows.append(_report(name, entry, code or PushedCode()))
-        newest = self.table[0].signed if self.table else behaviour.Signed(b"")
-        return BehavioursReply(
+            rows.append(_report(name, entry, code or PushedPattern()))
+        newest = self.table[0].signed if self.table else pattern_manifest.Signed(b"")
+        return PushedPatternsReply(
             robot=self.robot,
-            generation=behaviour.greatest_generation(self.table),
-            behaviours=tuple(rows),
+            generation=pattern_manifest.greatest_generation(self.table),
+            patterns=tuple(rows),
             newest=newest.content,
             signature=newest.signature,
         )
@@ -372,12 +372,14 @@ class CodeVersions:
         return None
 
 
-def _report(name: str, entry: behaviour.Entry | None, code: PushedCode) -> BehaviourReport:
+def _report(
+    name: str, entry: pattern_manifest.Entry | None, code: PushedPattern
+) -> PushedPatternReport:
     current, manifest = code.current, None if entry is None else entry.manifest
     is_missing = entry is not None and not entry.is_removal and code.lacks(entry)
-    used = None if current is None else behaviour.read_entry(current.signed).manifest
+    used = None if current is None else pattern_manifest.read_entry(current.signed).manifest
     shown = used or manifest
-    return BehaviourReport(
+    return PushedPatternReport(
         name=name,
         standing="missing" if is_missing else str(code.standing),
         version="" if used is None else used.version,
@@ -396,16 +398,16 @@ MAX_LOADS = 8  # loads of which the code is known
 
 @dataclass(frozen=True, slots=True)
 class LoadedCode:
-    """The pushed code that a pattern host has loaded."""
+    """The pushed pattern that a pattern host has loaded."""
 
     name: str
     digest: bytes
 
 
-class CodeRuns:
-    """The runs of the pushed code in `state`."""
+class PushedRuns:
+    """The runs of the pushed patterns in `state`."""
 
-    def __init__(self, state: CodeVersions) -> None:
+    def __init__(self, state: PatternVersions) -> None:
         self._state = state
         self._loads: dict[int, LoadedCode] = {}
         self._ran_to: tuple[int, float] = (-1, 0.0)  # generation, time
@@ -440,7 +442,7 @@ class CodeRuns:
         self, origins: dict[str, Origin], name: str, version: Version, own: Mapping[str, Origin]
     ) -> bool:
         """Add a version to the origins; False if the robot's own pattern counts."""
-        manifest = behaviour.read_entry(version.signed).manifest
+        manifest = pattern_manifest.read_entry(version.signed).manifest
         if name in own and not manifest.replaces:
             return False
         value, is_file = self._state.files.place(manifest)
@@ -467,7 +469,7 @@ class CodeRuns:
         return code.is_provisional and code.current.digest == loaded.digest
 
     def granted(self, event: HostEvent) -> HostEvent:
-        """An event of the pattern host without what pushed code may not ask.
+        """An event of the pattern host without what a pushed pattern may not ask.
 
         It may not go on with scans that hold other patterns: no configuration grants that by name.
         """

@@ -1,16 +1,16 @@
-"""The versions of a pushed behaviour: provisional, held, returned."""
+"""The versions of a pushed pattern: provisional, held, returned."""
 
 from __future__ import annotations
 
 import hashlib
 
-from swarmd.core.behaviour import Entry, Manifest, Signed, encode_manifest, read_entry
-from swarmd.robot.pushed_code import HOLD_TIME, MAX_ENDS, PushedCode, Standing, Version
+from swarmd.core.pattern_manifest import Entry, PatternManifest, Signed, encode_manifest, read_entry
+from swarmd.robot.pushed_pattern import HOLD_TIME, MAX_ENDS, PushedPattern, Standing, Version
 
 
 def entry(version: str, code: str = "", generation: int = 1) -> Entry:
     digest = hashlib.sha256((code or version).encode()).digest()
-    manifest = Manifest(
+    manifest = PatternManifest(
         swarm="lab",
         name="flock",
         generation=generation,
@@ -26,12 +26,12 @@ def version(name: str, code: str = "", generation: int = 1) -> Version:
     return Version.of(entry(name, code, generation), "alice")
 
 
-def held(name: str) -> PushedCode:
-    return PushedCode().accept(version(name)).ran(HOLD_TIME)
+def held(name: str) -> PushedPattern:
+    return PushedPattern().accept(version(name)).ran(HOLD_TIME)
 
 
 def test_a_version_is_provisional_until_it_has_run_long_enough() -> None:
-    code = PushedCode().accept(version("1"))
+    code = PushedPattern().accept(version("1"))
     assert code.standing is Standing.PROVISIONAL
     code = code.ran(HOLD_TIME - 1.0)
     assert code.standing is Standing.PROVISIONAL
@@ -49,7 +49,7 @@ def test_a_fault_while_provisional_returns_to_the_version_before() -> None:
 
 
 def test_the_first_version_gives_way_to_nothing() -> None:
-    code = PushedCode().accept(version("1")).failed_with("raised")
+    code = PushedPattern().accept(version("1")).failed_with("raised")
     assert code.current is None
     assert code.standing is Standing.RETURNED
 
@@ -57,13 +57,13 @@ def test_the_first_version_gives_way_to_nothing() -> None:
 def test_known_code_is_kept_over_several_provisional_versions() -> None:
     code = held("1").accept(version("2")).accept(version("3"))
     assert code.failed_with("raised").current == held("1").current
-    code = PushedCode().accept(version("1")).accept(version("2"))
+    code = PushedPattern().accept(version("1")).accept(version("2"))
     assert code.failed_with("raised").current == version("1")
 
 
 def test_a_newer_push_of_the_same_code_keeps_its_standing() -> None:
     first, again = version("1", code="a"), version("1", code="a", generation=7)
-    code = PushedCode().accept(first).ran(20.0)
+    code = PushedPattern().accept(first).ran(20.0)
     assert code.lacks(entry("1", "a", 7))
     code = code.accept(again)
     assert not code.lacks(entry("1", "a", 7))

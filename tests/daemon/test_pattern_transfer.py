@@ -1,4 +1,4 @@
-"""What a robot takes, keeps and loads of pushed behaviours; whole daemons: tests/swarm."""
+"""What a robot takes, keeps and loads of pushed patterns; whole daemons: tests/swarm."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import (
-    Manifest,
+from swarmd.core.clock import boottime
+from swarmd.core.errors import ChangedCodeError
+from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.pattern_manifest import (
+    PatternManifest,
     Signed,
     encode_manifest,
     encode_table,
@@ -22,19 +26,15 @@ from swarmd.core.behaviour import (
     read_entry,
     read_table,
 )
-from swarmd.core.clock import boottime
-from swarmd.core.errors import ChangedCodeError
-from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
-from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import PushRequest, ReloadRequest
-from swarmd.daemon import code_versions
-from swarmd.daemon.code_transfer import CodeIntake, CodePull
-from swarmd.daemon.code_versions import CodeRuns, CodeVersions
-from swarmd.daemon.store import CodeFiles, CodeRecord
+from swarmd.daemon import pattern_versions
+from swarmd.daemon.pattern_transfer import PatternIntake, PatternPull
+from swarmd.daemon.pattern_versions import PatternVersions, PushedRuns
+from swarmd.daemon.store import CodeRecord, PatternFiles
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
-from swarmd.robot.pushed_code import HOLD_TIME
+from swarmd.robot.pushed_pattern import HOLD_TIME
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.private_keys import load_private_key
 from swarmd.settings.settings import load_platform
@@ -44,11 +44,11 @@ CODE = b"from swarmd.api import Pattern\n"
 EPOCH = Epoch("0123456789ab", 1)
 
 
-class Control(code_versions.CodeControl):
+class Control(pattern_versions.PatternControl):
     """The daemon's side: every trial ends at once, with `trial_fault`."""
 
     def __init__(self) -> None:
-        self.store: CodeIntake
+        self.store: PatternIntake
         self.trial_fault = ""
         self.tried: list[str] = []
         self.faults: list[str] = []
@@ -96,7 +96,7 @@ class Control(code_versions.CodeControl):
         return self.own
 
 
-class GatedFiles(CodeFiles):
+class GatedFiles(PatternFiles):
     """Files on a disk that takes no write while `is_open` is not set, and fails with `error`."""
 
     def __init__(self, folder: Path) -> None:
@@ -134,8 +134,8 @@ class Rig:
         self.operators: Mapping[str, bytes] | None = None
         self._generation = 0
         self.control: Control
-        self.store: CodeIntake
-        self.state: CodeVersions
+        self.store: PatternIntake
+        self.state: PatternVersions
         self._is_started = False
 
     async def start(self) -> None:
@@ -143,10 +143,10 @@ class Rig:
             await self.state.close()
         self._is_started = True
         control = self.control = Control()
-        self.files = GatedFiles(self.folder / "behaviours")
-        self.state = CodeVersions(self.files, "r1", "lab", lambda: self.operators)
-        self.store = control.store = CodeIntake(self.state, DropCounter())
-        self.runs = CodeRuns(self.state)
+        self.files = GatedFiles(self.folder / "patterns")
+        self.state = PatternVersions(self.files, "r1", "lab", lambda: self.operators)
+        self.store = control.store = PatternIntake(self.state, DropCounter())
+        self.runs = PushedRuns(self.state)
         await self.state.open(control)
 
     def secure(self) -> None:
@@ -161,7 +161,7 @@ class Rig:
         digest = hashlib.sha256(code).digest()
         wanted = {"kind": "file", "digest": digest, "size": len(code), "name": "own", **fields}
         content = encode_manifest(
-            Manifest(swarm="lab", generation=self._generation, issuer=issuer, **wanted)
+            PatternManifest(swarm="lab", generation=self._generation, issuer=issuer, **wanted)
         )
         signature = b""
         if self.keys is not None and signer:
@@ -189,7 +189,7 @@ class Rig:
         return found[name].value if name in found else ""
 
     def standing(self) -> str:
-        (one,) = self.state.report().behaviours
+        (one,) = self.state.report().patterns
         return one.standing
 
 
@@ -221,7 +221,7 @@ async def test_with_keys_only_code_that_an_operator_signed_is_taken(rig: Rig) ->
         reply = await rig.push(signer=signer, issuer=issuer)
         assert (reply.code, reply.refusal) == (Code.REFUSED, Refusal.NOT_SIGNED), signer
     assert rig.origin() == ""
-    assert not (rig.folder / "behaviours" / "own").exists()
+    assert not (rig.folder / "patterns" / "own").exists()
     assert (await rig.push(signer="bob", issuer="bob")).code is Code.APPLIED
     assert rig.origin() != ""
 
@@ -267,7 +267,7 @@ async def test_code_that_a_host_found_changed_is_missing_until_it_is_pushed_agai
     await happens(lambda: rig.standing() == "missing")
     with pytest.raises(ChangedCodeError):
         rig.origin()
-    (listed,) = rig.state.report().behaviours
+    (listed,) = rig.state.report().patterns
     assert (listed.standing, listed.digest, "changed" in listed.text) == ("missing", "", True)
     assert len(rig.control.faults) == 1
     assert (await rig.push()).code is Code.APPLIED
@@ -305,7 +305,7 @@ async def test_a_pattern_of_the_robot_is_hidden_only_on_request(rig: Rig) -> Non
 
 
 async def test_code_that_cannot_be_written_is_refused_and_nothing_changes(rig: Rig) -> None:
-    (rig.folder / "behaviours").write_bytes(b"a file where the folder should be")
+    (rig.folder / "patterns").write_bytes(b"a file where the folder should be")
     reply = await rig.push()
     assert reply.code is Code.REFUSED
     assert "cannot be written" in reply.text
@@ -345,7 +345,7 @@ async def test_a_change_while_a_push_is_written_does_not_lose_it(rig: Rig) -> No
         pushing = asyncio.create_task(rig.push())
         await happens(rig.files.is_asked.is_set)
         content = encode_manifest(
-            Manifest(
+            PatternManifest(
                 swarm="lab", name="far", generation=9, issuer="bob", kind="removed", targets=("r7",)
             )
         )
@@ -449,7 +449,7 @@ async def test_an_older_push_never_replaces_a_newer_one(rig: Rig) -> None:
 
 async def test_a_push_of_what_is_being_pulled_waits_and_is_applied(rig: Rig) -> None:
     digest = hashlib.sha256(CODE).digest()
-    manifest = Manifest(
+    manifest = PatternManifest(
         swarm="lab",
         name="own",
         generation=1,
@@ -487,9 +487,9 @@ async def test_code_that_is_not_that_of_its_manifest_is_refused(
     assert rig.origin() == ""
 
 
-async def test_another_robot_s_behaviours_are_kept_in_the_table_alone(rig: Rig) -> None:
+async def test_another_robot_s_pushed_patterns_are_kept_in_the_table_alone(rig: Rig) -> None:
     content = encode_manifest(
-        Manifest(
+        PatternManifest(
             swarm="lab",
             name="far",
             generation=9,
@@ -502,7 +502,7 @@ async def test_another_robot_s_behaviours_are_kept_in_the_table_alone(rig: Rig) 
     rig.store.merge([read_entry(Signed(content))])
     assert rig.state.missing() == []
     assert rig.state.report().generation == 9
-    assert rig.state.report().behaviours == ()
+    assert rig.state.report().patterns == ()
 
 
 class Pulling:
@@ -522,7 +522,7 @@ async def test_a_table_with_false_signatures_costs_one_check(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig.secure()
-    manifest = Manifest(
+    manifest = PatternManifest(
         swarm="lab", name="own", generation=1, issuer="eve", kind="removed", targets=("r7",)
     )
     foreign = [Signed(encode_manifest(manifest), bytes(64))]
@@ -536,9 +536,9 @@ async def test_a_table_with_false_signatures_costs_one_check(
         checked.append(content)
         return False
 
-    monkeypatch.setattr(code_versions, "is_signed_by", check)
+    monkeypatch.setattr(pattern_versions, "is_signed_by", check)
     puller = Pulling(encode_table(map(read_entry, (*foreign, *false))))
-    sync = CodePull(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
+    sync = PatternPull(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
     digests = (number.to_bytes(4, "big") + b"xx" for number in range(1, 100))
     for digest in digests:
         sync.on_beacon("r2", digest, ("127.0.0.1", 1), boottime())

@@ -1,4 +1,4 @@
-"""The behaviours that operators push to a swarm: manifests, their order, and the table of them.
+"""The patterns that operators push to a swarm: manifests, their order, and the table of them.
 
 A manifest names code by its SHA-256 and the robots that are to have it. Every robot keeps the table
 of all manifests, also of those for other robots, and merges the tables of its peers into it: two
@@ -20,7 +20,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.record import Record, Target
 
 MAX_CODE = 1024 * 1024
-"""Bytes of one behaviour."""
+"""Bytes of one pushed pattern."""
 MAX_MANIFEST = 8 * 1024
 MAX_TARGETS = 256
 MAX_TABLE = 256
@@ -29,8 +29,8 @@ MAX_TABLE = 256
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 
 
-class Manifest(Record, frozen=True, kw_only=True):
-    """One push, or the removal, of a behaviour.
+class PatternManifest(Record, frozen=True, kw_only=True):
+    """One push, or the removal, of a pushed pattern.
 
     `version` is for people. `digest`: the SHA-256 of the code, `size`
     its bytes. `value`: `module:Class` of a wheel. `replaces`: it may take the place of a pattern
@@ -65,7 +65,7 @@ class Entry:
     """A manifest of the table with its signature; equal manifests make equal entries."""
 
     signed: Signed = field(compare=False)
-    manifest: Manifest = field(compare=False)
+    manifest: PatternManifest = field(compare=False)
     content: bytes = field(repr=False)
 
     @property
@@ -75,7 +75,7 @@ class Entry:
 
     @property
     def is_removal(self) -> bool:
-        """True for the removal of a behaviour."""
+        """True for the removal of a pushed pattern."""
         return self.manifest.kind == "removed"
 
     def covers(self, lesser: Entry) -> bool:
@@ -89,12 +89,12 @@ Table = tuple[Entry, ...]
 Manifests = Annotated[tuple[Signed, ...], Meta(max_length=2 * MAX_TABLE)]
 """A table as it is sent and written."""
 
-_manifest = msgspec.msgpack.Decoder(Manifest)
+_manifest = msgspec.msgpack.Decoder(PatternManifest)
 _table = msgspec.msgpack.Decoder(Manifests)
 _encoder = msgspec.msgpack.Encoder()
 
 
-def encode_manifest(manifest: Manifest) -> bytes:
+def encode_manifest(manifest: PatternManifest) -> bytes:
     """The bytes that an operator signs. CodecError beyond MAX_MANIFEST and MAX_TARGETS."""
     content = _encoder.encode(manifest)
     if len(content) > MAX_MANIFEST or len(manifest.targets) > MAX_TARGETS:
@@ -122,7 +122,7 @@ def encode_table(table: Iterable[Entry]) -> bytes:
 
 def decode_table(content: bytes) -> Table:
     """The entries in these bytes; signatures are not checked. CodecError if malformed."""
-    return read_table(decode(_table, content, "a table of behaviours"))
+    return read_table(decode(_table, content, "a table of pushed patterns"))
 
 
 def read_table(manifests: Manifests) -> Table:
