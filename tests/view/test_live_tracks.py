@@ -20,7 +20,11 @@ def test_the_row_of_a_robot_that_gives_way_names_the_opening() -> None:
     status = make_member(decision=decision, reason=Reason.PROTECTION).status
     assert status is not None
     row = row_of(status)
-    assert (row["protection"], row["why"], row["stands"]) == (text, f"protection: {text}", "held")
+    assert (row["protection"], row["why"], row["stands"]) == (
+        text,
+        f"protection holds it: {text}",
+        "held",
+    )
 
 
 def test_the_tracks_of_a_selected_robot_are_in_its_row() -> None:
