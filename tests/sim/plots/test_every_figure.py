@@ -139,7 +139,7 @@ def painted(figure: Figure, at: float) -> list[tuple[float, float]]:
     found = []
     for band in figure.axes[0].collections:
         for path in band.get_paths():
-            corners = path.vertices
+            corners = np.asarray(path.vertices)
             x, y = corners[:, 0], corners[:, 1]
             cuts = [
                 y[k] + (at - x[k]) / (x[k + 1] - x[k]) * (y[k + 1] - y[k])
@@ -179,8 +179,8 @@ def test_a_figure_over_time_paints_each_interval_of_its_table(*, is_share: bool)
 
 def spans(figure: Figure) -> list[tuple[float, float]]:
     """The horizontal lines of the panels, from left to right, without guides."""
-    lines = [one.get_xdata() for axes in figure.axes for one in axes.lines]
-    return [(min(x), max(x)) for x in lines if len(x) == 2 and x[0] != x[1]]
+    lines = [np.asarray(one.get_xdata()) for axes in figure.axes for one in axes.lines]
+    return [(float(x.min()), float(x.max())) for x in lines if len(x) == 2 and x[0] != x[1]]
 
 
 def test_a_figure_by_run_paints_each_interval_of_its_table() -> None:

@@ -111,11 +111,11 @@ def test_each_robot_has_its_start_mark_though_its_pose_is_known_later() -> None:
     trace.pose[:7, 1] = np.nan
     axes = trajectories_figure(trace).axes[0]
     hollow = [
-        path.vertices
+        np.asarray(path.vertices)
         for body in axes.collections
-        if not len(body.get_facecolor()) and body.get_zorder() == 3.0
+        if not np.size(body.get_facecolor()) and body.get_zorder() == 3.0
         for path in body.get_paths()
-        if len(path.vertices) > 2
+        if np.size(path.vertices) > 4
     ]
     middles = np.array([corners[:-1].mean(axis=0) for corners in hollow])
     starts = [trace.pose[0, 0, :2], trace.pose[7, 1, :2], trace.pose[0, 2, :2]]
