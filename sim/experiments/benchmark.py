@@ -283,17 +283,15 @@ def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """The results of one row in one task: values by seed, NaN without one.
+    """The results of one row in one task."""
 
-    `rank` from 1 on; None where the interval of the median overlaps that of another row, so that
-    other seeds may change the order, and where either has none. `place`: the order of the medians
-    alone, infinite without a median; rows of equal median share the better one.
-    """
-
-    values: Mapping[int, float]
+    values: Mapping[int, float]  # by seed; NaN for a run without a value
     summary: statistics.Summary
     rank: int | None = None
+    """From 1 on. None where the interval of the median overlaps the interval of another row (other
+    seeds may change their order), and where either row has no interval."""
     place: float = math.inf
+    """By the medians alone; infinite without a median. Rows of equal median share a place."""
 
 
 Table = dict[str, dict[str, Cell]]
@@ -330,8 +328,8 @@ def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:
     """Whether the intervals of two medians do not overlap; True if `b` has no median."""
     if b.median is None:
         return True
-    one, other = a.median_interval, b.median_interval
-    return one is not None and other is not None and (one.high < other.low or other.high < one.low)
+    of_a, of_b = a.median_interval, b.median_interval
+    return of_a is not None and of_b is not None and (of_a.high < of_b.low or of_b.high < of_a.low)
 
 
 def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:

@@ -26,10 +26,11 @@ def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[s
         raise ConfigError(f"{source} {text!r}: expected key=value")
     key = key.strip()
     try:
-        found = read_value(form.format(value))
+        setting = read_value(form.format(value))
         if key == DURATION:
-            found = [*map(_seconds, found)] if isinstance(found, list) else _seconds(found)
-        return key, found
+            is_list = isinstance(setting, list)
+            setting = [*map(_seconds, setting)] if is_list else _seconds(setting)
+        return key, setting
     except ConfigError as error:
         raise ConfigError(f"{source} {key}: {error}") from error
 
