@@ -54,9 +54,8 @@ def _add_contents(app: Sphinx, page: str, source: list[str]) -> None:
     """Add the tables of contents of this page, which a forge would show as code."""
     tables = CONTENTS if page == root_doc else {"": INNER[page]} if page in INNER else {}
     for title, pages in tables.items():
-        listed = "\n".join(f"/{one}" for one in pages)
-        caption = f":caption: {title}\n" if title else ""
-        source[0] += f"\n```{{toctree}}\n:hidden:\n{caption}{listed}\n```\n"
+        lines = [":hidden:", title and f":caption: {title}", *(f"/{name}" for name in pages)]
+        source[0] += "\n".join(["", "```{toctree}", *lines, "```", ""])
 
 
 def _add_entrance(app: Sphinx, error: Exception | None) -> None:

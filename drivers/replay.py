@@ -95,7 +95,7 @@ class ReplayDriver:
         if self._recording.fault:
             log.warning("%s: %s; what is whole is played", self._path, self._recording.fault)
         try:
-            sink.state(False, f"{self._path.name} is about to begin")
+            self._lose(sink, f"{self._path.name} is about to begin")
             await asyncio.sleep(START_DELAY)
             rounds = 0
             while True:
@@ -160,7 +160,7 @@ class ReplayDriver:
     def _lose(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
             self._take(ZERO)
-        sink.state(False, text)
+        sink.state(False, text, gets_zero=True)  # no base moves
 
     def _take(self, twist: Twist) -> None:
         self._commands["zero" if twist.is_zero else "moving"] += 1

@@ -147,6 +147,7 @@ def figure(browser: Browser, file: Path) -> None:
             address = next(one for one in lines if one.startswith("page: ")).partition(": ")[2]
             page.open(address.strip())
             page.evaluate("document.getElementById('overload').style.display = 'none'")
+            page.evaluate("swarm.panels.open('list-pane', true)")
             page.until("swarm.model.plots.times.length > 45", "most of a minute", 300.0)
             page.evaluate("swarm.model.select(['tb3-03'])")
             page.until("document.getElementById('detail-why').textContent.length > 3", "details")

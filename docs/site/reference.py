@@ -29,21 +29,7 @@ from swarmd.cli.swarmctl import VERBS as COMMANDS
 from swarmd.cli.swarmctl import cli
 from swarmd.core.key_table import ANSWERED, HANDED_OVER, PUBLISHED
 from swarmd.core.keys import CONTROL, SHARED, STATE, build
-from swarmd.core.messages import (
-    DecisionSummary,
-    Health,
-    LimitingObstacle,
-    Motion,
-    ScanWire,
-    ShownDecision,
-    ShownMessage,
-    ShownPose,
-    ShownTrack,
-    State,
-    Status,
-    Tracks,
-)
-from swarmd.core.verbs import VERBS, LogBatch, LogRecord
+from swarmd.core.verbs import VERBS
 from swarmd.network.access import robot_access
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
 from swarmd.security.roster import Roster
@@ -346,41 +332,50 @@ def keys() -> Iterator[str]:
         yield _table((f"field of the {form}", "type"), rows)
 
 
+_OBSTACLE = {"bearing": 0.6, "gap": 0.25, "cap": 0.08}
+_DECISION = {
+    "mode": "barrier",
+    "is_active": True,
+    "requested_linear": 0.15,
+    "safe_linear": 0.08,
+    "rows": [_OBSTACLE],
+}
+_SHARED = {"robot": "tb3-01", "at": 5012.3}
+_EXAMPLES: dict[str, Any] = {
+    "status": {
+        **{"robot": "tb3-01", "instance": "01ab", "platform": "waffle_pi", "host": "pi"},
+        **{"driver": "rmw_zenoh", "profile": "field", "is_secured": True},
+        **{"state": "running", "reason": None, "detail": "", "pattern": "flocking"},
+        **{"generation": 3, "since": 41.5, "changed_by": "anna", "latches": {}},
+        **{"labels": [], "params": {}, "report": {}, "decision": _DECISION},
+        **{"epoch": {"instance": "01ab", "revision": 7}, "health": {}, "uptime": 9120.0},
+    },
+    "motion": [
+        *_SHARED.values(),
+        *(1.2, -0.4, 0.79),
+        *([0.15, 0.3, 0.0], [0.08, 0.3, 0.0]),
+        *(True, 0.25, [_OBSTACLE]),
+    ],
+    "pose": {
+        **{**_SHARED, "age": 0.04, "x": 3.1, "y": 0.7, "yaw": 0.79},
+        **{"error": 0.05, "yaw_error": 0.05, "frame": "hall"},
+    },
+    "decision": {**_SHARED, "state": "running", "reason": None, "decision": _DECISION},
+    # The ranges are 1 m and 2 m; JSON has them as base64.
+    "scan": [812, 1.75e9, b"\x00\x00\x80\x3f\x00\x00\x00\x40", [0.0, 0.0175], None],
+    "tracks": ["tb3-01", [[0.6, 0.3, 0.1, -0.05, 0.09]]],
+    "message": {**_SHARED, "channel": "voter_model/opinion", "value": 2},
+    "log": {
+        **{"robot": "tb3-01", "instance": "01ab", "now": 5012.3, "last": 1},
+        "records": [[1, 5012.1, 20, "swarmd", "the run ended: operator"]],
+    },
+}
+"""A payload of each key of PUBLISHED, as its fields."""
+
+
 def _example(name: str) -> str:
     """A payload on `state/<name>` as JSON, the begin of a long one."""
-    obstacle = LimitingObstacle(0.6, 0.25, 0.08)
-    decision = DecisionSummary(
-        mode="barrier", is_active=True, requested_linear=0.15, safe_linear=0.08, rows=(obstacle,)
-    )
-    shared = {"robot": "tb3-01", "at": 5012.3}
-    twists = (0.15, 0.3, 0.0), (0.08, 0.3, 0.0)
-    ranges = b"\x00\x00\x80\x3f\x00\x00\x00\x40"  # 1 m and 2 m; JSON has it as base64
-    payloads: dict[str, msgspec.Struct] = {
-        "status": Status(
-            **{"robot": "tb3-01", "instance": "01ab", "platform": "waffle_pi", "host": "pi"},
-            **{"driver": "rmw_zenoh", "profile": "field", "is_secured": True},
-            **{"state": State.RUNNING, "reason": None, "detail": "", "pattern": "flocking"},
-            **{"generation": 3, "since": 41.5, "epoch": None, "changed_by": "anna", "latches": {}},
-            **{"labels": (), "params": {}, "report": {}, "decision": decision},
-            **{"health": Health(), "uptime": 9120.0},
-        ),
-        "motion": Motion(*shared.values(), 1.2, -0.4, 0.79, *twists, True, 0.25, (obstacle,)),
-        "pose": ShownPose(
-            **{**shared, "age": 0.04, "x": 3.1, "y": 0.7, "yaw": 0.79},
-            **{"error": 0.05, "yaw_error": 0.05, "frame": "hall"},
-        ),
-        "decision": ShownDecision(
-            **{**shared, "state": State.RUNNING, "reason": None, "decision": decision}
-        ),
-        "scan": ScanWire(812, 1.75e9, ranges, (0.0, 0.0175), None),
-        "tracks": Tracks("tb3-01", (ShownTrack(0.6, 0.3, 0.1, -0.05, 0.09),)),
-        "message": ShownMessage(**{**shared, "channel": "voter_model/opinion", "value": 2}),
-        "log": LogBatch(
-            **{"robot": "tb3-01", "instance": "01ab", "now": 5012.3, "last": 1},
-            records=(LogRecord(1, 5012.1, 20, "swarmd", "the run ended: operator"),),
-        ),
-    }
-    text = msgspec.json.encode(payloads[name]).decode()
+    text = msgspec.json.encode(msgspec.convert(_EXAMPLES[name], PUBLISHED[name].content)).decode()
     return text if len(text) <= 400 else f"{text[:400]} ..."
 
 

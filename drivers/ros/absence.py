@@ -1,6 +1,6 @@
 """What messages say that they do not measure: one table for the fields of all types. Pure.
 
-Options `imu` and `battery`, odometry, readings, hazards and detections ask it.
+Options `imu` and `battery`, odometry and the entries of topic_entries.py ask it.
 """
 
 from __future__ import annotations

@@ -592,7 +592,7 @@ class DriverCheck:
         )
 
     def _topic(self, stats: TopicStats, *, is_entry: bool = False) -> Finding:
-        """One topic. `is_entry`: for an entry of `readings` or `hazards` that shares it."""
+        """One topic. `is_entry`: for an entry (topic_entries.py) that shares it."""
         fault, goes_stale = self._fault(stats), stats.goes_stale or is_entry
         if fault:
             is_fault = stats.is_needed or goes_stale or stats.count or stats.faults

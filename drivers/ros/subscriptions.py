@@ -21,7 +21,6 @@ from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros import cdr, from_ros, messages
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
-from swarmd.drivers.ros.topic_hazards import Hazards
 from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings
 from swarmd.drivers.ros.topic_stats import TopicStats
@@ -143,11 +142,9 @@ class Subscriptions:
             if input is not None:
                 sink.take(input)
 
-    def silent_hazards(self, now: float) -> tuple[TopicStats, ...]:
-        """The topics of hazards that are silent for too long: the robot is held."""
-        hazards = self._inputs["hazards"]
-        assert isinstance(hazards, Hazards)
-        silent = {hazard.place for hazard in hazards.silent(now)}
+    def awaited(self, now: float) -> tuple[TopicStats, ...]:
+        """The topics whose silence holds the robot, and that are silent for too long."""
+        silent = {topic for inputs in self._inputs.values() for topic in inputs.awaited(now)}
         return tuple(stats for stats in self.topics.values() if stats.topic in silent)
 
     def silent(self, now: float, timeout: float) -> tuple[TopicStats, ...]:

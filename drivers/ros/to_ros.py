@@ -7,18 +7,27 @@ too.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import (
+    DetectionsInput,
+    OdometryInput,
+    RangesInput,
+    ReadingsInput,
+    ScanInput,
+    SensorInput,
+)
 from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, ScanSpec
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.from_ros import twist_message
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.topic_detections import TAGS, TopicDetections
+from swarmd.drivers.ros.topic_inputs import TopicEntry
 
 _MAX_UNEVENNESS = 1e-4  # rad from a bearing to its place among evenly spread ones
 _MAX_MISMATCH = math.radians(0.5)
@@ -30,8 +39,24 @@ _MAX_DIGITS = 9  # of an int32
 _CORNERS = (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)  # of a tag, in its sides
 
 
+class InputEncoder(Protocol):
+    """The messages of one kind of input, or of one entry of it."""
+
+    topics: Sequence[tuple[str, type]]  # with their message classes
+    is_reliable: bool  # the quality of service of the publishers
+    depth: int
+
+    def encode(self, value: Any, stamp: float) -> Sequence[object | None]:
+        """A message for each topic, in their order, or None.
+
+        `value`: the content of the input. `stamp` in s of the last odometry, for values without.
+        """
+
+
 class LaserScanEncoder:
     """Scans as a LaserScan: angle_min of the first ray, and one increment."""
+
+    is_reliable, depth = False, 5
 
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if the platform's rays are not evenly spread."""
@@ -41,7 +66,7 @@ class LaserScanEncoder:
         side = -1.0 if options.scan_upside_down else 1.0
         self._first, self._step = side * (first - math.radians(options.scan_yaw_deg)), side * step
 
-    def encode(self, scan: Scan) -> tuple[object, ...]:
+    def encode(self, scan: Scan, stamp: float = 0.0) -> tuple[object, ...]:
         """The message, for the one topic."""
         count, spec = len(scan.ranges), self._spec
         message = ros.LaserScan(
@@ -62,6 +87,8 @@ class LaserScanEncoder:
 class RangeRingEncoder:
     """Scans of a few rays as one Range a ray, each with a topic of its own."""
 
+    is_reliable, depth = False, 5
+
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if a sensor of `ranges` points where the platform has no ray."""
         ring = options.ring()
@@ -71,7 +98,7 @@ class RangeRingEncoder:
             (_ray_at(platform, name, bearing), distance) for name, bearing, distance in ring
         )
 
-    def encode(self, scan: Scan) -> tuple[object, ...]:
+    def encode(self, scan: Scan, stamp: float = 0.0) -> tuple[object, ...]:
         """A message for each topic, in their order."""
         return tuple(self._range(scan, ray, distance) for ray, distance in self._rays)
 
@@ -90,6 +117,32 @@ class RangeRingEncoder:
         )
 
 
+class OdometryEncoder:
+    """Odometry on its topic."""
+
+    is_reliable, depth = True, 10
+
+    def __init__(self, options: RosOptions) -> None:
+        self.topics = ((options.topic(options.odometry), ros.Odometry),)
+
+    def encode(self, odometry: Odometry, stamp: float) -> tuple[object, ...]:
+        """The message, for the one topic."""
+        return (odometry_message(odometry),)
+
+
+class ReadingEncoder:
+    """A reading as a Float64, by the name of an entry of `readings`."""
+
+    is_reliable, depth = False, 1
+
+    def __init__(self, entry: TopicEntry) -> None:
+        self._name, self.topics = entry.name, ((entry.topic, entry.message_type),)
+
+    def encode(self, readings: Mapping[str, float], stamp: float) -> tuple[object | None]:
+        """The message, None if there is no such reading."""
+        return (ros.Float64(readings[self._name]) if self._name in readings else None,)
+
+
 class TagEncoder:
     """Objects as the tags that a camera sees: those whose kind is a value of `kinds`.
 
@@ -97,16 +150,18 @@ class TagEncoder:
     object's name, such as 2 of `tb4-02`.
     """
 
+    is_reliable, depth = True, 1
+
     def __init__(self, options: RosOptions, entry: TopicDetections) -> None:
-        self.name, self.topic, self.message_type = entry.name, entry.topic, entry.message_type
+        self.option, self.topics = entry.option, ((entry.topic, entry.message_type),)
         self._entry, types = entry, options.message_types
         self._tag, self._point = types.kind(f"{TAGS}Detection"), types.kind(_POINT)
         self._keys = {kind: key for key, kind in reversed(entry.options.kinds.items())}
 
-    def encode(self, found: Sequence[Detection], stamp: float) -> object:
+    def encode(self, found: Sequence[Detection] | None, stamp: float) -> tuple[object]:
         """The message, with the tags that have a place in the image."""
-        tags = [one for seen in found for one in self._tags(seen)]
-        return self.message_type(header=header(stamp, "camera"), detections=tags)
+        tags = [tag for seen in found or () for tag in self._tags(seen)]
+        return (self._entry.message_type(header=header(stamp, "camera"), detections=tags),)
 
     def _tags(self, seen: Detection) -> Iterator[object]:
         key, place = self._keys.get(seen.kind), self._entry.pixels(seen)
@@ -141,14 +196,22 @@ def _number(name: str) -> int:
     return int(digits[-_MAX_DIGITS:] or 0)
 
 
-def scan_encoders(
+def encoders(
     options: RosOptions, platform: Platform
-) -> dict[str, LaserScanEncoder | RangeRingEncoder]:
-    """The encoders that suit a robot's options, of `scan` and, with a ring beside it, `ranges`."""
-    if platform.ranges is not None:
-        ring = RangeRingEncoder(options, platform)
-        return {"scan": LaserScanEncoder(options, platform), "ranges": ring}
-    return {"scan": (RangeRingEncoder if options.ranges else LaserScanEncoder)(options, platform)}
+) -> dict[type[SensorInput], tuple[InputEncoder, ...]]:
+    """The encoders that suit a robot's options, by the kind of their input.
+
+    Other kinds have none.
+    """
+    has_ring = platform.ranges is not None
+    is_laser = has_ring or not options.ranges
+    return {
+        ScanInput: ((LaserScanEncoder if is_laser else RangeRingEncoder)(options, platform),),
+        RangesInput: (RangeRingEncoder(options, platform),) if has_ring else (),
+        OdometryInput: (OdometryEncoder(options),),
+        ReadingsInput: tuple(map(ReadingEncoder, options.topic_entries["readings"].values())),
+        DetectionsInput: tag_encoders(options),
+    }
 
 
 def tag_encoders(options: RosOptions) -> tuple[TagEncoder, ...]:

@@ -231,12 +231,13 @@ class Hazards(TopicInputs[TopicHazard, tuple[Hazard, ...]]):
         self._told = present
         return HazardsInput(present)
 
-    def silent(self, now: float) -> tuple[Hazard, ...]:
-        """NOT_HEARD for each topic that is silent for too long, or was never heard."""
-        return tuple(Hazard(HazardKind.NOT_HEARD, entry.topic) for entry in self._stale(now))
+    def awaited(self, now: float) -> tuple[str, ...]:
+        """The topics that are silent for too long, or were never heard."""
+        return tuple(entry.topic for entry in self._stale(now))
 
     def _present(self, now: float) -> Iterator[Hazard]:
         for name, (found, at) in self._values.items():
             if now - at <= self._entries[name].stale_after:
                 yield from found
-        yield from self.silent(now)
+        for topic in self.awaited(now):
+            yield Hazard(HazardKind.NOT_HEARD, topic)

@@ -17,7 +17,7 @@ class TopicEntry:
 
     name: str
     option: str
-    """Names the entry and its topic in messages, such as `hazards.bumper`."""
+    """Names the entry and its topic in messages, such as `readings.light`."""
     topic: str
     message_type: type
     stale_after: float
@@ -53,6 +53,10 @@ class TopicInputs(ABC, Generic[E, V]):
 
         None also if there are no entries.
         """
+
+    def awaited(self, now: float) -> tuple[str, ...]:
+        """The topics whose silence holds the robot, and that are silent for too long."""
+        return ()
 
     def forget(self, topic: str | None = None) -> None:
         """Drop values that never become stale, of a topic or of all: a message may be missed."""

@@ -571,7 +571,7 @@ class RosDriver:
             *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
             *(unpassed.get(stats.topic) or graph.silence(stats) for stats in silent),
             unpassed.get(self._cmd_vel, ""),
-            *(graph.silence(stats) for stats in self._subscriptions.silent_hazards(now)),
+            *(graph.silence(stats) for stats in self._subscriptions.awaited(now)),
         )
         fault = next(filter(None, faults), "") or self._incompleteness()
         return fault or graph.doubt(topics, self._platform.scan)

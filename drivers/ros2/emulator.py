@@ -13,23 +13,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import zenoh
+from msgspec.structs import astuple
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.events import (
-    DetectionsInput,
-    OdometryInput,
-    RangesInput,
-    ReadingsInput,
-    ScanInput,
-    SensorInput,
-    tag_of,
-)
+from swarmd.core.events import OdometryInput, SensorInput
 from swarmd.core.values import Platform, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
-from swarmd.drivers.ros.to_ros import odometry_message, scan_encoders, tag_encoders
+from swarmd.drivers.ros.to_ros import InputEncoder, encoders, tag_encoders
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
@@ -95,8 +88,7 @@ class EmulatedRobots:
     def publish(self, robot: str, input: SensorInput) -> None:
         """Publish an input on the topics that the robot's options name.
 
-        Readings are `std_msgs/Float64`, and the tags of `detections` an `AprilTagDetectionArray` an
-        entry. Neighbors and poses have no topic.
+        The encoders of `to_ros` say which messages; a kind without an encoder has no topic.
         """
         self._robots[robot].publish(input)
 
@@ -134,30 +126,18 @@ class _Robot:
         scheme: KeyScheme,
         command: TopicEnd,
     ) -> None:
-        self._scheme, self._encoders = scheme, scan_encoders(options, platform)
+        self._scheme, self._stamp = scheme, 0.0
         published: list[TopicEnd] = []
-        self._first: dict[str, int] = {}  # of the topics of an encoder
-        for name, encoder in self._encoders.items():
-            self._first[name] = len(published)
-            published += [
-                TopicEnd(topic, message_type, is_publisher=True, is_reliable=False, depth=5)
-                for topic, message_type in encoder.topics
-            ]
-        topic = options.topic(options.odometry)
-        odometry = TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
-        published.append(odometry)
-        readings = options.topic_entries["readings"]
-        self._readings = {name: len(published) + i for i, name in enumerate(readings)}
-        published += [
-            TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=False, depth=1)
-            for one in readings.values()
-        ]
-        self._odometry = published.index(odometry)
-        self._tags, self._first_tags, self._stamp = tag_encoders(options), len(published), 0.0
-        published += [
-            TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=True, depth=1)
-            for one in self._tags
-        ]
+        # By kind of input, each encoder with the number of its first publisher.
+        self._encoders: dict[type[SensorInput], list[tuple[int, InputEncoder]]] = {}
+        for kind, listed in encoders(options, platform).items():
+            self._encoders[kind] = []
+            for encoder in listed:
+                self._encoders[kind].append((len(published), encoder))
+                published += [
+                    TopicEnd(topic, message_type, True, encoder.is_reliable, encoder.depth)
+                    for topic, message_type in encoder.topics
+                ]
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]
@@ -166,23 +146,13 @@ class _Robot:
         ]
 
     def publish(self, input: SensorInput) -> None:
-        match input:
-            case ScanInput(scan=scan) | RangesInput(scan=scan):
-                name = tag_of(input)
-                for index, message in enumerate(
-                    self._encoders[name].encode(scan), self._first[name]
-                ):
+        (value,) = astuple(input)
+        if isinstance(input, OdometryInput):
+            self._stamp = input.odometry.stamp
+        for first, encoder in self._encoders.get(type(input), ()):
+            for index, message in enumerate(encoder.encode(value, self._stamp), first):
+                if message is not None:
                     self._put(index, message)
-            case OdometryInput(odometry=odometry):
-                self._stamp = odometry.stamp
-                self._put(self._odometry, odometry_message(odometry))
-            case ReadingsInput(readings=readings):
-                for name, index in self._readings.items():
-                    if name in readings:
-                        self._put(index, ros.Float64(readings[name]))
-            case DetectionsInput(detections=detections):
-                for index, encoder in enumerate(self._tags, self._first_tags):
-                    self._put(index, encoder.encode(detections or (), self._stamp))
 
     def _put(self, index: int, message: object) -> None:
         attachment = self._scheme.attachment(self._tokens[index])
@@ -230,7 +200,7 @@ def _check_tags(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
             kind = encoder.taken_for(_ROBOTS, robot)
             if kind != _ROBOTS:
                 raise ConfigError(
-                    f"drivers.{spec.driver}.detections.{encoder.name}.kinds: the tag of robot"
+                    f"drivers.{spec.driver}.{encoder.option}.kinds: the tag of robot"
                     f" {robot} has its number, which stands for {kind}; give {kind} a number that"
                     " no robot's name ends with"
                 )

@@ -84,8 +84,8 @@ def lessons(is_json: bool) -> None:
 
 
 @classroom.command()
-@click.argument("folder", type=FOLDER)
-@click.option("--lesson", required=True, metavar="NUMBER", help="One of `swarmctl class lessons`.")
+@click.argument("folder", type=FOLDER, required=False)
+@click.option("--lesson", metavar="NUMBER", help="One of `swarmctl class lessons`.")
 @click.option(
     "-j",
     "--jobs",
@@ -102,7 +102,12 @@ def lessons(is_json: bool) -> None:
 @output_option
 @click.pass_context
 def check(
-    ctx: click.Context, folder: Path, lesson: str, jobs: int | None, timeout: float, is_json: bool
+    ctx: click.Context,
+    folder: Path | None,
+    lesson: str | None,
+    jobs: int | None,
+    timeout: float,
+    is_json: bool,
 ) -> None:
     """Mark the work in FOLDER, which has a folder for each pupil.
 
@@ -117,6 +122,10 @@ def check(
     from swarmd.sim.experiments.lessons import load_lessons, plan_of_lesson
 
     known = load_lessons()
+    if folder is None or lesson is None:
+        lacking = "FOLDER" if folder is None else "--lesson NUMBER"
+        text = "type: swarmctl class check FOLDER --lesson 2, where FOLDER holds PUPIL.py or PUPIL/"
+        raise click.UsageError(f"{lacking} is missing; {text} of each pupil")
     if lesson not in known:
         raise click.UsageError(unknown("lesson", lesson, known))
     wanted = known[lesson]

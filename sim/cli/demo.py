@@ -159,7 +159,7 @@ def perform(
         _screen(is_live, shown.addresses if shown is not None else ()) as on_scene,
     ):
         run = DemoRun(settings, fleet, operator, world, on_scene)
-        summary = run.perform(spec.trace, started_at())
+        summary = run.perform(spec.trace, started_at(), warn)
         if shown is not None:
             shown.reason = (
                 f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"

@@ -146,7 +146,8 @@ def run(
         from swarmd.sim.experiments.cluster import connect
 
     names = chosen_metrics(metrics)
-    own, shown = beyond_catalog(names or ()), [one.name for one in names or ()]
+    own = beyond_catalog(names or ())
+    shown = [metric.name for metric in names or ()]
     plan = plan_of(
         scenario,
         parse_seeds(seeds),

@@ -157,7 +157,9 @@ def bench(
                 for row, cells in table.items()
             ],
         )
-    warn_of_few(sum(value == value for value in found.values()) for found in values.values())
+    warn_of_few(
+        sum(math.isfinite(value) for value in by_seed.values()) for by_seed in values.values()
+    )
     took = time_span(time.monotonic() - begin)
     warn(f"{finished} of {planned} runs are there after {took}; results: {folder}/TASK/PATTERN/")
     ctx.exit(0 if finished == planned else PARTIAL if finished else FAILED)
@@ -168,12 +170,14 @@ def _tell_the_time(entries: Sequence[Entry], seeds: Sequence[int] | None, proces
     from swarmd.sim.cli.progress import time_span
     from swarmd.sim.experiments.cost import measured_cost
 
-    cost, seconds, runs = measured_cost(Path("experiments")), 0.0, 0
+    cost = measured_cost(Path("experiments"))
+    seconds, runs = 0.0, 0
     for entry in entries:
         number = entry.task.file.seeds if seeds is None else len(seeds)
         duration = entry.task.file.scenario["duration"]
-        one = cost.run_seconds(entry.task.name, entry.task.robots, duration)
-        seconds, runs = seconds + one * math.ceil(number / processes), runs + number
+        of_a_run = cost.run_seconds(entry.task.name, entry.task.robots, duration)
+        seconds += of_a_run * math.ceil(number / processes)
+        runs += number
     text = f"{runs} runs, about {time_span(seconds)} with {processes} at a time"
     warn(f"{text}; an estimate, from {cost.basis}")
 

@@ -58,14 +58,21 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
         raise click.UsageError("--to mcap exports traces; leave out --no-traces")
     extra, *modules = _MODULES[form]
     need(*modules, extra=extra)
+    from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.export import export as exported
     from swarmd.sim.experiments.results import load_results
+    from swarmd.sim.experiments.simulate import Progress
 
-    results = load_results(folder)
-    for path in exported(
-        results, cast("Form", form), out or folder / "export", traces=not no_traces
-    ):
-        click.echo(str(path))
+    results, made = load_results(folder), list[Path]()
+    place, total = out or folder / "export", 0 if no_traces else len(results.runs)
+    try:
+        with progress() as show:
+            for path in exported(results, cast("Form", form), place, traces=not no_traces):
+                made.append(path)
+                done = sum(file.stem != "results" for file in made)
+                show(Progress(done, total, 0, float(done), float(total - done)))
+    finally:  # those before a fault, too; a bar on a terminal takes what is printed meanwhile
+        click.echo("\n".join(map(str, made)))
 
 
 @click.command()
@@ -300,7 +307,7 @@ def _metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:
 
 def exit_if_incomplete(*experiments: Results) -> None:
     """End the verb with the exit code of `exp check` if planned runs are missing."""
-    lacking = {one.folder: one.lacking for one in experiments if one.lacking}
+    lacking = {results.folder: results.lacking for results in experiments if results.lacking}
     for folder, text in lacking.items():
         warn(f"{folder}: not complete: {text}")
     if lacking:

@@ -47,7 +47,8 @@ _OPTIONS = (
     click.option(
         "--layout",
         metavar="NAME[:SIZE]",
-        help="Start poses: row, paper, grid, ring, random or list.",
+        help="Start poses: row, paper, grid, ring or random, or list:X:Y:DEG,X:Y:DEG,.. with a pose"
+        " for each robot.",
     ),
     click.option(
         "--seed",

@@ -98,7 +98,7 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         check_free(operator, spec, "swarmctl sim up --swarm NAME")
         with Fleet(spec) as fleet, world_page(fleet, page):
-            up = statuses_of(await_robots(operator, fleet))
+            up = statuses_of(await_robots(operator, fleet, warn))
             for robot in spec.robots:
                 if robot not in up or not up[robot].health.driver_up:
                     warn(f"{robot} is not up yet; its log: {spec.folder}/{robot}.log")
@@ -143,8 +143,13 @@ def _report_ends(fleet: Fleet) -> NoReturn:
 
 
 def _print_usage(spec: FleetSpec) -> None:
+    from swarmd.security.identity import find_identity
+
     is_default = spec.swarm == DEFAULT_SWARM and context_in_use() is None
     swarmctl = "swarmctl" if is_default else f"SWARM={spec.swarm} swarmctl"
+    if find_identity(spec.swarm) is not None:
+        warn(f"the simulated robots have no keys; a secured swarm {spec.swarm} ignores them")
+        swarmctl += " --insecure"
     names = list(spec.robots)
     click.echo(f"{len(names)} robots are up in swarm {spec.swarm}: {names[0]} to {names[-1]}")
     print_section(

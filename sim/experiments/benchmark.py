@@ -328,8 +328,10 @@ def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:
     """Whether the intervals of two medians do not overlap; True if `b` has no median."""
     if b.median is None:
         return True
-    of_a, of_b = a.median_interval, b.median_interval
-    return of_a is not None and of_b is not None and (of_a.high < of_b.low or of_b.high < of_a.low)
+    left, right = a.median_interval, b.median_interval
+    if left is None or right is None:
+        return False
+    return left.high < right.low or right.high < left.low
 
 
 def _order(item: tuple[str, Mapping[str, Cell]]) -> tuple[float, int, str]:

@@ -185,9 +185,14 @@ class DemoRun:
         self._robots = tuple(fleet.spec.robots)
         self._log = StatusLog()
 
-    def perform(self, trace: Path, began: float) -> Summary:
-        """Run all events from start to end; `began` is when the command did (boot time)."""
-        view = starting.await_robots(self._operator, self._fleet)
+    def perform(
+        self, trace: Path, began: float, tell: Callable[[str], object] | None = None
+    ) -> Summary:
+        """Run all events from start to end; `began` is when the command did (boot time).
+
+        `tell` gets lines while robots start.
+        """
+        view = starting.await_robots(self._operator, self._fleet, tell)
         wall_start = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)

@@ -237,6 +237,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "id": robot,
         "swarm": spec.swarm,
         "profile": "dev",
+        "insecure": True,  # the user may have keys for a swarm of this name: an operator's
         "platform": platform,
         "driver": ready.driver,
         "driver_options": {**ready.driver_options, **_detections(spec, robot)},

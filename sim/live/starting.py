@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -21,6 +21,7 @@ from swarmd.sim.scenarios.scenario import ScheduledEvent
 # s between two rounds while robots start. Without a pause the rounds take up to half a second of
 # processor time from seven daemons that start on two cores.
 UP_PERIOD = 0.02
+TELL_PERIOD = 5.0  # s between two lines for who waits
 UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
 # Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
 RUN_ATTEMPTS = 3
@@ -38,14 +39,18 @@ class Started:
     missing: Mapping[str, str]
 
 
-def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
+def await_robots(
+    operator: Operator, fleet: Fleet, tell: Callable[[str], object] | None = None
+) -> MembersView:
     """The swarm once the robots reach their bases and know each other, or when the time is up.
 
-    SwarmError if a process ends meanwhile, NetworkError if no robot is up in time.
+    `tell` gets a line each 5 s with how many are up. SwarmError if a process ends meanwhile,
+    NetworkError if no robot is up in time.
     """
     robots = fleet.robots
     timeout = UP_TIMEOUT + UP_TIMEOUT_EACH * len(robots)
-    deadline = time.monotonic() + timeout
+    begin = told = time.monotonic()
+    deadline = begin + timeout
     while True:
         fleet.check()
         view = operator.members()
@@ -56,6 +61,9 @@ def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
             return view
         if is_over:
             raise NetworkError(f"no robot is up after {timeout:.0f} s (logs: {fleet.spec.folder})")
+        if tell is not None and time.monotonic() - told > TELL_PERIOD:
+            told = time.monotonic()
+            tell(f"{len(up)} of {len(robots)} robots are up after {told - begin:.0f} s")
         time.sleep(UP_PERIOD)
 
 

@@ -7,17 +7,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from msgspec.structs import astuple
+
 from swarmd.core.events import (
-    DetectionsInput,
     DriverInput,
     HostInput,
     Input,
     RequestInput,
     ScanInput,
     SensorInput,
+    tag_of,
 )
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply
+from swarmd.core.values import OPTION_INPUTS
 from swarmd.core.verbs import Request
 from swarmd.kit.factory import Find
 from swarmd.pattern_host.executor import PatternExecutor
@@ -41,7 +44,7 @@ class RobotShell:
         self.decided = 0
         self.evaded = 0
         self._outputs = outputs
-        self._has_detections = False
+        self._valued: set[str] = set()  # of OPTION_INPUTS, those that have a value
         self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.step(DriverInput(True, "simulated"), now)
 
@@ -51,14 +54,10 @@ class RobotShell:
         return self._runner.needs
 
     def sense(self, input: SensorInput, now: float) -> None:
-        """Take what a sensor has measured; of None in place of detections only the first."""
-        if isinstance(input, DetectionsInput):
-            is_known = input.detections is not None
-            if not (is_known or self._has_detections):
-                return
-            self._has_detections = is_known
+        """Take what a sensor has measured; of OPTION_INPUTS without a value only the first."""
         if not isinstance(input, ScanInput):
-            self.step(input, now)
+            if self._is_new(input):
+                self.step(input, now)
             return
         actions = self.robot.step(input, now)
         assert actions is not None
@@ -66,6 +65,14 @@ class RobotShell:
             self.decided += 1
             self.evaded += actions.decision.is_active
         self.carry_out(actions, now)
+
+    def _is_new(self, input: SensorInput) -> bool:
+        kind = tag_of(input)
+        if kind not in OPTION_INPUTS:
+            return True
+        had_value, has_value = kind in self._valued, astuple(input) != (None,)
+        (self._valued.add if has_value else self._valued.discard)(kind)
+        return had_value or has_value
 
     def request(self, request: Request, now: float) -> Reply | None:
         """Carry out an operator's request; the reply, which an inline pattern gives at once."""

@@ -11,7 +11,15 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import wilson
-from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, fit, new_figure, tidy, variant_style
+from swarmd.sim.plots.theme import (
+    GUIDE_COLOUR,
+    NOTE,
+    fit,
+    in_order,
+    new_figure,
+    tidy,
+    variant_styles,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,7 +71,7 @@ def series_figure(
     for axes, groups in zip(panels, kept.values(), strict=True):
         for name, runs in groups.items():
             bands = shares_of(runs) if is_share else bands_of(runs)
-            _paint_variant(axes, bands, legend.index(name), len(groups), legend.text(name))
+            _paint_variant(axes, bands, legend.style(name), len(groups), legend.text(name))
         if target is not None:
             paint_target(axes, target)
         for time, word in events:
@@ -91,11 +99,15 @@ class Legend:
         for groups in facets.values():
             for name, runs in groups.items():
                 counts[name] = max(counts.get(name, 0), len(runs))
-        return Legend(counts)
+        return Legend({name: counts[name] for name in in_order(counts)})
 
     def index(self, name: str) -> int:
         """The number of a variant, for its colour."""
         return list(self.counts).index(name)
+
+    def style(self, name: str) -> tuple[str, str]:
+        """The colour and the line style of a variant."""
+        return variant_styles([*self.counts])[self.index(name)]
 
     def text(self, name: str) -> str:
         """A variant's text in the legend."""
@@ -184,8 +196,10 @@ def _paint_event(axes: Axes, time: float, word: str) -> None:
                   color=GUIDE_COLOUR, zorder=2.5)  # fmt: skip
 
 
-def _paint_variant(axes: Axes, bands: Bands, index: int, variants: int, label: str) -> None:
-    colour, style = variant_style(index)
+def _paint_variant(
+    axes: Axes, bands: Bands, look: tuple[str, str], variants: int, label: str
+) -> None:
+    colour, style = look
     if bands.outer is not None and variants <= _MAX_OUTER:
         axes.fill_between(bands.t, *bands.outer, color=colour, alpha=0.14, linewidth=0.0)
     if bands.inner is not None and variants <= _MAX_INNER:

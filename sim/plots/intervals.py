@@ -12,7 +12,15 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.statistics import summarize
-from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, VARIANT_COLOURS, fit, new_figure, tidy
+from swarmd.sim.plots.theme import (
+    GUIDE_COLOUR,
+    NOTE,
+    fit,
+    in_order,
+    new_figure,
+    tidy,
+    variant_styles,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,6 +63,7 @@ def intervals_figure(
     for panel in panels:
         for name, values in panel.values.items():
             runs[name] = max(runs.get(name, 0), len(values))
+    runs = {name: runs[name] for name in in_order(runs)}
     labels = [_row_label(*item) for item in runs.items()]
     figure, grid = grid_of_panels(len(panels), labels, width)
     for axes, panel in zip(grid, panels, strict=True):
@@ -113,9 +122,10 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     prepare_rows(axes, [_row_label(*item) for item in runs.items()])
     if panel.target is not None:
         axes.axvline(panel.target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1)
+    colours = [colour for colour, _ in variant_styles([*runs])]
     for row, name in enumerate(runs):
         values = np.array(panel.values.get(name, ()), dtype=np.float64)  # None gives NaN
-        _paint_strip(axes, values, row, panel)
+        _paint_strip(axes, values, row, panel, colours[row])
     known = [v for some in panel.values.values() for v in some if v is not None and v == v]
     is_count = bool(known) and not panel.is_share and all(float(v).is_integer() for v in known)
     axes.locator_params(axis="x", nbins=6, integer=is_count)
@@ -132,9 +142,8 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     axes.set_xlabel(", ".join(word for word in words if word), fontsize=9)
 
 
-def _paint_strip(axes: Axes, values: Array, row: int, panel: Panel) -> None:
+def _paint_strip(axes: Axes, values: Array, row: int, panel: Panel, colour: str) -> None:
     """Points, mean and interval of one variant."""
-    colour = VARIANT_COLOURS[row % len(VARIANT_COLOURS)]
     beside = axes.get_yaxis_transform()
     found = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
     if found.n == 0:
@@ -215,6 +224,10 @@ def differences_figure(
 def _paint_differences(axes: Axes, panel: DifferencePanel, rows: Sequence[str]) -> None:
     prepare_rows(axes, rows)
     axes.axvline(0.0, color=GUIDE_COLOUR, linewidth=1.0, zorder=1.8)
+    # Of the variant that is compared, as in the other figures; the first variant has no row.
+    pairs = [name.split(" - ", 1) for name in rows]
+    variants = [pairs[0][-1], *(pair[0] for pair in pairs)]
+    colours = [colour for colour, _ in variant_styles(variants)][1:]
     for row, name in enumerate(rows):
         one = panel.of.get(name)
         if one is None or one.difference is None:
@@ -222,7 +235,7 @@ def _paint_differences(axes: Axes, panel: DifferencePanel, rows: Sequence[str]) 
             axes.text(0.5, row, "-" if one is None else one.conclusion, transform=beside,
                       ha="center", va="center", fontsize=8, color=GUIDE_COLOUR)  # fmt: skip
             continue
-        colour = VARIANT_COLOURS[(row + 1) % len(VARIANT_COLOURS)]  # the first has none here
+        colour = colours[row]
         if one.interval is not None:
             axes.plot([one.interval.low, one.interval.high], [row] * 2, color=colour, linewidth=2.0)
         axes.scatter([one.difference], [row], s=34.0, marker="D", zorder=4.0, linewidths=1.2,

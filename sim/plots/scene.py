@@ -207,17 +207,22 @@ def paint_bodies(
 ) -> None:
     """Paint the footprints at an instant, up to 100 with a line from the axle to the front.
 
-    An absent robot is dotted and pale.
+    At instant 0 a robot whose pose is not known yet, such as one whose recording begins later, is
+    painted at its first known pose. An absent robot is dotted and pale.
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
-    is_there = presence(trace)[instant]
+    robots = np.arange(len(trace.ids))
+    at = np.full(len(robots), instant)
+    if instant == 0:
+        at = np.isfinite(trace.pose).all(axis=2).argmax(axis=0)
+    is_there = presence(trace)[at, robots]
     is_small = len(trace.ids) > _MAX_LARGE
     for rows, linestyle, alpha in (
         (np.flatnonzero(is_there), "-", 1.0),
         (np.flatnonzero(~is_there), ":", 0.45),
     ):
-        bodies = [(trace.footprint(row), trace.pose[instant, row]) for row in rows.tolist()]
+        bodies = [(trace.footprint(row), trace.pose[at[row], row]) for row in rows.tolist()]
         own = [colours[row] for row in rows.tolist()]
         style: dict[str, Any] = {
             "linewidths": 0.3 if is_small else 0.9,

@@ -13,7 +13,6 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import LEVEL
 from swarmd.sim.plots.bands import Legend, finish_series, new_series_figure
-from swarmd.sim.plots.theme import variant_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,7 +102,7 @@ def survival_figure(
     for axes, groups in zip(panels, kept.values(), strict=True):
         for name, found in groups.items():
             curve = survival_curve(found)
-            _paint(axes, curve, legend.index(name), legend.text(name), has_band=has_band)
+            _paint(axes, curve, legend.style(name), legend.text(name), has_band=has_band)
             end = max(end, float(curve.t[-1]))
     panels[0].set_ylim(-0.03, 1.03)
     panels[0].set_xlim(0.0, end)
@@ -113,8 +112,8 @@ def survival_figure(
     return finish_series(figure, panels, text, title, reading, legend, width, axis)
 
 
-def _paint(axes: Axes, curve: Curve, index: int, label: str, *, has_band: bool) -> None:
-    colour, style = variant_style(index)
+def _paint(axes: Axes, curve: Curve, look: tuple[str, str], label: str, *, has_band: bool) -> None:
+    colour, style = look
     if has_band:
         # By corners: `step="post"` leaves out the segment before a bound that does not exist, such
         # as the last before the share is 0.

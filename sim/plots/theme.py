@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +11,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import whole_file
+from swarmd.core.numbers import finite_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,10 +59,40 @@ def new_figure(width: float, height: float, *, is_map: bool = False) -> Figure:
 _STYLES = ("-", "--", ":", "-.")
 
 
+_SCALE, _LEAST_ORDERED = "viridis", 3
+_LIGHTEST = 0.85  # share of the scale beyond which it is too pale for a line on white
+
+
 def variant_style(index: int) -> tuple[str, str]:
     """Colour and line style of the variant of that number; the first 28 differ."""
     style = _STYLES[index // len(VARIANT_COLOURS) % len(_STYLES)]
     return VARIANT_COLOURS[index % len(VARIANT_COLOURS)], style
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """The names of variants as given; numbers, the values of one swept key, in rising order."""
+    values = {name: finite_number(name) for name in names}
+    if any(map(math.isnan, values.values())):
+        return list(values)
+    return sorted(values, key=values.__getitem__)
+
+
+def variant_styles(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Colour and line style of each variant by its name.
+
+    Three or more numbers, the values of one swept key, have the colours of a scale, dark to light
+    as they rise; other variants have those of `variant_style`.
+    """
+    values = [finite_number(name) for name in names]
+    if len(names) < _LEAST_ORDERED or any(map(math.isnan, values)):
+        return [variant_style(index) for index in range(len(names))]
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    order = sorted(values)
+    last = len(order) - 1
+    scale = colormaps[_SCALE]
+    return [(to_hex(scale(_LIGHTEST * order.index(value) / last)), "-") for value in values]
 
 
 NOTE = "note"

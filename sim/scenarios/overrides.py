@@ -26,11 +26,10 @@ def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[s
         raise ConfigError(f"{source} {text!r}: expected key=value")
     key = key.strip()
     try:
-        setting = read_value(form.format(value))
+        data = read_value(form.format(value))
         if key == DURATION:
-            is_list = isinstance(setting, list)
-            setting = [*map(_seconds, setting)] if is_list else _seconds(setting)
-        return key, setting
+            data = [*map(_seconds, data)] if isinstance(data, list) else _seconds(data)
+        return key, data
     except ConfigError as error:
         raise ConfigError(f"{source} {key}: {error}") from error
 

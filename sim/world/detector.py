@@ -16,48 +16,45 @@ DETECTIONS = "detections"
 
 
 @dataclass(frozen=True, slots=True)
-class Objects:
-    """What may be recognised: kinds with ids, `places` (k, 2) and `extents` (k,) around them, m.
+class ObjectsAround:
+    """What a robot may recognise; NaN for what is not there."""
 
-    NaN for what is not there.
-    """
+    pose: Array  # (3,) of the robot
+    names: Sequence[tuple[str, str]]  # kind and id of each object
+    places: Array  # (k, 2) in m
+    extents: Array  # (k,) around the places, in m
+    is_clear: IsClear
 
-    names: Sequence[tuple[str, str]]
-    places: Array
-    extents: Array
 
-
-def detections_of(
-    sensors: Array, pose: Array, objects: Objects, is_clear: IsClear
-) -> tuple[Detection, ...]:
-    """What the sensors of a robot at `pose` (3,) recognise, each object once, without errors.
+def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...]:
+    """What the sensors of a robot recognise, each object once, without errors.
 
     `sensors` (s, 5): x, y, bearing, field of view and range in the base frame. An object is
     recognised if its middle is within field of view and range and nothing stands between the sensor
     and its extent. Bearings and distances are those of the middle, from the axle.
     """
-    is_seen = np.zeros(len(objects.names), dtype=np.bool_)
+    pose, is_seen = around.pose, np.zeros(len(around.names), dtype=np.bool_)
     for eye, (_, _, bearing, view, reach) in zip(
         transform(sensors[:, :2], pose), sensors, strict=True
     ):
-        to = objects.places - eye
+        to = around.places - eye
         away = np.hypot(to[:, 0], to[:, 1])
         looks = pose[2] + np.nan_to_num(bearing)
         off = np.arctan2(to[:, 1], to[:, 0]) - looks
         off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
         (near,) = np.nonzero((away <= reach) & (off <= 0.5 * view) & ~is_seen)  # false for NaN
         if len(near):
-            share = np.maximum(away[near] - objects.extents[near], 0.0) / np.maximum(
+            share = np.maximum(away[near] - around.extents[near], 0.0) / np.maximum(
                 away[near], 1e-9
             )
             ends = eye + to[near] * share[:, None]
-            is_seen[near] = is_clear(np.broadcast_to(eye, ends.shape), ends)
+            is_seen[near] = around.is_clear(np.broadcast_to(eye, ends.shape), ends)
     seen = np.flatnonzero(is_seen)
-    to = objects.places[seen] - pose[:2]
+    to = around.places[seen] - pose[:2]
     bearings = np.arctan2(to[:, 1], to[:, 0]) - pose[2]
     bearings = np.arctan2(np.sin(bearings), np.cos(bearings))
     places = zip(bearings.tolist(), np.hypot(to[:, 0], to[:, 1]).tolist(), strict=True)
     return tuple(
-        Detection(objects.names[row][0], bearing, distance, objects.names[row][1])
+        Detection(around.names[row][0], bearing, distance, around.names[row][1])
         for row, (bearing, distance) in zip(seen.tolist(), places, strict=True)
     )[:MAX_DETECTIONS]

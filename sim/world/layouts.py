@@ -222,7 +222,9 @@ def _headed(pose: Array, heading: float | None) -> Array:
 def _listed(rest: str, n: int) -> Array:
     rows = [[_number(word, math.nan) for word in row.split(":")] for row in rest.split(",")]
     if len(rows) != n or any(len(row) != 3 for row in rows):
-        raise ConfigError(f"{len(rows)} poses; expected {n} of x:y:degrees")
+        count = len(rows) if rest else 0
+        text = f"{count} poses; expected {n} of x:y:degrees, such as list:0:0:90,1:0:0"
+        raise ConfigError(f"{text}, or another layout")
     poses = np.array(rows)
     poses[:, 2] = np.radians(poses[:, 2])
     return poses

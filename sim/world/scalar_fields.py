@@ -9,8 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from swarmd.core.values import Array, Platform, sensor_names
-from swarmd.sim.world.detector import DETECTIONS
+from swarmd.core.values import OPTION_INPUTS, Array, Platform, sensor_names
 from swarmd.sim.world.field_kind import Degrees, Extent, FieldKind, Level, Point
 from swarmd.sim.world.floor import FloorField
 from swarmd.sim.world.geometry import transform
@@ -129,9 +128,9 @@ def readings_at(
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
     """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors.
 
-    With sensors of detections the platform also provides `detections`.
+    The platform also has each of OPTION_INPUTS for which it has sensors.
     """
-    words = {DETECTIONS} & platform.sensors.keys()
+    words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:
         count = len(platform.sensors.get(field.name, ()))
         for name in channels_of(field):

@@ -20,7 +20,7 @@ from swarmd.core.events import (
     ScanInput,
     SensorInput,
 )
-from swarmd.sim.world.detector import DETECTIONS
+from swarmd.sim.world.detector import DETECTIONS, detections_of
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.world import World
@@ -43,9 +43,12 @@ class Sensor(NamedTuple):
     unwanted: SensorInput | None = None
 
 
-def _detections(world: World, row: int, stamp: float) -> DetectionsInput | None:
-    objects = world.detections(row)
-    return None if objects is None else DetectionsInput(objects)
+def detections(world: World, row: int, stamp: float) -> DetectionsInput | None:
+    """The robots, boxes and lamps that a robot recognises; None without a sensor for them."""
+    sensors = world.platforms[row].sensors.get(DETECTIONS)
+    if sensors is None:
+        return None
+    return DetectionsInput(detections_of(sensors, world.objects_around(row)))
 
 
 SENSORS = (
@@ -57,8 +60,8 @@ SENSORS = (
     # Detections cost a third of a run.
     Sensor(
         READINGS_RATE,
-        lambda world: world.has_detectors,
-        _detections,
+        lambda world: any(DETECTIONS in platform.sensors for platform in world.platforms),
+        detections,
         DETECTIONS,
         DetectionsInput(None),
     ),

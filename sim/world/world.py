@@ -16,12 +16,12 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Detection, Odometry, Platform, Pose, Scan, SharedPose, Twist
+from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
-from swarmd.sim.world.detector import DETECTIONS, Objects, detections_of
+from swarmd.sim.world.detector import ObjectsAround
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.items import Items
@@ -301,23 +301,9 @@ class World:
         pose = Pose(*self.poses()[robot].tolist())
         return SharedPose(stamp, pose, _POSE_ERROR, _POSE_YAW_ERROR, "world")
 
-    @property
-    def has_detectors(self) -> bool:
-        """Whether a robot recognises objects."""
-        return any(DETECTIONS in platform.sensors for platform in self.platforms)
-
-    def detections(self, robot: int) -> tuple[Detection, ...] | None:
-        """The robots, boxes and lamps that a robot recognises; None without a sensor for them."""
-        sensors = self.platforms[robot].sensors.get(DETECTIONS)
-        if sensors is None:
-            return None
-        poses = self._all_poses()
-        return detections_of(
-            sensors, poses[robot], self._objects(robot, poses), self._clear_around(robot)
-        )
-
-    def _objects(self, robot: int, poses: Array) -> Objects:
+    def objects_around(self, robot: int) -> ObjectsAround:
         """All that a robot may recognise where it is: bodies but itself, and lamps."""
+        poses = self._all_poses()
         names = [("robot", name) for name in self.ids]
         names += [("box", name) for name in self.movable_boxes]
         shapes = [*(platform.footprint for platform in self.platforms), *self.box_shapes]
@@ -325,7 +311,8 @@ class World:
         places = np.array([*poses[:, :2], *(lamp.center for lamp in lamps)])
         places[robot] = np.nan
         extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
-        return Objects([*names, *(("lamp", lamp.name) for lamp in lamps)], places, extents)
+        names += [("lamp", lamp.name) for lamp in lamps]
+        return ObjectsAround(poses[robot], names, places, extents, self._clear_around(robot))
 
     def _clear_around(self, robot: int) -> IsClear:
         if self._shadows is None:

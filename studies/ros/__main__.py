@@ -1,8 +1,7 @@
 """Faults of robots on DDS: `python -m studies.ros [OUT] [--seed N] [--only WORD]`, ten minutes.
 
-Writes the table to OUT/faults.md (build/ros by default) and, if all faults were injected, into
-`faults.md` beside this file, between its markers. Ends with 1 if a base got a command that it must
-not get.
+Writes the table to OUT/faults.md (build/ros by default) and, if all faults were injected, into the
+`faults.md` beside this file. Ends with 1 if a base got a command that it must not get.
 """
 
 from __future__ import annotations

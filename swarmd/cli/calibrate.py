@@ -76,7 +76,8 @@ def calibrate(
     The robot stands in the middle of a free floor. It looks whether the floor is free, then drives
     to and fro, to both sides if its base moves sideways, and turns on the spot, for one to three
     minutes, under protection. Its figures are printed beside the values of its platform file, with
-    the platform file that follows from them. Ctrl-C stops the robot.
+    the platform file that follows from them. Other robots within the range of the lidar must stand:
+    figures from scans of moving objects are less exact. Ctrl-C stops the robot.
     """
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
@@ -92,10 +93,23 @@ def calibrate(
             does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
             raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
         side = _floor(status) if floor is None else floor
+        statuses = {name: seen.status for name, seen in view.members.items()}
+        if moving := running_beside(statuses, robot):
+            names = ", ".join(moving)
+            warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side, yes)
         report, status = _measure(operator, robot, {"floor": side, "repeats": repeats})
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
+
+
+def running_beside(statuses: Mapping[str, Status | None], robot: str) -> list[str]:
+    """The robots other than `robot` that run a pattern."""
+    return [
+        name
+        for name, status in statuses.items()
+        if name != robot and status is not None and status.state is State.RUNNING
+    ]
 
 
 def _check_file(write: Path | None) -> None:

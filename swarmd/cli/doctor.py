@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 LISTEN_TIME = 1.5  # s: each robot sends a beacon a second
 HERE = "this machine"
+_ORDER = (Level.FAULT, Level.WARNING, Level.UNKNOWN, Level.OK)
 HEADER = ("LEVEL", "WHERE", "WHAT", "FINDING, AND WHAT TO DO")
 
 
@@ -44,7 +45,8 @@ class _Line(NamedTuple):
 def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
     """Check this machine, and TARGETS or all robots: network, clocks, keys, disks, load.
 
-    Works without robots. Exit code 1 if there is a fault; warnings and unknown figures are no
+    The worst findings come first, and equal ones of several robots in one line. Works without
+    robots. Exit code 1 if there is a fault; warnings and unknown figures are no
     faults.
     """
     lines: list[_Line] = [_Line(HERE, one) for one in findings_of.of_machine(measure_machine(()))]
@@ -114,17 +116,32 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
 
 
 def _print(lines: list[_Line], *, only_problems: bool) -> None:
-    rows = [
-        (one.level.value, where, one.subject, one.text + (f"; {one.remedy}" if one.remedy else ""))
-        for where, one in lines
-        if not only_problems or one.level is not Level.OK
-    ]
-    print_table(HEADER, rows)
+    print_table(HEADER, rows_of(lines, only_problems=only_problems))
     count = {level: sum(line.finding.level is level for line in lines) for level in Level}
     click.echo(
         f"{len(lines)} checked: {count[Level.FAULT]} faults, {count[Level.WARNING]} warnings,"
         f" {count[Level.UNKNOWN]} not known"
     )
+
+
+def rows_of(
+    lines: Sequence[tuple[str, Finding]], *, only_problems: bool
+) -> list[tuple[str, str, str, str]]:
+    """The cells below HEADER: the worst first, and equal findings of several robots in one row."""
+    where_of: dict[Finding, list[str]] = {}
+    for where, finding in lines:
+        if not only_problems or finding.level is not Level.OK:
+            where_of.setdefault(finding, []).append(where)
+    everywhere = len({where for where, _ in lines} - {HERE})
+    rows = []
+    for finding, places in sorted(where_of.items(), key=lambda item: _ORDER.index(item[0].level)):
+        robots = [place for place in places if place != HERE]
+        is_all = len(robots) == everywhere > 1
+        names = [f"all {everywhere} robots"] if is_all else robots
+        where = ", ".join([*([HERE] if HERE in places else []), *names])
+        text = finding.text + (f"; {finding.remedy}" if finding.remedy else "")
+        rows.append((finding.level.value, where, finding.subject, text))
+    return rows
 
 
 def _record(line: _Line) -> dict[str, str]:

@@ -10,10 +10,13 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, local_options
-from swarmd.cli.output import print_json, print_section, print_table, warn
+from swarmd.cli.output import line_width, print_json, print_section, print_table, warn
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
+from swarmd.core.verbs import shortened
 from swarmd.texts.values import NOTHING, printable, short_number
+
+LIST_WIDTH, NEEDS_WIDTH, FROM_WIDTH = 100, 22, 16  # columns
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -43,22 +46,28 @@ def patterns(options: CommonOptions) -> None:
 @_platform
 @local_options
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
-    """Print all patterns, a line each. `--timeout` is for each pattern [15s]."""
+    """Print all patterns, a line each. `--timeout` is for each pattern [15s].
+
+    NEEDS and SUMMARY are cut to the terminal, without one to 100 columns; `patterns show NAME` and
+    `-o json` have all. FROM is left out if all come with swarmd.
+    """
     rows = describe_patterns((), plugin_dir, platform, options.timeout or DESCRIBE_TIMEOUT)
     if options.is_json:
         print_json("Patterns", {"patterns": rows})
         return
+    has_others = any(not row["source"].startswith("swarmd") for row in rows)
     table = [
         (
             row["name"],
             row.get("kind", NOTHING),
-            ", ".join(row.get("needs", ())) or NOTHING,
-            row["source"],
+            shortened(", ".join(row.get("needs", ())), NEEDS_WIDTH) or NOTHING,
+            *([shortened(row["source"], FROM_WIDTH)] if has_others else []),
             f"cannot be loaded: {row['error']}" if "error" in row else row["summary"],
         )
         for row in rows
     ]
-    print_table(("NAME", "KIND", "NEEDS", "FROM", "SUMMARY"), table)
+    header = ("NAME", "KIND", "NEEDS", *(["FROM"] if has_others else []), "SUMMARY")
+    print_table(header, table, width=line_width() or LIST_WIDTH)
 
 
 @patterns.command("show")

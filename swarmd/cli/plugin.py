@@ -81,7 +81,7 @@ def new(
     get = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
     steps = [
         (f"swarmctl plugin check {written[0]}", "the contract of all patterns"),
-        (f"{get}{python} -m pytest {written[1]}", "the same, and tests of its own"),
+        (f"{get}{python} -m pytest {written[1]}", "the same, and an example of a test"),
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
     if has_folder:

@@ -52,9 +52,9 @@ def check_daemon(settings: DaemonSettings) -> int:
 
 
 def print_findings(findings: Sequence[Finding]) -> int:
-    """Print a line for each finding, then their numbers; 0 without a fault, else 1."""
+    """Print a line for each finding, faults first, then a count; 0 without a fault, else 1."""
     width = max(len(finding.subject) for finding in findings)
-    for finding in findings:
+    for finding in sorted(findings, key=lambda finding: (finding.is_well, finding.is_measured)):
         mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "
         click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
     bad = sum(not finding.is_well for finding in findings)
@@ -151,7 +151,7 @@ def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
 
 
 def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
-    """The patterns of this robot, with their configured parameters and touch zones."""
+    """The faults of this robot's patterns, how many fit, and their parameters and touch zones."""
     try:
         origins = pattern_names(settings.plugin_dir)
         own = pattern_names(settings.plugin_dir, {})
@@ -159,6 +159,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     except SwarmError as error:
         yield Finding("patterns", False, str(error))
         return
+    fit, misfits = 0, list[str]()
     for row in rows:
         name = row["name"]
         if origins[name].rival:
@@ -167,13 +168,15 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
         elif "error" in row:
             yield Finding(f"pattern {name}", False, row["error"])
         elif row["missing"]:
-            text = f"not for this platform, which lacks {', '.join(row['missing'])}"
-            yield Finding(f"pattern {name}", True, text)
+            misfits.append(f"{name} (lacks {', '.join(row['missing'])})")
+        elif row["refused"] and name in own:
+            yield Finding(f"pattern {name}", False, row["refused"])
         elif row["refused"]:
-            start = "" if name in own else "not for this platform: "
-            yield Finding(f"pattern {name}", name not in own, start + row["refused"])
+            misfits.append(f"{name} ({row['refused']})")
         else:
-            yield Finding(f"pattern {name}", True, row["source"])
+            fit += 1
+    rest = f"; not for this platform: {'; '.join(misfits)}" if misfits else ""
+    yield Finding("patterns", True, f"{fit} of {len(rows)} fit this platform{rest}")
     by_name = {row["name"]: row for row in rows}
     yield from _check_parameters(settings, by_name)
     yield from _check_touch(settings, by_name)

@@ -65,7 +65,8 @@ def follow_states(
 ) -> Iterator[RobotState]:
     """A state for each status: on each change, and each second; with `poses` ten times a second.
 
-    It ends after `seconds`, when the session is cancelled, or when the iterator is closed.
+    With `poses` the states of a robot begin with its first pose: none has an unknown place. The
+    iterator ends after `seconds`, when the session is cancelled, or when the iterator is closed.
     """
     news: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
     last: dict[str, tuple[Status, Motion | None]] = {}
@@ -76,7 +77,8 @@ def follow_states(
         with lock:
             motion = last.get(status.robot, (status, None))[1]
             last[status.robot] = status, motion
-        _put(news, status, motion)
+        if not poses or _has_pose(motion):
+            _put(news, status, motion)
 
     def on_motion(robot: str, payload: bytes) -> None:
         motion = _motion(payload)
@@ -85,7 +87,7 @@ def follow_states(
                 return
             status = last[robot][0]
             last[robot] = status, motion
-        if poses:
+        if poses and _has_pose(motion):
             _put(news, status, motion)
 
     def on_view(view: MembersView) -> None:
@@ -118,7 +120,7 @@ def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:
 
     def on_motion(robot: str, payload: bytes) -> None:
         motion = _motion(payload)
-        if motion.robot == robot and math.isfinite(motion.x + motion.y + motion.yaw):
+        if motion.robot == robot and _has_pose(motion):
             found[robot] = motion.x, motion.y, motion.yaw
             if robots <= found.keys():
                 is_whole.set()
@@ -129,9 +131,13 @@ def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:
     return dict(found)
 
 
+def _has_pose(motion: Motion | None) -> bool:
+    return motion is not None and math.isfinite(motion.x + motion.y + motion.yaw)
+
+
 def _put(news: queue.Queue[RobotState], status: Status, motion: Motion | None) -> None:
     moved = {}
-    if motion is not None and math.isfinite(motion.x + motion.y + motion.yaw):
+    if motion is not None and _has_pose(motion):
         linear, angular, lateral = motion.safe
         moved = {"x": motion.x, "y": motion.y, "yaw": motion.yaw}
         moved |= {"linear": linear, "angular": angular, "lateral": lateral}

@@ -113,7 +113,7 @@ _MAX_HINTS = 4
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """One line for an unknown name, with those that it is a word of, the nearest one, or all."""
     names = sorted(known)
-    having = [candidate for candidate in names if name in candidate.split("_")]
+    having = [known_name for known_name in names if name in known_name.split("_")]
     if 0 < len(having) <= _MAX_HINTS:
         text = " or ".join(filter(None, [", ".join(map(repr, having[:-1])), repr(having[-1])]))
         return f"no {what} {name!r}; did you mean {text}?"

@@ -85,7 +85,11 @@ class DetectionsInput(Struct, frozen=True, array_like=True, tag="detections"):
 
 
 class HazardsInput(Struct, frozen=True, array_like=True, tag="hazards"):
-    """All hazards that the base senses now."""
+    """All hazards that the base senses now.
+
+    A base whose driver never hands them over has none, or does not tell. A driver that no longer
+    hears of them while its base is connected tells NOT_HEARD.
+    """
 
     hazards: Annotated[tuple[Hazard, ...], Meta(max_length=1000)]
 

@@ -15,7 +15,7 @@ class HazardKind(StrEnum):
     STALL = "stall"  # the motors drive, and the wheels do not turn
     WHEEL_DROP = "wheel_drop"  # a wheel hangs out of its well
     LIFTED = "lifted"  # the base does not stand on the floor: a person carries it
-    NOT_HEARD = "not_heard"  # the source of hazards is silent: a hazard may be there
+    NOT_HEARD = "not_heard"  # the source is silent: a hazard may be there
 
 
 ENDS_RUN = frozenset({HazardKind.WHEEL_DROP, HazardKind.LIFTED})

@@ -4,11 +4,11 @@ A kernel's file is the only source of its arithmetic. `setup.py` compiles the ke
 LIBRARIES into one library beside them. Kernels that call each other's functions of C are in one
 row: a call with nine arrays takes 8 us from one library to another.
 
-CPython runs the files themselves where there is no library, where the environment has
-SWARMD_COMPILED=0, and where a library was compiled from another version of its sources: the code
-around it may call what it lacks. All libraries import `_views.abi3.so`, which holds Cython's code
-for views of memory. Where `_views` is absent or was compiled by another version of Cython, CPython
-runs the files, too. setup.py runs this file alone, so it imports no other module of swarmd.
+CPython runs the files where there is no library, where the environment has SWARMD_COMPILED=0, and
+where a library was compiled from other sources than these: the code around a library may call what
+is not in there. All libraries import `_views.abi3.so`, which holds Cython's code for views of
+memory. Where that is absent or was compiled by another version of Cython, CPython runs the files,
+too. setup.py runs this file alone, so no other module of swarmd is imported here.
 
 There are several libraries and not one: the compiler works on all of them at once, and a call
 between two costs 50 ns and more, an estimated 2 % of all time with 100 robots. Python classes that
@@ -141,8 +141,9 @@ def _is_wanted() -> bool:
 
 @cache
 def _fault_of(name: str) -> str:
-    """Why a library cannot be used, empty if it can; it is opened, but not imported."""
-    path, library, views = _file(name), _opened(name), _opened(VIEWS)
+    """Why a library cannot be used, empty if it can. The library is opened and not imported."""
+    path, library = _file(name), _opened(name)
+    views = _opened(VIEWS)
     if path is None or library is None or views is None:
         return _NOT_COMPILED
     files = [path.with_name(f"{kernel.rpartition('.')[2]}.py") for kernel in LIBRARIES[name]]

@@ -72,7 +72,7 @@ class Reason(StrEnum):
     STALE_SCAN = "stale_scan"
     SCAN_CONFLICT = "two_scan_sources"
     BASE_CONFLICT = "two_bases"
-    HAZARD = "hazard"  # the base reports one, or its hazards are not heard: core/hazard.py
+    HAZARD = "hazard"  # the base reports one, or tells nothing of them: core/hazard.py
     FROZEN_SCAN = "frozen_scan"
     FROZEN_STAMP = "frozen_stamp"  # of scans that differ
     CLOCK_SET = "clock_set"  # stamps jumped, so that scans are rejected or seem late

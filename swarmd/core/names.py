@@ -84,6 +84,11 @@ def _expanded(word: str, text: str) -> Iterator[str]:
 
 
 def _numbers(inside: str, text: str) -> Iterator[str]:
+    if len(inside) > 1 and inside.isdecimal():  # as of a glob of a shell, where it means 2 or 3
+        raise ConfigError(
+            f"{text!r} has [{inside}], the number {inside} alone; leave the brackets out, or write"
+            f" [{','.join(inside)}] for {' and '.join(inside)}"
+        )
     for part in inside.split(","):
         match = _NUMBERS.fullmatch(part.strip())
         if match is None:

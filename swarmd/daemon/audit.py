@@ -84,7 +84,7 @@ class Audit:
             self._keep(replace(entry, targets=targets, left_out=left_out))
         if (left_out := lines.take(is_applied, now)) is None:
             return
-        who = f"by {shortened(operator)} from {shortened(source)}"
+        who = f"by {shortened(operator)}{',' if is_relayed else ' from'} {shortened(source)}"
         line = f"{shortened(what, MAX_WHAT)}, {who}: {result}: {reply.text}"
         line = _printable(line.removesuffix(": "))
         if left_out:

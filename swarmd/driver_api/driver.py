@@ -19,10 +19,8 @@ class Sink(Protocol):
     def take(self, input: SensorInput) -> None:
         """What a sensor has measured; the caller does not change it afterwards.
 
-        Each kind replaces its last input: readings are all readings, hazards all that are present
-        now. A kind that is never handed over is unknown: without neighbors all members count, and
-        a base without hazards has none or does not tell. A driver that no longer hears of hazards
-        while its base is connected tells NOT_HEARD.
+        Each input replaces the last of its kind; `swarmd.core.events` says what each kind means,
+        and what a kind that is never handed over means.
         """
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
@@ -34,7 +32,7 @@ class Sink(Protocol):
         """The base is connected, or lost and why.
 
         `hold`: why the robot must not move although its base is connected. `gets_zero`: the base is
-        lost, but the zeros of a stopped robot are sent to it.
+        lost, but the zeros of a stopped robot are sent to it, or the driver moves no base at all.
         """
 
     def dropped(self, what: str) -> None:

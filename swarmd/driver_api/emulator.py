@@ -29,7 +29,7 @@ class Emulator(Protocol):
     def publish(self, robot: str, input: SensorInput) -> None:
         """Publish what a sensor of a robot has measured, if its driver reads that; never blocks.
 
-        Readings and detections are those that the options of the driver name.
+        Of an option with entries, such as `readings`, only what its entries name is published.
         """
 
     def close(self) -> None:

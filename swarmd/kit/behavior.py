@@ -70,7 +70,7 @@ class Pattern(ABC, Generic[P]):
 
     - `params_type`: the struct of its parameters.
     - `group`: the heading under which lists of patterns have it, such as gather or search.
-    - `needs`: what the robot must have, of scan, ranges, odometry, detections, pose, neighbors,
+    - `needs`: what the robot must have: fields of `Inputs`, such as scan, odometry and neighbors;
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.

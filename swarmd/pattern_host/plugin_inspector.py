@@ -244,11 +244,11 @@ def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) ->
     from swarmd.testing.no_side_effects import forbidden_imports
 
     source = path.read_bytes()
-    for point, faults in (
+    for point, places in (
         (IMPORTS, [(line, f"imports {name}") for line, name in forbidden_imports(source)]),
         (DROPPED, [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]),
     ):
-        texts = [f"{text} ({path.name}:{line})" for line, text in faults]
+        texts = [f"{text} ({path.name}:{line})" for line, text in places]
         answer.send(begin=point)
         answer.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
     for point, check in _contract_tests(loaded[0], path.parent):

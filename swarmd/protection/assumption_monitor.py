@@ -213,19 +213,19 @@ class _Brake:
         self._note(-math.inf, self._command)
 
     @cython.ccall
-    def share_with(self, other: _Brake, speed: cython.double, stamp: cython.double):
-        """Drop the stop under way if the speed on the `other` axis changes, too.
+    def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double):
+        """Drop the stop under way if the speed on another `axis` changes, too.
 
         That `speed` was measured last, at `stamp`; it follows commands of up to _LONGEST_DELAY ago.
         """
         stop: _Stop = self._stop
         if stop is None:
             return
-        change: cython.double = fabs(other._command - speed)
+        change: cython.double = fabs(axis._command - speed)
         k: cython.Py_ssize_t
-        for k in range(other._given - 1, max(other._given - _MAX_COMMANDS, 0) - 1, -1):
-            change = max(change, fabs(other._command - other._levels[k % _MAX_COMMANDS]))
-            if other._stamps[k % _MAX_COMMANDS] <= stamp - _LONGEST_DELAY:
+        for k in range(axis._given - 1, max(axis._given - _MAX_COMMANDS, 0) - 1, -1):
+            change = max(change, fabs(axis._command - axis._levels[k % _MAX_COMMANDS]))
+            if axis._stamps[k % _MAX_COMMANDS] <= stamp - _LONGEST_DELAY:
                 break
         if change > _BESIDE * (stop.begin - stop.least):
             self._stop = None
@@ -367,7 +367,11 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     periods, ways = rows[:, 1] - rows[:, 0], stop.sign * rows[:, 2]
     first = rows[0, 0] - _LONGEST_DELAY
     last = len(commands) - 1
-    kept = [one for k, one in enumerate(commands[:last]) if first < commands[k + 1][0] != one[0]]
+    kept = [
+        command
+        for k, command in enumerate(commands[:last])
+        if first < commands[k + 1][0] != command[0]
+    ]
     stamps, levels = np.array((*kept, commands[last])).T
     levels = np.maximum(stop.sign * levels, 0.0)
     count = len(stop.cruise)
@@ -506,10 +510,10 @@ class AssumptionMonitor:
     def findings(self) -> tuple[str, ...]:
         """The violated assumptions, each with its evidence."""
         brake: _Brake
-        found = []
+        evidence = []
         for brake in self._brakes():
-            found.append(brake.evidence)
-        return tuple(text for text in (*found, self._others) if text)
+            evidence.append(brake.evidence)
+        return tuple(text for text in (*evidence, self._others) if text)
 
     @property
     def late(self) -> str:
@@ -658,10 +662,10 @@ class AssumptionMonitor:
 
     def _braked(self, is_linear: bool, is_angular: bool, is_lateral: bool) -> str:
         """The event of the axes that have just violated their braking."""
-        found = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
+        evidence = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
         if is_lateral:
-            found.append(self._lateral.evidence)
-        return self._reduced("; ".join(found))
+            evidence.append(self._lateral.evidence)
+        return self._reduced("; ".join(evidence))
 
     def _reduce(self) -> None:
         brake: _Brake

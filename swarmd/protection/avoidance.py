@@ -83,7 +83,7 @@ class Avoidance:
         `safe` is the present command.
         """
         self.avoiding = None
-        self.are_near = any(math.hypot(one.x, one.y) < _NEAR for one in around.tracks)
+        self.are_near = any(math.hypot(track.x, track.y) < _NEAR for track in around.tracks)
         speed = math.hypot(requested.linear, requested.lateral)
         if speed < self._least:
             return requested

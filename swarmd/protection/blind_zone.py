@@ -112,9 +112,9 @@ def _mod(angle: cython.double) -> cython.double:
 @cython.cfunc
 @cython.inline
 @cython.exceptval(check=False)
-def _apart(one: cython.double, other: cython.double) -> cython.double:
+def _apart(angle: cython.double, direction: cython.double) -> cython.double:
     """The angle between two directions."""
-    return fabs(_mod(one - other + _PI) - _PI)
+    return fabs(_mod(angle - direction + _PI) - _PI)
 
 
 @cython.cfunc

@@ -115,7 +115,8 @@ class Rows:
         """Add a row; there must be room."""
         at: cython.Py_ssize_t = self.count
         self.x[at], self.y[at] = x, y
-        self.cap[at], self.gap[at], self.source[at] = cap, gap, source
+        self.cap[at], self.gap[at] = cap, gap
+        self.source[at] = source
         self.count = at + 1
         return 0
 
@@ -177,7 +178,8 @@ class Constraints:
 
     def __init__(self, assumptions: Assumptions, outline: Outline, touch: TouchSector) -> None:
         self._assumptions, self._outline = assumptions, outline
-        self.rows, self.placed, self.axes = Rows(), PlacedPoints(), SpeedAxes()
+        self.rows, self.placed = Rows(), PlacedPoints()
+        self.axes = SpeedAxes()
         self.touch, self._chunk = touch, Chunk()
         self.axes.angular_limit = assumptions.angular_limit
 
@@ -207,7 +209,8 @@ class Constraints:
         self.placed.reserve(count + discs)
         self.rows.reserve((count + discs) * of_a_point + contacts + touch_rows + ENVELOPE_ROWS)
         self.rows.count = 0
-        self.placed.seen, self.placed.contacts, self.placed.discs = count, contacts, discs
+        self.placed.seen, self.placed.contacts = count, contacts
+        self.placed.discs = discs
         return 0
 
     @cython.cfunc
@@ -297,7 +300,8 @@ class Constraints:
         """
         chunk: Chunk = self._chunk
         least: cython.double = self._assumptions.margin + radius
-        chunk.x[0], chunk.y[0], chunk.count = x, y, 1
+        chunk.count = 1
+        chunk.x[0], chunk.y[0] = x, y
         chunk.free[0] = least + moved
         chunk.age[0], chunk.radius[0] = age + REACTION, radius
         self._add_chunk(point, 0.0)
@@ -343,8 +347,8 @@ class Constraints:
         row_cap: cython.p_double = checked(rows.cap, at + count)
         row_gap: cython.p_double = checked(rows.gap, at + count)
         for j in range(count):
-            row_x[at + j], row_y[at + j], row_cap[at + j] = new_x[j], new_y[j], cap[j]
-            row_gap[at + j] = gap[j] - radius[j]
+            row_x[at + j], row_y[at + j] = new_x[j], new_y[j]
+            row_cap[at + j], row_gap[at + j] = cap[j], gap[j] - radius[j]
         self._place_chunk(first)
         rows.count = at + count
         self._add_approaching(first)
@@ -383,8 +387,8 @@ class Constraints:
             placed_x[i], placed_y[i] = at_x[j], at_y[j]
             placed_free[i], placed_age[i] = free[j], age[j]
             placed_contact[i] = free[j] + hidden[j]
-            normal_x[i], normal_y[i], placed_gap[i] = nx[j], ny[j], gap[j]
-            radius_of[i] = radius[j]
+            normal_x[i], normal_y[i] = nx[j], ny[j]
+            placed_gap[i], radius_of[i] = gap[j], radius[j]
         first_row: cython.p_longlong = checked_indices(placed.first_row, end)
         source: cython.p_longlong = checked_indices(self.rows.source, at + count)
         for j in range(count):
@@ -585,7 +589,8 @@ class Constraints:
                 lever: cython.double = own_x * dy - own_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
                 new_cap[j] = closing_cap(away - free[j], braking, age[j], others, is_passive)
-                new_x[j], new_y[j], new_gap[j] = linear * limit, lever * angular_limit, away
+                new_x[j], new_y[j] = linear * limit, lever * angular_limit
+                new_gap[j] = away
             self._add_corner(first, begin, end)
         return 0
 

@@ -285,7 +285,8 @@ class ScanMotion:
 
     def __init__(self, assumptions: Assumptions, reckoning: DeadReckoning) -> None:
         self._assumptions, self._reckoning = assumptions, reckoning
-        self.pose, self.moved, self._now = PlanarPose(), PlanarPose(), PlanarPose()
+        self.pose, self.moved = PlanarPose(), PlanarPose()
+        self._now = PlanarPose()
         self.ahead, self.left = CommandRange(), CommandRange()
         self.taken = -INFINITY
 
@@ -301,8 +302,9 @@ class ScanMotion:
     ):
         """False if a scan is not newer than the last one; else take its time and pose.
 
-        `newest_age`: how old its newest ray was on arrival by the platform's latency; `delay`: how
-        much later than that it arrives. `ages` (n,) of its rays; empty: all are 0.
+        All in s. `age`: since the arrival of the scan. `newest_age`: how old its newest ray was on
+        arrival by the platform's latency, and `delay`: how much later than that it arrives. `ages`
+        (n,) of its rays; empty: all are 0.
         """
         i: cython.Py_ssize_t
         oldest: cython.double = 0.0
@@ -322,7 +324,8 @@ class ScanMotion:
         reckoning.find_pose(odometry_age, latency, self._now)
         self.moved.set_relative(self._now, self.pose)
         self.pose.set(self._now.x, self._now.y, self._now.yaw)
-        self.taken, self.lag, self.resets = taken, age, reckoning.resets
+        self.taken, self.lag = taken, age
+        self.resets = reckoning.resets
         return True
 
     @cython.cfunc

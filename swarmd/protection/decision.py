@@ -44,7 +44,7 @@ class DecisionContext(Struct, frozen=True, gc=False):
     @property
     def near_points(self) -> Array:
         """(k, 2) the returns of the ring, in the base frame in m."""
-        return np.array([(one.x, one.y) for one in self.near], np.float64).reshape(-1, 2)
+        return np.array([(disc.x, disc.y) for disc in self.near], np.float64).reshape(-1, 2)
 
 
 class Permit(Struct, frozen=True):

@@ -89,7 +89,8 @@ class Envelope:
         y: cython.p_double = checked(self.row_y, ENVELOPE_ROWS)
         cap: cython.p_double = checked(self.row_cap, ENVELOPE_ROWS)
         for i in range(ENVELOPE_ROWS):
-            to_x[at + i], to_y[at + i], to_cap[at + i] = x[i], y[i], cap[i]
+            to_x[at + i], to_y[at + i] = x[i], y[i]
+            to_cap[at + i] = cap[i]
         return 0
 
     @cython.cfunc

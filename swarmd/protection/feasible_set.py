@@ -104,7 +104,8 @@ class FeasibleSet:
         self.situation = Situation()
         self.constraints = Constraints(assumptions, outline, self.touch)
         self.creeping = Creeping(assumptions, outline)
-        self._predicted, self._frame, self._told_pose = PlanarPose(), PlanarPose(), PlanarPose()
+        self._predicted, self._frame = PlanarPose(), PlanarPose()
+        self._told_pose = PlanarPose()
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -164,7 +165,8 @@ class FeasibleSet:
         if is_known:
             return 1
         axes: SpeedAxes = self.constraints.axes
-        axes.along_x, axes.along_y, axes.limit = along_x, along_y, limit
+        axes.along_x, axes.along_y = along_x, along_y
+        axes.limit = limit
         self._build(command.linear, command.angular, command.lateral)
         self.situation.is_known = True
         return 0

@@ -135,8 +135,8 @@ class _Axis:
         self,
         period: cython.double,
         stamp: cython.double,
-        one: cython.double,
-        other: cython.double,
+        by_twist: cython.double,
+        by_pose: cython.double,
     ):
         """The base moved at one of two speeds, by its twist and by its pose, for `period` s."""
         i: cython.Py_ssize_t
@@ -157,15 +157,17 @@ class _Axis:
         least: cython.double = self._least
         if low > high:
             low, high = high, low
-        if low - least <= one <= high + least or low - least <= other <= high + least:
+        if low - least <= by_twist <= high + least or low - least <= by_pose <= high + least:
             self._follow()
             return
         low = high = self._slow
         for i in range(self._first, self._end):
             low, high = min(self._speeds[i], low), max(self._speeds[i], high)
         allowed: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
-        is_nearer: cython.bint = max(low - other, other - high) < max(low - one, one - high)
-        measured: cython.double = other if is_nearer else one
+        is_nearer: cython.bint = max(low - by_pose, by_pose - high) < max(
+            low - by_twist, by_twist - high
+        )
+        measured: cython.double = by_pose if is_nearer else by_twist
         is_off: cython.bint = not low - allowed <= measured <= high + allowed
         if not is_off or stamp - self._begun < WINDOW:
             self._follow()
@@ -207,7 +209,7 @@ class FollowingMonitor:
         if given is not None:
             settings = msgspec.convert(given, BarrierSettings)
             braking = settings.braking_linear, settings.braking_angular
-        linear, angular = (_SLOW * one for one in braking)
+        linear, angular = (_SLOW * rate for rate in braking)
         self._linear = _Axis(_LEAST[0], linear, _UNITS[0])
         self._angular = _Axis(_LEAST[1], angular, _UNITS[1])
         self._lateral = _Axis(_LEAST[2], linear, _UNITS[2])

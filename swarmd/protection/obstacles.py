@@ -26,6 +26,7 @@ else:
 NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))
 
+_ROOM = 96  # points, before there are more
 _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
 
 
@@ -94,9 +95,11 @@ class NearObstacles:
     _motion: ScanMotion
 
     def __init__(self, assumptions: Assumptions, outline: Outline, motion: ScanMotion) -> None:
-        self._assumptions, self._outline, self._motion = assumptions, outline, motion
-        self.points, self._unsorted, self.rays = Points(96), Points(96), Points(16)
-        self._order, self._spare = indices(96), indices(96)
+        self._assumptions, self._outline = assumptions, outline
+        self._motion = motion
+        self.points, self._unsorted = Points(_ROOM), Points(_ROOM)
+        self._order, self._spare = indices(_ROOM), indices(_ROOM)
+        self.rays = Points(16)
         self._bearings, self._directions = NO_NUMBERS, doubles(2)
 
     def check_indices(self) -> None:
@@ -358,7 +361,8 @@ class ToldDiscs:
     row: cython.longlong[::1]  # their indices
 
     def __init__(self) -> None:
-        self.obstacles, self.table, self.row = (), NO_ROWS, indices(8)
+        self.obstacles, self.table = (), NO_ROWS
+        self.row = indices(8)
 
     @cython.cfunc
     def set(self, told):

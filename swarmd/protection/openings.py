@@ -170,31 +170,31 @@ class _Sight:
         """The row of the return of a wall nearest to the end of a wall; -1: there is no opening."""
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t = post + way
-        k: cython.Py_ssize_t
-        best: cython.Py_ssize_t = 0
-        found: cython.Py_ssize_t = -1
-        least: cython.double = _WIDEST * _WIDEST
-        for k in range(2, n // 2):
+        step: cython.Py_ssize_t
+        steps: cython.Py_ssize_t = 0
+        partner: cython.Py_ssize_t = -1
+        least_square: cython.double = _WIDEST * _WIDEST
+        for step in range(2, n // 2):
             row = self.beside(row, way)
             if not self.is_wall[row]:
                 continue
             dx: cython.double = self.x[row] - self.x[post]
             dy: cython.double = self.y[row] - self.y[post]
             away: cython.double = dx * dx + dy * dy
-            if away < least:
+            if away < least_square:
                 if away <= narrowest * narrowest:
                     return -1
-                best, found, least = k, row, away
-        if best <= _LEAST_RAYS:
+                steps, partner, least_square = step, row, away
+        if steps <= _LEAST_RAYS:
             return -1
-        farthest: cython.double = max(self.ranges[post], self.ranges[found]) - _BETWEEN
+        farthest: cython.double = max(self.ranges[post], self.ranges[partner]) - _BETWEEN
         clear: cython.double = 0.0
         row = self.beside(post, way)
-        while row != found:
+        while row != partner:
             if self.ranges[row] > farthest:
                 clear += 1.0
             row = self.beside(row, way)
-        return found if clear / (best - 1) >= _CLEAR else -1
+        return partner if clear / (steps - 1) >= _CLEAR else -1
 
     @cython.cfunc
     @cython.inline
@@ -326,16 +326,16 @@ class Opening:
         return _reach(sight.places, count)
 
     @cython.cfunc
-    def is_same(self, other: Opening) -> cython.bint:
+    def is_same(self, sighting: Opening) -> cython.bint:
         """True if both may be sightings of one opening."""
         c: cython.double = cos(self.angle)
         s: cython.double = sin(self.angle)
-        dx: cython.double = other.x - self.x
-        dy: cython.double = other.y - self.y
+        dx: cython.double = sighting.x - self.x
+        dy: cython.double = sighting.y - self.y
         return (
-            fabs(remainder(self.angle - other.angle, _half_turn)) < _SAME_ANGLE
+            fabs(remainder(self.angle - sighting.angle, _half_turn)) < _SAME_ANGLE
             and fabs(c * dy - s * dx) < _SAME_AXIS
-            and fabs(self.half - other.half) < _SAME_HALF
+            and fabs(self.half - sighting.half) < _SAME_HALF
             and self.first - _SAME_SPAN < c * dx + s * dy < self.last + _SAME_SPAN
         )
 
@@ -392,7 +392,7 @@ class Openings:
     def forget(self, opening: object) -> cython.bint:
         """Forget one opening; whether it was remembered."""
         before = len(self._known)
-        self._known = [one for one in self._known if one is not opening]
+        self._known = [known for known in self._known if known is not opening]
         return len(self._known) < before
 
     def observe(
@@ -403,32 +403,34 @@ class Openings:
         `offset`: place of the sensor in the base frame. `tracks`: x, y, radius of moving objects in
         the frame of the odometry. `kept`: an opening that is not forgotten, or None.
         """
-        found: Opening
-        one: Opening
-        for found in self._found(scan, offset, pose, now, tracks):
-            for one in self._known:
-                if one.is_same(found):
-                    one.update(found)
+        sighting: Opening
+        known: Opening
+        for sighting in self._found(scan, offset, pose, now, tracks):
+            for known in self._known:
+                if known.is_same(sighting):
+                    known.update(sighting)
                     break
             else:
-                self._known.append(found)
+                self._known.append(sighting)
         if not self._known:
             return
-        left: list = []
-        for one in self._known:
-            longest: cython.double = _FORGET if one.hits >= SIGHTINGS else _FORGET_ONE
-            if now - one.seen_at < longest or one is kept:
-                left.append(one)
-        if len(left) > _MOST:  # those that were seen once go first
-            left.sort(key=lambda one: (one is kept, one.hits >= SIGHTINGS, one.seen_at))
-            del left[: len(left) - _MOST]
-        self._known = left
+        remembered: list = []
+        for known in self._known:
+            longest: cython.double = _FORGET if known.hits >= SIGHTINGS else _FORGET_ONE
+            if now - known.seen_at < longest or known is kept:
+                remembered.append(known)
+        if len(remembered) > _MOST:  # those that were seen once go first
+            remembered.sort(
+                key=lambda known: (known is kept, known.hits >= SIGHTINGS, known.seen_at)
+            )
+            del remembered[: len(remembered) - _MOST]
+        self._known = remembered
 
     @cython.cfunc
     def _found(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
         """The openings that a scan shows."""
-        one: Opening
-        other: Opening
+        opening: Opening
+        before: Opening
         post: cython.Py_ssize_t
         row: cython.Py_ssize_t
         way: cython.int
@@ -465,15 +467,15 @@ class Openings:
             row = sight.partner(post, way, self._narrowest)
             if row < 0:
                 continue
-            one = _opening(sight, post, row)
-            one.seen_at = now
-            if min(one.left, one.right) < one.half + _WALL:
+            opening = _opening(sight, post, row)
+            opening.seen_at = now
+            if min(opening.left, opening.right) < opening.half + _WALL:
                 continue
-            for other in seen:
-                if one.is_same(other):
+            for before in seen:
+                if opening.is_same(before):
                     break
             else:
-                seen.append(one)
+                seen.append(opening)
         return seen
 
 
@@ -490,11 +492,11 @@ def _places(ranges, bearings, offset, pose) -> tuple:
 @cython.cfunc
 def _opening(sight: _Sight, post: cython.Py_ssize_t, row: cython.Py_ssize_t) -> Opening:
     """The opening between two returns, measured."""
-    one: Opening = Opening()
+    opening: Opening = Opening()
     dx: cython.double = sight.x[row] - sight.x[post]
     dy: cython.double = sight.y[row] - sight.y[post]
-    one.x = 0.5 * (sight.x[post] + sight.x[row])
-    one.y = 0.5 * (sight.y[post] + sight.y[row])
-    one.angle, one.half, one.hits = atan2(dx, -dy), 0.5 * hypot(dx, dy), 1
-    one.measure(sight)
-    return one
+    opening.x = 0.5 * (sight.x[post] + sight.x[row])
+    opening.y = 0.5 * (sight.y[post] + sight.y[row])
+    opening.angle, opening.half, opening.hits = atan2(dx, -dy), 0.5 * hypot(dx, dy), 1
+    opening.measure(sight)
+    return opening

@@ -201,8 +201,9 @@ class Outline:
             half: cython.double = blind * blind - across * across  # square of half of the chord
             hidden: cython.double = sqrt(half) - (dx * nx + dy * ny - gap)
             hidden = hidden if (half > 0.0) & (hidden > 0.0) else 0.0
-            to_gap[j], to_nx[j], to_ny[j] = gap, nx, ny
-            to_lever[j], to_hidden[j] = foot_x[j] * ny - foot_y[j] * nx, hidden
+            to_gap[j], to_hidden[j] = gap, hidden
+            to_nx[j], to_ny[j] = nx, ny
+            to_lever[j] = foot_x[j] * ny - foot_y[j] * nx
         return 0
 
     @cython.cfunc

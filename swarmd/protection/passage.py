@@ -47,7 +47,8 @@ class Room:
     _scan: object
 
     def __init__(self, assumptions: Assumptions, outline: Outline, scan: ScanSpec) -> None:
-        self._assumptions, self._outline, self._scan = assumptions, outline, scan
+        self._assumptions, self._outline = assumptions, outline
+        self._scan = scan
 
     def clearance(self, speed: float) -> Clearance:
         """The clearance needed to drive at `speed`: ahead, and to each side."""

@@ -11,7 +11,7 @@ aside, because a turn can leave it more speed. Where two meet and neither can pa
 for a random time that grows (Metcalfe and Boggs 1976); a robot that has gained ground waits. A
 robot that can neither turn nor go on moves along the way that protection allows most.
 
-The creeping of a robot that touches something is in barrier.py (`CREEP_SPEED`).
+The creeping of a robot that touches something is in envelope.py (`Creeping`).
 """
 
 from __future__ import annotations
@@ -368,14 +368,14 @@ class Recovery:
 
     def _fastest_escape(self, allows: Allows) -> Twist | None:
         """The fastest of six twists that protection allows; None if protection allows none."""
-        speed, fastest, found = 0.5 * self._speed, 0.0, None
+        speed, fastest, escape = 0.5 * self._speed, 0.0, None
         for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
             for turn in _ESCAPE_TURNS:
-                one = Twist(sign * speed, turn)
-                allowed = sign * allows(one).linear
+                twist = Twist(sign * speed, turn)
+                allowed = sign * allows(twist).linear
                 if allowed > fastest + 0.01 * speed:
-                    fastest, found = allowed, one
-        return found
+                    fastest, escape = allowed, twist
+        return escape
 
     def _plan(self, heading: float, context: DecisionContext, points: Array) -> None:
         """Choose the free corridor nearest to `heading`, a bearing in rad in the base frame."""

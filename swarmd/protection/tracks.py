@@ -334,13 +334,13 @@ class Tracker:
         at: cython.double = self._latest.stamp + context.odometry_age - newest - context.scan_delay
         pose = self._pose(at)
         cluster: _Cluster
-        one: _Filter
+        track: _Filter
         self._walls = 0
         self._sort(scan, pose)
         clusters: list = self._clusters(at)
         self._tell(clusters, context)
-        for one in self._filters:
-            one.predict(at)
+        for track in self._filters:
+            track.predict(at)
         self._associate(clusters)
         self._end_missed(pose, at)
         for cluster in clusters:
@@ -349,10 +349,10 @@ class Tracker:
             if cluster.ends == 0:  # the part of a wall between two nearer objects
                 self._add_wall(cluster.x, cluster.y)
             else:
-                one = _Filter()
-                one.id, one.fastest = self._next, self._fastest
-                one.begin(cluster)
-                self._filters.append(one)
+                track = _Filter()
+                track.id, track.fastest = self._next, self._fastest
+                track.begin(cluster)
+                self._filters.append(track)
                 self._next += 1
 
     def surroundings(self, context: DecisionContext) -> Surroundings:
@@ -367,23 +367,23 @@ class Tracker:
         c: cython.double = cos(yaw)
         s: cython.double = sin(yaw)
         i: cython.Py_ssize_t
-        one: _Filter
+        track: _Filter
         tracks = []
-        for one in self._filters:
-            if one.hits < _CONFIRMED:
+        for track in self._filters:
+            if track.hits < _CONFIRMED:
                 continue
-            ahead: cython.double = min(max(at - one.at, 0.0), _MAX_AHEAD)
-            dx: cython.double = one.x + one.vx * ahead - x
-            dy: cython.double = one.y + one.vy * ahead - y
+            ahead: cython.double = min(max(at - track.at, 0.0), _MAX_AHEAD)
+            dx: cython.double = track.x + track.vx * ahead - x
+            dy: cython.double = track.y + track.vy * ahead - y
             tracks.append(
                 Track(
-                    one.id,
+                    track.id,
                     c * dx + s * dy,
                     c * dy - s * dx,
-                    c * one.vx + s * one.vy,
-                    c * one.vy - s * one.vx,
-                    one.radius,
-                    sqrt(one.vv),
+                    c * track.vx + s * track.vy,
+                    c * track.vy - s * track.vx,
+                    track.radius,
+                    sqrt(track.vv),
                 )
             )
         walls = np.empty((self._walls, 2))
@@ -422,18 +422,18 @@ class Tracker:
         if not context.told:
             return
         now: cython.double = self._latest.stamp + context.odometry_age
-        for told in context.told:
-            pose = self._pose(now - told.age)
+        for obstacle in context.told:
+            pose = self._pose(now - obstacle.age)
             yaw: cython.double = pose.yaw
             c: cython.double = cos(yaw)
             s: cython.double = sin(yaw)
-            x: cython.double = told.x
-            y: cython.double = told.y
-            one: _Cluster = _Cluster()
-            one.x, one.y = pose.x + c * x - s * y, pose.y + s * x + c * y
-            one.half, one.range, one.ends = told.radius, hypot(x, y), 1
-            one.at, one.is_told = now - told.age, True
-            clusters.append(one)
+            x: cython.double = obstacle.x
+            y: cython.double = obstacle.y
+            cluster: _Cluster = _Cluster()
+            cluster.x, cluster.y = pose.x + c * x - s * y, pose.y + s * x + c * y
+            cluster.half, cluster.range, cluster.ends = obstacle.radius, hypot(x, y), 1
+            cluster.at, cluster.is_told = now - obstacle.age, True
+            clusters.append(cluster)
 
     @cython.cfunc
     def _add_wall(self, x: cython.double, y: cython.double) -> cython.int:
@@ -578,20 +578,20 @@ class Tracker:
         x, y, distance = x / rows, y / rows, distance / rows
         if rows == 1 or chord < _LEAST_WIDTH:
             return self._add_wall(x, y)
-        one: _Cluster = _Cluster()
+        cluster: _Cluster = _Cluster()
         before: cython.Py_ssize_t = first - 1 if first > 0 else n - 1
         after: cython.Py_ssize_t = last + 1 if last + 1 < n else 0
         if self._is_gap[before] or ranges[before] > ranges[first]:
-            one.ends += 1
+            cluster.ends += 1
         if self._is_gap[last] or ranges[after] > ranges[last]:
-            one.ends += 1
+            cluster.ends += 1
         dx: cython.double = x - self._lidar_x
         dy: cython.double = y - self._lidar_y
         way: cython.double = max(hypot(dx, dy), 1e-6)
-        one.x, one.y, one.dx, one.dy = x, y, dx / way, dy / way
-        one.half, one.range = 0.5 * (chord + distance * self._spacing), distance
-        one.at = at - age / rows
-        clusters.append(one)
+        cluster.x, cluster.y, cluster.dx, cluster.dy = x, y, dx / way, dy / way
+        cluster.half, cluster.range = 0.5 * (chord + distance * self._spacing), distance
+        cluster.at = at - age / rows
+        clusters.append(cluster)
         return 0
 
     @cython.cfunc
@@ -629,38 +629,38 @@ class Tracker:
         """Update each filter by the nearest cluster within its gate."""
         row: cython.Py_ssize_t
         index: cython.Py_ssize_t
-        one: _Filter
-        seen: _Cluster
+        track: _Filter
+        cluster: _Cluster
         pairs: list = []
         for row in range(len(self._filters)):
-            one = self._filters[row]
-            one.misses += 1
-            gate: cython.double = _GATE * sqrt(one.pp + _POSITION_NOISE * _POSITION_NOISE)
+            track = self._filters[row]
+            track.misses += 1
+            gate: cython.double = _GATE * sqrt(track.pp + _POSITION_NOISE * _POSITION_NOISE)
             gate += _GATE_SLACK
             for index in range(len(clusters)):
-                seen = clusters[index]
-                off: cython.double = one.off(seen, gate)
+                cluster = clusters[index]
+                off: cython.double = track.off(cluster, gate)
                 if off <= gate:
                     pairs.append((off / gate, row, index))
         pairs.sort()
         for _, row, index in pairs:
-            one, seen = self._filters[row], clusters[index]
-            if one.misses and not seen.is_used:
-                seen.is_used = True
-                one.update(seen)
+            track, cluster = self._filters[row], clusters[index]
+            if track.misses and not cluster.is_used:
+                cluster.is_used = True
+                track.update(cluster)
         return 0
 
     @cython.cfunc
     def _is_part(self, cluster: _Cluster) -> cython.bint:
         """True if a cluster is a part of an object that another part has shown."""
-        one: _Filter
-        for one in self._filters:
-            radius: cython.double = one.radius
+        track: _Filter
+        for track in self._filters:
+            radius: cython.double = track.radius
             if cluster.is_told:
                 radius = max(radius, cluster.half)
             radius += _PART
-            dx: cython.double = one.x - cluster.x
-            dy: cython.double = one.y - cluster.y
+            dx: cython.double = track.x - cluster.x
+            dy: cython.double = track.y - cluster.y
             if dx * dx + dy * dy < radius * radius:
                 return True
         return False
@@ -668,21 +668,21 @@ class Tracker:
     @cython.cfunc
     def _end_missed(self, pose, at: cython.double) -> cython.int:
         """End each track whose place is seen to be empty, or that was hidden for too long."""
-        one: _Filter
+        track: _Filter
         kept: list = []
-        for one in self._filters:
-            if one.misses and not self._is_hidden(one, pose):
-                if one.misses >= _MISSES or one.hits < _CONFIRMED:
+        for track in self._filters:
+            if track.misses and not self._is_hidden(track, pose):
+                if track.misses >= _MISSES or track.hits < _CONFIRMED:
                     continue
-            elif one.misses:
-                one.misses = 0
-            if at - one.seen_at <= _HIDDEN_TIME:
-                kept.append(one)
+            elif track.misses:
+                track.misses = 0
+            if at - track.seen_at <= _HIDDEN_TIME:
+                kept.append(track)
         self._filters = kept
         return 0
 
     @cython.cfunc
-    def _is_hidden(self, one: _Filter, pose) -> cython.bint:
+    def _is_hidden(self, track: _Filter, pose) -> cython.bint:
         """True if a nearer object hides the middle of a track."""
         n: cython.Py_ssize_t = self._count
         if n == 0:
@@ -690,8 +690,8 @@ class Tracker:
         yaw: cython.double = pose.yaw
         c: cython.double = cos(yaw)
         s: cython.double = sin(yaw)
-        dx: cython.double = one.x - pose.x
-        dy: cython.double = one.y - pose.y
+        dx: cython.double = track.x - pose.x
+        dy: cython.double = track.y - pose.y
         x: cython.double = c * dx + s * dy - self._offset_x
         y: cython.double = c * dy - s * dx - self._offset_y
         bearing: cython.double = atan2(y, x)
@@ -703,4 +703,4 @@ class Tracker:
                 low = middle + 1
             else:
                 high = middle
-        return self._ranges[low if low < n else 0] < hypot(x, y) - one.radius
+        return self._ranges[low if low < n else 0] < hypot(x, y) - track.radius

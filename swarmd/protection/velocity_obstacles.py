@@ -153,13 +153,13 @@ def most_violated(
 ) -> cython.Py_ssize_t:
     """The place of the line from `first` on that a velocity violates most; -1: it violates none."""
     i: cython.Py_ssize_t
-    found: cython.Py_ssize_t = -1
+    worst: cython.Py_ssize_t = -1
     most: cython.double = 0.0
     for i in range(first, len(lines)):
         by: cython.double = excess(lines[i], x, y)
         if by > most:
-            found, most = i, by
-    return found
+            worst, most = i, by
+    return worst
 
 
 def width_between(
@@ -250,7 +250,7 @@ class _Programme:
         """Set the best velocity on a line that keeps the `count` lines before it; False without."""
         i: cython.Py_ssize_t
         line: Line = lines[count]
-        other: Line
+        before: Line
         along: cython.double = line.x * line.dx + line.y * line.dy
         inside: cython.double = along * along + self.most * self.most
         inside = inside - line.x * line.x - line.y * line.y
@@ -260,9 +260,9 @@ class _Programme:
         low: cython.double = -along - half
         high: cython.double = -along + half
         for i in range(count):
-            other = lines[i]
-            cross: cython.double = line.dx * other.dy - line.dy * other.dx
-            above: cython.double = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
+            before = lines[i]
+            cross: cython.double = line.dx * before.dy - line.dy * before.dx
+            above: cython.double = before.dx * (line.y - before.y) - before.dy * (line.x - before.x)
             if fabs(cross) <= _EPSILON:
                 if above < 0.0:
                     return False
@@ -287,7 +287,7 @@ class _Programme:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         line: Line
-        other: Line
+        before: Line
         worst: cython.double = 0.0
         for i in range(begin, len(lines)):
             line = lines[i]
@@ -295,20 +295,20 @@ class _Programme:
                 continue
             projected: list = lines[:fixed]
             for k in range(fixed, i):
-                other = lines[k]
-                cross: cython.double = line.dx * other.dy - line.dy * other.dx
+                before = lines[k]
+                cross: cython.double = line.dx * before.dy - line.dy * before.dx
                 x: cython.double
                 y: cython.double
                 if fabs(cross) <= _EPSILON:
-                    if line.dx * other.dx + line.dy * other.dy > 0.0:
+                    if line.dx * before.dx + line.dy * before.dy > 0.0:
                         continue
-                    x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
+                    x, y = 0.5 * (line.x + before.x), 0.5 * (line.y + before.y)
                 else:
-                    at: cython.double = other.dx * (line.y - other.y)
-                    at = (at - other.dy * (line.x - other.x)) / cross
+                    at: cython.double = before.dx * (line.y - before.y)
+                    at = (at - before.dy * (line.x - before.x)) / cross
                     x, y = line.x + at * line.dx, line.y + at * line.dy
-                dx: cython.double = other.dx - line.dx
-                dy: cython.double = other.dy - line.dy
+                dx: cython.double = before.dx - line.dx
+                dy: cython.double = before.dy - line.dy
                 length: cython.double = max(hypot(dx, dy), _EPSILON)
                 projected.append(Line(x, y, dx / length, dy / length))
             before_x: cython.double = self.x

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from rosbags.serde import SerdeError
@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from swarmd.core.errors import CodecError
-from swarmd.core.events import DriverInput
+from swarmd.core.events import DriverInput, SensorInput
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, SharedPose, Twist
 from swarmd.recording.cdr import CdrWriter, Message
 from swarmd.recording.frames import ClockEntry, DecisionEntry
@@ -29,6 +29,7 @@ _UNKNOWN = (0.0,) * 36
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 CLOCK_PAIR = "swarmd_msgs/msg/ClockPair"
+TEXT = "swarmd_msgs/msg/Text"
 
 OWN = {
     "ScanGeometry": (
@@ -64,10 +65,11 @@ OWN = {
 
 
 _TYPES: Mapping[str, str] = {
+    **{kind.__struct_config__.tag: TEXT for kind in get_args(SensorInput)},  # but for those below
+    "status": TEXT,
     **dict.fromkeys(("input", "memory"), "swarmd_msgs/msg/Bytes"),
     **dict.fromkeys(("scan", "ranges"), LASER_SCAN),
     **dict.fromkeys(("scan/geometry", "ranges/geometry"), "swarmd_msgs/msg/ScanGeometry"),
-    **dict.fromkeys(("status", "hazards", "detections"), "swarmd_msgs/msg/Text"),
     "odometry": ODOMETRY,
     "neighbors": "swarmd_msgs/msg/Neighbors",
     "pose": "swarmd_msgs/msg/SharedPose",

@@ -181,17 +181,14 @@ class RequestHandler:
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
         """Acknowledge a stop, and never a base that zero does not reach, or that moves on.
 
-        A robot that has commanded no motion since its start has none to end without a driver. Its
-        base may move on from the life before: the driver and odometry have STOP_TIME to come.
+        A base that the driver has not reached yet may move on from an earlier life of the daemon.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         began = self._executed.setdefault(request.id, now)
         while len(self._executed) > MAX_STOPS:
             del self._executed[next(iter(self._executed))]
         text, gets_zero = self._stop_text(now), sensors.is_driver_up or sensors.gets_zero
-        is_moving = not self._is_at_rest(now)
-        is_new = now < self._heard_by
-        is_moving |= not gets_zero and (is_new or self._protection.moved_at > -math.inf)
+        is_moving = not (gets_zero and self._is_at_rest(now))
         if is_moving and now >= began + STOP_TIME:
             lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
         else:

@@ -176,6 +176,10 @@ class Sensors(InputAges):
         self.hazards.take(hazards, now)
         self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
+    def hazard_text(self, now: float) -> str:
+        """Each hazard that holds, with its age; empty without one."""
+        return self.hazards.text(now)
+
     def on_message(
         self, sender: str, channel: str, value: Value, now: float, *, is_program: bool = False
     ) -> bool:

@@ -45,7 +45,7 @@ def make_status(
     loading = lifecycle.pattern_run.loading
     reason, detail = status_reason(lifecycle, decision), machine.detail
     if reason is Reason.HAZARD and lifecycle.is_running:
-        detail = sensors.hazards.text(now)[:MAX_VALUE]
+        detail = sensors.hazard_text(now)[:MAX_VALUE]
     values = {} if running is None else running.values
     dropped = {
         "msg:inbox_full": sensors.overflowed,

@@ -163,15 +163,14 @@ class Ticker:
         running = run.running
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
-        hazards = text = ""
+        detail = ""
         if hold is HAZARD or sensors._ends_run:
-            text = sensors.hazards.text(now)
-            hazards = text if hold is HAZARD else ""
+            detail = sensors.hazard_text(now)
         if sensors._ends_run:
-            lifecycle.on_hazard(text, effects)
+            lifecycle.on_hazard(detail, effects)
         if hold is not None or now >= self._due_at or not is_routine:
             self._requests.advance(effects)
-            hold = lifecycle.advance(hold, effects, hazards)
+            hold = lifecycle.advance(hold, effects, detail if hold is HAZARD else "")
             self._is_status_due, self._due_at = True, -INFINITY
         self._quiet_until, self._hold = -INFINITY, hold
         decision = Ticker._decide(self, hold, now)
@@ -303,8 +302,8 @@ class Ticker:
     def wake_at(self, now: cython.double) -> float | None:
         """The next deadline for which the robot must be woken between ticks; None without one.
 
-        Deadlines of the pattern run, the run lease, the scans and the longest hold. Odometry,
-        peers and hazards are checked at ticks.
+        Deadlines of the pattern run, the run lease, the scans and the longest hold; all others
+        are checked at ticks.
         """
         soonest: cython.double = self._run.next_deadline(now)
         if self._machine.state is _RUNNING:

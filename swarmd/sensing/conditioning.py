@@ -43,18 +43,19 @@ class ScanConditioner:
 
     The memory turns against the sensor, as far as odometry is available.
 
-    `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
-    rays, a stamp that is not finite, an impossible age of a ray, fewer than half of the rays known,
-    an unknown sector wider than `max_gap`, such a sector without rays (unless the sensor never has
-    rays there), or no return at all after a scan with many far returns. FROZEN_SCAN: stamp or
-    sequence does not rise, or a noisy sensor sends bit-identical scans. FROZEN_STAMP: the stamp is
-    that of the scan before, whose ranges differ. CLOCK_SET: the stamp is below an earlier one.
+    `take` returns the conditioned scan or the reason to reject it:
 
-    `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
-    sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
+    - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite, or an impossible age of a
+      ray
+    - INVALID_SCAN: fewer than half of the rays known, an unknown sector wider than `max_gap`, or
+      such a sector without rays, unless the sensor never has rays there
+    - INVALID_SCAN: no return at all after a scan with many far returns
+    - FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans
+    - FROZEN_STAMP: the stamp is that of the scan before, whose ranges differ
+    - CLOCK_SET: the stamp is below an earlier one
     """
 
-    _max_sector: cython.double
+    _max_sector: cython.double  # rad without rays
     _range_min: object
     _range_max: object
     _latency: object
@@ -63,14 +64,15 @@ class ScanConditioner:
     _ages: object
     _blind: BlindSectors
     _rays: RayMemory
+    # Of the last scan, and the greatest ones so far.
     _last_given: object
     _last_seq: object
     _last_stamp: cython.double
     _newest_seq: object
     _newest_stamp: cython.double
-    _in_order: cython.int
-    _recent: object
-    _identical: cython.int
+    _in_order: cython.int  # scans that follow each other, below the greatest
+    _recent: object  # the bytes of the last different ranges
+    _identical: cython.int  # repeats in a row
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
@@ -83,7 +85,11 @@ class ScanConditioner:
 
     @property
     def known_at(self) -> float:
-        """The time in s to which the last returned scan is valid."""
+        """The time in s to which the last returned scan is valid.
+
+        That is its arrival, unless a sector wider than `max_gap` comes from the memory, or the scan
+        repeats an earlier one.
+        """
         return self._rays.known_at
 
     @property
@@ -160,19 +166,20 @@ class ScanConditioner:
         A restart shows in consecutive scans whose numbers and stamps rise again.
         """
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
-        stands: cython.bint = stamp == self._last_stamp
-        is_other: cython.bint = seq > self._newest_seq  # else no new message
+        has_same_stamp: cython.bint = stamp == self._last_stamp
+        is_new_message: cython.bint = seq > self._newest_seq
         before, self._last_given = self._last_given, given
         self._last_seq, self._last_stamp = seq, stamp
         if not (stamp > self._newest_stamp and seq > self._newest_seq):
             self._in_order = self._in_order + 1 if is_next else 0
             if self._in_order < _RESTART_SCANS:
-                if is_other and stands and given.tobytes() != before.tobytes():
+                if is_new_message and has_same_stamp and given.tobytes() != before.tobytes():
                     return Reason.FROZEN_STAMP
-                if is_other and not stands and stamp < self._newest_stamp:
+                if is_new_message and not has_same_stamp and stamp < self._newest_stamp:
                     return Reason.CLOCK_SET
                 return Reason.FROZEN_SCAN
-        self._in_order, self._newest_seq, self._newest_stamp = 0, seq, stamp
+        self._in_order = 0
+        self._newest_seq, self._newest_stamp = seq, stamp
         return None
 
     @cython.cfunc

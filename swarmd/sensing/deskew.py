@@ -32,20 +32,16 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import INFINITY
 
-_MAX_RAYS = cython.declare(cython.int, 8)  # sets of rays that are kept
+_MAX_TIMED_RAYS = cython.declare(cython.int, 8)  # that are kept
 
 
-class Rays:
-    """The bearings of a scan with the ages (n,) of its rays in s, and what derives from them.
-
-    `given` and `sweep`: of which the ages derive. `cos` and `sin` of the bearings. `span`: the age
-    of the oldest ray, whose bearing is `oldest`. `direction` in which the sensor turns: 1.0
-    counter-clockwise, -1.0 clockwise, 0.0 neither. `spacing` between neighbouring rays in rad.
-    """
+class TimedRays:
+    """The bearings of a scan with the ages of its rays in s, and what derives from them."""
 
     def __init__(self, bearings: Array, ages: Array | None, sweep: Sweep | None) -> None:
         """`ages` as the driver gives them; None: by the `sweep`."""
-        self.bearings, self.given, self.sweep = bearings, ages, sweep
+        self.bearings = bearings
+        self.given, self.sweep = ages, sweep
         self.cos, self.sin = np.cos(bearings), np.sin(bearings)
         if ages is None:
             assert sweep is not None
@@ -55,12 +51,14 @@ class Rays:
         self.span = float(self.ages.max())
         self.mean_age = float(self.ages.mean())
         rising = np.sort(bearings % TURN)
+        # rad between neighbouring rays.
         self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else TURN
+        # How the sensor turns: 1.0 counter-clockwise, -1.0 clockwise, 0.0 neither.
         self.direction, self.oldest = self._direction()
 
     def _direction(self) -> tuple[float, float]:
         """The direction, and the bearing of the oldest ray."""
-        # Rays of one age, if the driver tells the ages of whole sectors, count as one.
+        # A driver may tell the ages of whole sectors: the first ray of each age counts.
         ages, first = np.unique(-self.ages, return_index=True)
         steps = _wrap_each(np.diff(self.bearings[first]))
         if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
@@ -86,14 +84,14 @@ def _ages_of_sweep(bearings: Array, sweep: Sweep) -> Array:
 
 @cython.cclass
 class Deskewer:
-    """De-skews the conditioned scans of one sensor, see `deskew.py`. Times in s.
+    """De-skews the conditioned scans of one sensor. Times in s.
 
     The returned scan has `ages` and `newest_age`. The ages are those of the driver, else those of
-    the platform's `sweep`; without either the scan is returned as it is. With `measured` the ages
-    are those of the measured sweep; while the sweep is not known, the rays stay where they were
-    measured, the scan has the time of its mean ray, and each ray counts as old as the oldest one
-    may be. Without odometry that reaches back over the whole scan the rays stay where they were
-    measured, and the ages alone say how old each one is. At rest the scan keeps its bearings, the
+    the platform's `sweep`. Without either the scan is returned as it is. With `measured` the ages
+    are those of the measured sweep. While that is not known, the rays stay where they were
+    measured, the scan has the time of its mean ray, and each ray counts as old as the oldest may
+    be. Without odometry that reaches back over the whole scan the rays stay where they were
+    measured, and the ages alone say how old each ray is. At rest the scan keeps its bearings, the
     same object.
     """
 
@@ -102,12 +100,12 @@ class Deskewer:
     _stale_after: cython.double
     _measured: object
     _history: OdometryHistory
-    _limits: cython.double[::1]
-    _sector: cython.double[::1]
-    # See Rays, for bearings and ages of a scan that are the same objects as before.
+    _limits: cython.double[::1]  # of `move_rays`
+    _sector: cython.double[::1]  # of `rays_in_sector`
+    # TimedRays of the bearings and ages of the last scan, which mostly are the same objects again.
     _given: object
     _given_ages: object
-    _ray_ages: object
+    _ray_ages: object  # the array of `_ages`
     _bearings: cython.const[cython.double][::1]
     _cos: cython.const[cython.double][::1]
     _sin: cython.const[cython.double][::1]
@@ -117,15 +115,16 @@ class Deskewer:
     _direction: cython.double
     _oldest: cython.double
     _spacing: cython.double
-    _last: object
+    _last: object  # the scan that was returned last
     _last_at: cython.double  # the time of its newest ray
     _filled: cython.Py_ssize_t  # its first rays, which are those of the scan before it
 
     def __init__(
         self, spec: ScanSpec, history: OdometryHistory, measured: MeasuredSweep | None = None
     ) -> None:
-        self._sweep, self._latency, self._stale_after = spec.sweep, spec.latency, spec.stale_after
-        self._measured, self._history, self._last_at = measured, history, -INFINITY
+        self._sweep, self._measured = spec.sweep, measured
+        self._latency, self._stale_after = spec.latency, spec.stale_after
+        self._history, self._last_at = history, -INFINITY
         self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
         self._sector = array("d", 3 * [0.0])
         self._bearings = self._cos = self._sin = self._ages = None
@@ -169,12 +168,14 @@ class Deskewer:
     @cython.cfunc
     def _set_rays(self, bearings, ages):
         """Take other bearings and ages; None: by the platform's sweep."""
-        rays = _rays_of(bearings, ages, self._sweep)
-        self._given, self._given_ages, self._ray_ages = bearings, ages, rays.ages
+        rays = _timed_rays(bearings, ages, self._sweep)
+        self._given, self._given_ages = bearings, ages
+        self._ray_ages = rays.ages
         self._bearings, self._ages = view_of(bearings), view_of(rays.ages)
         self._cos, self._sin = view_of(rays.cos), view_of(rays.sin)
         self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
-        self._direction, self._oldest, self._spacing = rays.direction, rays.oldest, rays.spacing
+        self._direction, self._oldest = rays.direction, rays.oldest
+        self._spacing = rays.spacing
 
     @cython.cfunc
     def _moved(self, measured, stamp: cython.double, seconds: cython.double):
@@ -188,46 +189,24 @@ class Deskewer:
         rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
         if rows == 0:
             return None
-        n: cython.Py_ssize_t = self._ages.shape[0]
-        k: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
+        # rad by which the robot has turned against the sensor.
         unmeasured: cython.double = self._direction * history.path[rows - 1, 3]
         is_filled: cython.bint = unmeasured > 0.5 * self._spacing
-        room: cython.Py_ssize_t = n
-        before = self._last
+        if is_filled and not self._can_fill(stamp, seconds):
+            return None
+        n: cython.Py_ssize_t = self._ages.shape[0]
+        filled: cython.Py_ssize_t = 0
+        room: cython.Py_ssize_t = n + (len(self._last.ranges) if is_filled else 0)
         ages = self._ray_ages
-        if is_filled:
-            if before is None or before.ages is None or not 0.0 < seconds <= self._stale_after:
-                return None
-            if not history.covers(stamp - seconds):
-                return None
-            room += len(before.ranges)
         ranges, bearings = np.empty(room), np.empty(room)
         distances: cython.double[::1] = view_of(ranges)
         angles: cython.double[::1] = view_of(bearings)
         if is_filled:
             history.set_way(stamp - seconds, stamp)
-            self._sector[0] = self._oldest - 0.5 * self._direction * self._spacing
-            self._sector[1], self._sector[2] = self._direction, unmeasured
             ages = np.empty(room)
-            kept: cython.double[::1] = view_of(ages)
-            k = rays_in_sector(
-                view_of(before.ranges),
-                view_of(before.bearings),
-                view_of(before.ages),
-                self._filled,  # or a ray could be passed on for ever
-                history.way,
-                self._sector,
-                self._limits,
-                distances,
-                angles,
-                kept,
-            )
-            for i in range(k):
-                kept[i] += seconds
-            for i in range(n):
-                kept[k + i] = self._ages[i]
-            ranges, bearings, ages = ranges[: k + n], bearings[: k + n], ages[: k + n]
+            filled = self._fill(unmeasured, seconds, distances, angles, view_of(ages))
+            ranges, bearings = ranges[: filled + n], bearings[: filled + n]
+            ages = ages[: filled + n]
         move_rays(
             view_of(measured),
             self._bearings,
@@ -237,27 +216,71 @@ class Deskewer:
             history.path,
             rows,
             self._limits,
-            distances[k:],
-            angles[k:],
+            distances[filled:],
+            angles[filled:],
         )
         for values in (ranges, bearings, ages):
             values.setflags(write=False)
         return ranges, bearings, ages
 
+    @cython.cfunc
+    def _can_fill(self, stamp: cython.double, seconds: cython.double) -> cython.bint:
+        """True if the last scan has rays for a sector that this one has not measured."""
+        last = self._last
+        if last is None or last.ages is None or not 0.0 < seconds <= self._stale_after:
+            return False
+        return self._history.covers(stamp - seconds)
 
-_rays: list = []  # a cache of the latest ones: robots of one kind share them, and so their memory
+    @cython.cfunc
+    def _fill(
+        self,
+        unmeasured: cython.double,
+        seconds: cython.double,
+        distances: cython.double[::1],
+        angles: cython.double[::1],
+        ages: cython.double[::1],
+    ) -> cython.Py_ssize_t:
+        """Set the rays of the last scan in the unmeasured sector, and behind them all ages.
+
+        The number of these rays. The way of the history leads from the last scan to this one.
+        """
+        last = self._last
+        i: cython.Py_ssize_t
+        self._sector[0] = self._oldest - 0.5 * self._direction * self._spacing
+        self._sector[1], self._sector[2] = self._direction, unmeasured
+        count: cython.Py_ssize_t = rays_in_sector(
+            view_of(last.ranges),
+            view_of(last.bearings),
+            view_of(last.ages),
+            self._filled,  # or a ray could be passed on for ever
+            self._history.way,
+            self._sector,
+            self._limits,
+            distances,
+            angles,
+            ages,
+        )
+        for i in range(count):
+            ages[i] += seconds
+        for i in range(self._ages.shape[0]):
+            ages[count + i] = self._ages[i]
+        return count
+
+
+# The latest ones: robots of one kind share them, and so their memory.
+_kept_rays: list = []
 
 
 @cython.cfunc
-def _rays_of(bearings, ages, sweep):
+def _timed_rays(bearings, ages, sweep):
     """The rays of these very bearings and ages."""
-    for rays in _rays:
+    for rays in _kept_rays:
         if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
             return rays
-    if len(_rays) == _MAX_RAYS:
-        _rays.pop()
-    _rays.insert(0, Rays(bearings, ages, sweep))
-    return _rays[0]
+    if len(_kept_rays) == _MAX_TIMED_RAYS:
+        _kept_rays.pop()
+    _kept_rays.insert(0, TimedRays(bearings, ages, sweep))
+    return _kept_rays[0]
 
 
 @cython.cfunc

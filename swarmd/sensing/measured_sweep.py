@@ -40,6 +40,10 @@ _MAX_MISFIT = 0.5  # share of that difference which may be left at the best disp
 _MIN_SECTORS = 8
 _MAX_ERROR = 0.1  # rad that a displacement is wrong by at most
 _MIN_RAYS = 90
+_UNEVEN_SHARE = 0.1  # of the mean step, by which each step may differ
+# What may differ between scans of one sensor: shares of the claim and of a turn, and rad.
+_CLAIM_SHARE, _COVER_SHARE = 0.2, 0.05
+_FIRST_BEARING = 0.1
 _MIN_COVER = 0.2  # share of a turn
 _MIN_TURN, _MAX_TURN = 0.5, 1.2  # rad from one scan to the other. Less: wheels that turn in the
 # air look like a sensor that measures all rays at once. More: a square room looks like itself.
@@ -113,16 +117,17 @@ class _Layout(NamedTuple):
         """The share of a turn that the rays cover; 1 where their spacing is not known."""
         return 1.0 if self.step == 0.0 else min(abs(self.step) * len(self.bearings) / _TURN, 1.0)
 
-    def is_as(self, other: _Layout) -> bool:
+    def is_as(self, before: _Layout) -> bool:
         """True if both are scans of one sensor; the number of rays may vary."""
-        if (self.claim is None) != (other.claim is None):
+        if (self.claim is None) != (before.claim is None):
             return False
-        one, two = self.claim or 0.0, other.claim or 0.0
+        claim, claim_before = self.claim or 0.0, before.claim or 0.0
+        turned = math.remainder(self.bearings[0] - before.bearings[0], _TURN)
         return (
-            abs(one - two) <= 0.2 * max(one, two)
-            and self.step * other.step >= 0.0
-            and abs(self.cover - other.cover) < 0.05
-            and abs(math.remainder(self.bearings[0] - other.bearings[0], _TURN)) < 0.1
+            abs(claim - claim_before) <= _CLAIM_SHARE * max(claim, claim_before)
+            and self.step * before.step >= 0.0
+            and abs(self.cover - before.cover) < _COVER_SHARE
+            and abs(turned) < _FIRST_BEARING
         )
 
 
@@ -136,8 +141,10 @@ class _Seen:
     def __init__(
         self, scan: Scan, layout: _Layout, at: float, headings: Headings, sensor: Pose, skew: float
     ) -> None:
-        self.at, self.skew, self._layout, self._headings = at, skew, layout, headings
-        self.x, self.y, self.yaw = sensor.x, sensor.y, sensor.yaw
+        self.at, self.skew = at, skew
+        self._layout, self._headings = layout, headings
+        self.x, self.y = sensor.x, sensor.y
+        self.yaw = sensor.yaw
         known = np.flatnonzero(scan.ranges >= scan.range_min)
         self._known = known if layout.step > 0.0 else known[::-1]
         self._ranges = np.minimum(scan.ranges, min(scan.range_max, _MAX_RANGE))[self._known]
@@ -261,11 +268,11 @@ class MeasuredSweep:
         ahead, left = self._offset
         sensor = Pose(place.x + cos * ahead - sin * left, place.y + sin * ahead + cos * left, yaw)
         seen = _Seen(scan, layout, at, headings, sensor, skew)
-        before, least = None, _MIN_SKEW
-        for one in kept:
-            apart = abs(skew - one.skew)
-            if apart > least and one.is_comparable(seen):
-                before, least = one, apart
+        before, greatest = None, _MIN_SKEW
+        for earlier in kept:
+            difference = abs(skew - earlier.skew)
+            if difference > greatest and earlier.is_comparable(seen):
+                before, greatest = earlier, difference
         if len(kept) > 1 and abs(yaw - kept[-2].yaw) < _SPACING:
             kept.pop()
         kept.append(seen)
@@ -312,6 +319,7 @@ class MeasuredSweep:
         return layout
 
     def _begin(self, layout: _Layout) -> None:
+        """Measure anew, among orders with these durations: by the driver, a period, half of it."""
         self.order = AT_ONCE if layout.claim == 0.0 else None
         self._ages, self._samples = None, 0
         self._forget_pairs()
@@ -319,10 +327,15 @@ class MeasuredSweep:
         period, claim = self._period * layout.cover, layout.claim or 0.0
         durations = [period, 0.5 * period]
         if claim > _SHORTEST * period:
-            kept = [one for one in durations if not _ALIKE[0] < claim / one < _ALIKE[1]]
-            durations = [claim, *kept]
+            unlike = [time for time in durations if not _ALIKE[0] < claim / time < _ALIKE[1]]
+            durations = [claim, *unlike]
         starts = [i / _STARTS for i in range(_STARTS)]
-        orders = [Order(way, one, at) for one in durations for way in (1.0, -1.0) for at in starts]
+        orders = [
+            Order(direction, duration, start)
+            for duration in durations
+            for direction in (1.0, -1.0)
+            for start in starts
+        ]
         self._candidates = _Candidates((AT_ONCE, *orders))
 
     def _forget_pairs(self) -> None:
@@ -346,6 +359,7 @@ class MeasuredSweep:
         self._decide()
 
     def _decide(self) -> None:
+        """Set the order that is better than each other candidate; None if there is none."""
         rows, sides = np.array(self._fits), np.array(self._sides)
         left = sides > 0.0
         lefts = int(np.count_nonzero(left))
@@ -362,20 +376,21 @@ class MeasuredSweep:
         is_worse = votes.mean(axis=0) > certain * errors
         is_worse &= worse.mean(axis=0) > _MIN_BETTER * means[best]
         is_worse &= (worse[left].mean(axis=0) > 0.0) & (worse[~left].mean(axis=0) > 0.0)
-        order, found = self._candidates.orders[best], None
+        orders, order = self._candidates.orders, None
         if np.count_nonzero(is_worse) == len(is_worse) - 1:
-            found = order if order.start == 0.0 else None
-            self._why = "" if found else "its rays do not follow one another in the message's order"
-        elif self.order is None or not is_worse[self._candidates.orders.index(self.order)]:
-            found = self.order
+            order = orders[best] if orders[best].start == 0.0 else None
+            self._why = "" if order else "its rays do not follow one another in the message's order"
+        elif self.order is None or not is_worse[orders.index(self.order)]:
+            order = self.order
             self._why = "its turns do not tell one order of rays from another yet"
-        if found != self.order:
-            self.order, self._ages, self._samples = found, None, len(rows)
+        if order != self.order:
+            self.order, self._ages = order, None
+            self._samples = len(rows)
             self._forget_pairs()
 
 
-def _is_same(one: Array | None, other: Array | None) -> bool:
-    return one is other or (one is not None and other is not None and np.array_equal(one, other))
+def _is_same(before: Array | None, now: Array | None) -> bool:
+    return before is now or (before is not None and now is not None and np.array_equal(before, now))
 
 
 def _layout_of(scan: Scan) -> _Layout:
@@ -389,20 +404,20 @@ def _layout_of(scan: Scan) -> _Layout:
     steps = np.diff(bearings)
     step = float(steps.mean())
     layout = _Layout(bearings, step, claim, "")
-    if float(np.abs(steps - step).max()) > 0.1 * abs(step):
+    if float(np.abs(steps - step).max()) > _UNEVEN_SHARE * abs(step):
         return layout._replace(fault="its rays are not spread evenly")
     if layout.cover < _MIN_COVER:
         return layout._replace(fault="its rays cover too narrow a sector")
     return layout
 
 
-def _displacements(one: Array, other: Array) -> Array:
-    """How far each sector (18,) of a scan in cells is displaced in the other, in rad; NaN: unclear.
+def _displacements(before: Array, after: Array) -> Array:
+    """How far each sector (18,) of a scan in cells is displaced in a later one, in rad.
 
-    Counter-clockwise is positive.
+    Counter-clockwise is positive; NaN: unclear.
     """
-    around = np.concatenate((one[-_SHIFTS:], one, one[:_SHIFTS]))
-    apart = np.lib.stride_tricks.sliding_window_view(around, _CELLS) - other
+    around = np.concatenate((before[-_SHIFTS:], before, before[:_SHIFTS]))
+    apart = np.lib.stride_tricks.sliding_window_view(around, _CELLS) - after
     np.multiply(apart, apart, out=apart)
     np.minimum(apart, _CLIP**2, out=apart)
     errors = apart.reshape(len(apart), _SECTORS, -1).mean(axis=2)

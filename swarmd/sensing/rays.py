@@ -56,8 +56,8 @@ class RayClusters(Struct, frozen=True, eq=False):
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
     """The nearest return within `half_width` rad of a bearing; None without one."""
-    found = None if scan is None else _kernel.nearest(scan, bearing, half_width)
-    return None if found is None else Ray(*found)
+    ray = None if scan is None else _kernel.nearest(scan, bearing, half_width)
+    return None if ray is None else Ray(*ray)
 
 
 def unit_vectors(bearings: Array) -> Array:
@@ -88,8 +88,8 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     """
     if scan is None:
         return np.empty((0, 2))
-    found: Array = _kernel.closest_points(scan, within, count)
-    return found
+    points: Array = _kernel.closest_points(scan, within, count)
+    return points
 
 
 def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
@@ -108,12 +108,12 @@ def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
     start = int(np.argmin(is_free))
     bearings, is_free = np.roll(bearings, -start), np.roll(is_free, -start)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], is_free, [False])).astype(np.int8)))
-    found = []
+    free = []
     for first, end in zip(edges[::2], edges[1::2], strict=True):
         width = float((bearings[end - 1] - bearings[first]) % _TWO_PI)
         middle = float(bearings[first]) + 0.5 * width
-        found.append(Gap((middle + math.pi) % _TWO_PI - math.pi, width))
-    return sorted(found, key=lambda gap: -gap.width)
+        free.append(Gap((middle + math.pi) % _TWO_PI - math.pi, width))
+    return sorted(free, key=lambda gap: -gap.width)
 
 
 def clusters(
@@ -125,11 +125,11 @@ def clusters(
     surface seen at an angle of `grazing` rad makes between them, which grows with the range
     (Borges and Aldon, "Line extraction in 2D range images for mobile robotics", 2004).
     """
-    found = None if scan is None else _kernel.clusters(scan, within, jump, grazing)
-    if found is None:
+    arrays = None if scan is None else _kernel.clusters(scan, within, jump, grazing)
+    if arrays is None:
         nothing = np.empty(0)
         return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
-    return RayClusters(*found)
+    return RayClusters(*arrays)
 
 
 def _wrap(bearings: Array) -> Array:

@@ -198,7 +198,8 @@ def _smallest(
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     while low < high:
-        middle, i, j = values[k], low, high
+        middle = values[k]
+        i, j = low, high
         while i <= j:
             while values[i] < middle:
                 i += 1

@@ -243,6 +243,11 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
         roster += names
     for label, robots in file.labels.items():
         yield from _check_id(("labels", label), label)
+        if label in roster or label == file.id:
+            text = "is the name of a robot; expected the label, and its robots in the list:"
+            example = f"{robots[0]}: [{label}]" if robots else f"red: [{label}]"
+            yield fault_at(("labels", label), f"{text} {example}")
+            continue
         for word in robots:
             names, faults = _expanded(("labels", label), word)
             yield from faults

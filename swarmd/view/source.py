@@ -235,6 +235,7 @@ _WORDS = {
     Reason.NEVER_ASKED: "not run yet",
     Reason.OPERATOR: "stopped",
     Reason.ESTOP: "emergency stop",
+    Reason.PROTECTION: "protection holds it",
 }
 """Reasons that have other words on the page than their names."""
 

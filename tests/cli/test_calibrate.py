@@ -14,7 +14,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.calibration.figures import Figure
-from swarmd.cli.calibrate import _end_findings, _floor
+from swarmd.cli.calibrate import _end_findings, _floor, running_beside
 from swarmd.core.messages import ScanDelaySummary, State, Status
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
@@ -24,6 +24,7 @@ from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
 from tests.support.fake_daemon import FakeDaemon, FakeSwarm, light_status
 from tests.support.processes import CAP, unique_swarm, wait_until
+from tests.support.statuses import ESTOPPED, make_member
 from tests.support.statuses import status as make_status
 from tests.support.swarmctl import SWARMCTL, Finished, swarmctl
 
@@ -203,3 +204,9 @@ def test_late_scans_need_a_larger_floor() -> None:
         _floor(make_status(ROBOT, platform="jackal", scan_delay=delay)) for delay in delays
     )
     assert none == known < late
+
+
+def test_robots_that_run_beside_it_are_named() -> None:
+    members = (make_member(ROBOT), make_member("r02"), ESTOPPED)
+    statuses = {member.robot: member.status for member in members} | {"r09": None}
+    assert running_beside(statuses, ROBOT) == ["r02"]

@@ -50,12 +50,14 @@ def test_what_was_not_measured_is_neither_well_nor_a_fault(
     unknown = Finding("scan delay", True, "not measured: no scan", is_measured=False)
     assert print_findings([well, unknown]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "ok    scan        10 Hz",
         "--    scan delay  not measured: no scan",
+        "ok    scan        10 Hz",
         "2 checked, none failed, 1 not measured",
     ]
-    assert print_findings([unknown, Finding("cmd_vel", False, "no subscriber")]) == 1
-    assert capsys.readouterr().out.splitlines()[-1] == "2 checked, 1 failed, 1 not measured"
+    assert print_findings([well, unknown, Finding("cmd_vel", False, "no subscriber")]) == 1
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["FAIL", "--", "ok"]  # faults first
+    assert last == "3 checked, 1 failed, 1 not measured"
 
 
 @pytest.mark.parametrize(
@@ -159,12 +161,15 @@ def test_missions_are_checked_for_the_platform_of_the_robot(tmp_path: Path) -> N
         }
         for platform in ("burger", "jackal")
     }
-    assert found["burger"]["pattern own"].is_well
+    assert "pattern own" not in found["burger"]  # it is among those that fit
     assert not found["jackal"]["pattern own"].is_well
     assert "own.yaml:3: map[0]" in found["jackal"]["pattern own"].text
-    shipped = found["jackal"]["pattern discuss_then_disperse"]
+    shipped = found["jackal"]["patterns"]
     assert shipped.is_well
-    assert "not for this platform" in shipped.text
+    assert "discuss_then_disperse" in shipped.text.partition("not for this platform: ")[2]
+    assert not [
+        one for one in found["jackal"] if one.startswith("pattern ") and one != "pattern own"
+    ]
 
 
 def test_the_driver_gets_the_rest_of_five_seconds(

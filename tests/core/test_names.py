@@ -32,6 +32,7 @@ def test_ranges_are_expanded(text: str, names: tuple[str, ...]) -> None:
         "r1]",
         "r[]",
         "r[a-b]",
+        "tb3-0[23]",  # 2 and 3, or 23?
         "r[3-1]",
         "r[1-99999]",
         "r[1-2000],x[1-2000]",

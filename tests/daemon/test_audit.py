@@ -182,6 +182,7 @@ def test_what_robots_hand_on_does_not_push_requests_out() -> None:
     assert len(entries) <= PEER_BURST + 1000 * PEER_RATE
     assert len(lines) <= PEER_BURST + 1000 * PEER_RATE
     assert entries[0].source == "handed on by 10.0.0.5:7440"
+    assert "by bob, handed on by 10.0.0.5:7440: " in lines[0]
     audit.record("run drive", "bob", "10.0.0.7:50000", APPLIED, 1000.0)
     assert (entries[-1].what, entries[-1].source) == ("run drive", "10.0.0.7:50000")
     assert "run drive" in lines[-1]

@@ -305,6 +305,7 @@ def test_the_base_is_lost_and_back_as_recorded(tmp_path: Path) -> None:
     assert replayed.states[1:3] == [
         (True, f"plays {next(tmp_path.glob('a/*.mcap'))}"), (False, "as recorded: unplugged")
     ]  # fmt: skip
+    assert replayed.gets_zero  # no base moves
 
 
 def test_members_are_no_measured_neighbors(tmp_path: Path) -> None:

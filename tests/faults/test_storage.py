@@ -18,11 +18,11 @@ from swarmd.core.messages import Code, State
 from swarmd.core.verbs import AuditQuery, AuditReply, DoctorReply
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
+from tests.support.fake_body import resting_body
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
 
-NOWHERE = "tcp/127.0.0.1:9"
 NOBODY = 65534
 AS_NOBODY = (
     *("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"),
@@ -38,20 +38,21 @@ READ_ONLY = "mount -o remount,ro {0}"
 
 
 class Rig:
-    """One robot without a base, on a machine that lacks something."""
+    """One robot whose base rests, on a machine that lacks something."""
 
     def __init__(self, folder: Path, left: ExitStack) -> None:
         self.folder, self._left = folder, left
         self.swarm = unique_swarm()
         self.state = folder / "state"
         self.state.mkdir()
+        self._body = left.enter_context(resting_body(self.swarm, "r1"))
 
     def start(self, *prefix: str) -> DaemonProcess:
         daemon = DaemonProcess(
             self.folder,
             swarm=self.swarm,
             robot="r1",
-            endpoint=NOWHERE,
+            endpoint=self._body.endpoint,
             prefix=prefix,
             environ={"HOME": str(self.folder)},
         )

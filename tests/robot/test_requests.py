@@ -325,10 +325,24 @@ def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
     assert "commanded" not in reply.text
 
 
-def test_a_robot_that_never_had_a_base_has_no_motion_to_end() -> None:
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+@pytest.mark.parametrize(("gets_zero", "is_stopped"), [(False, False), (True, True)])
+def test_a_robot_that_never_moved_has_stopped_only_if_zero_reaches_its_base(
+    verb: str, gets_zero: bool, is_stopped: bool
+) -> None:
+    """The base may move on from the life before. A driver without a base takes each zero."""
     harness = RobotHarness(patterns=PATTERNS)
-    harness.step(DriverInput(False, "no bridge at 7447"))
-    assert harness.applied("estop").text.startswith("nothing was sent: driver lost: ")
+    harness.odometry = None
+    harness.step(DriverInput(False, "no bridge at 7447", gets_zero=gets_zero))
+    harness.advance(60.0)
+    request = harness.request(verb)
+    assert harness.answer(request).is_moving is not is_stopped
+    harness.advance(STOP_TIME)
+    reply = harness.answer(request)
+    assert (reply.code is Code.APPLIED, reply.is_moving) == (is_stopped, False)
+    assert reply.refusal is (None if is_stopped else Refusal.NOT_STOPPED)
+    sent = "commanded zero; " if is_stopped else "nothing was sent: driver lost: "
+    assert reply.text.startswith(f"{sent}no bridge at 7447")
 
 
 def test_a_daemon_that_starts_gives_its_base_time_to_be_heard() -> None:

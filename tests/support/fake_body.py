@@ -18,6 +18,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import decode_command, encode_odometry, encode_scan
 from swarmd.network.carriers.robot_link import RobotServer
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 
 CAP = 60.0
@@ -199,3 +200,10 @@ class Body:
             if scan is not None:
                 payload = scan if isinstance(scan, bytes) else encode_scan(scan)
                 self._send("scan", payload)
+
+
+def resting_body(swarm: str, robot: str, endpoint: str | None = None) -> Body:
+    """A body that rests, without a lidar: its robot acknowledges a stop and never moves."""
+    body = Body(load_platform("waffle_pi"), swarm=swarm, robot=robot, endpoint=endpoint)
+    body.scans = lambda seq, stamp: None
+    return body

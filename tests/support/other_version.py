@@ -1,4 +1,7 @@
-"""A daemon of another wire version: `python -m tests.support.other_version OFFSET <options>`."""
+"""A daemon of another wire version, and its body, which rests and listens at ENDPOINT.
+
+`python -m tests.support.other_version OFFSET SWARM ROBOT ENDPOINT <options>`
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,14 @@ from swarmd.core import codec
 
 
 def main() -> None:
-    codec.VERSION += int(sys.argv.pop(1))
+    offset, swarm, robot, endpoint = sys.argv[1:5]
+    del sys.argv[1:5]
+    codec.VERSION += int(offset)
     from swarmd.cli.daemon import main as swarmd
+    from tests.support.fake_body import resting_body
 
-    swarmd()
+    with resting_body(swarm, robot, endpoint):
+        swarmd()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Two daemons of a swarm with keys on loopback, without bases; an operator, and a stranger."""
+"""Two daemons of a swarm with keys on loopback, whose bases rest; an operator, and a stranger."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from swarmd.network.datagram import Address, Beacon, Datagram, tag_of, unpack
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
+from tests.support.fake_body import resting_body
 from tests.support.keys import SwarmKeys
 from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
 from tests.support.swarmctl import await_applied
@@ -78,8 +79,8 @@ class Stranger:
 class SecuredSwarm:
     """Daemons `r1` and `r2`; `names` are the robots on the roster, `anna` is an operator of it.
 
-    `listens`: `r1` listens at `endpoint`. `bodies`: endpoints of the robots' bodies, if they have
-    any. A process is gone once `left` is closed.
+    `listens`: `r1` listens at `endpoint`. `bodies`: endpoints of the robots' bodies; a robot
+    without one here gets a body that rests. A process is gone once `left` is closed.
     """
 
     def __init__(
@@ -115,13 +116,16 @@ class SecuredSwarm:
     def spawn(self, robot: str) -> DaemonProcess:
         """A daemon that is starting; the lives of a robot share its state."""
         self._lives += 1
+        if robot not in self.bodies:
+            body = self._left.enter_context(resting_body(self.name, robot))
+            self.bodies[robot] = body.endpoint
         is_there = self._listens and robot == "r1"
         options: dict[str, Any] = {"listen": [self.endpoint]} if is_there else {}
         self.daemons[robot] = daemon = DaemonProcess(
             self._folder / f"life{self._lives}",
             swarm=self.name,
             robot=robot,
-            endpoint=self.bodies.get(robot, "tcp/127.0.0.1:9"),
+            endpoint=self.bodies[robot],
             options={
                 "identity": str(self.keys.folder_of(robot)),
                 "state_dir": str(self._folder / "state"),

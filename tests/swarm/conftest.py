@@ -19,7 +19,7 @@ from swarmd.network.carriers.session import MAX_WIRE
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
-from tests.support.fake_body import Body
+from tests.support.fake_body import Body, resting_body
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 from tests.support.swarmctl import Finished, Running, swarmctl, swarmctl_in_time
 from tests.support.viewer import Viewer
@@ -47,6 +47,10 @@ class Swarm:
     def body(self, robot: str, rate: float | None = None) -> Body:
         body = Body(load_platform("waffle_pi"), swarm=self.name, robot=robot, rate=rate)
         return self._left.enter_context(body)
+
+    def resting(self, robot: str) -> Body:
+        """The body of a robot that is to be stopped and not to move."""
+        return self._left.enter_context(resting_body(self.name, robot))
 
     def spawn(
         self,

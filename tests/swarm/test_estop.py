@@ -58,9 +58,9 @@ def trio(running: Trio) -> Trio:
 
 def test_newcomers_take_over_an_estop_of_the_swarm_alone(swarm: Swarm) -> None:
     """The latch goes from robot to robot: r4 meets only r3, which had it from the others."""
-    daemons = [swarm.start("r1")]
+    daemons = [swarm.start("r1", swarm.resting("r1"))]
     assert swarm.ctl("estop", "r1").code == 0
-    daemons.append(swarm.start("r2"))
+    daemons.append(swarm.start("r2", swarm.resting("r2")))
     assert swarm.status("r1").state is State.ESTOPPED
     assert swarm.status("r2").state is State.IDLE
 

@@ -195,7 +195,7 @@ def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vanda
     body = swarm.body("r1")
     swarm.start("r1", body)
     vandal.connect()
-    swarm.start("r2")
+    swarm.start("r2", swarm.resting("r2"))
     swarm.run_drive("r1")
     moving = body.wait_stepped()
     before = swarm.status("r1")

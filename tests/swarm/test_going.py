@@ -24,7 +24,7 @@ LEAVING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 @pytest.fixture(scope="module")
 def body(shared_swarm: Swarm) -> Body:
     """The body of `r1`, whose daemons come and go; the daemon of `r2` lists it."""
-    shared_swarm.start("r2")
+    shared_swarm.start("r2", shared_swarm.resting("r2"))
     return shared_swarm.body("r1")
 
 

@@ -206,7 +206,7 @@ def test_with_keys_an_operator_pushes_and_a_viewer_only_looks(swarm: Swarm, tmp_
     def ctl(who: str, *words: str) -> Finished:
         return swarm.ctl(*words, "--identity", str(keys.folder_of(who)))
 
-    swarm.start("r1", options=secured("r1"))
+    swarm.start("r1", swarm.resting("r1"), secured("r1"))
     file = tmp_path / "own.py"
     file.write_text(V1)
     done = ctl("alice", "plugin", "push", str(file), "r*")

@@ -75,8 +75,8 @@ def test_a_run_from_start_to_stop(swarm: Client) -> None:
     assert [one.robot for one in differing] == ["r2"]
     assert "speed" in differing[0].reason
     assert {one.robot for one in swarm.states("r1", seconds=0.2, poses=True)} <= {"r1"}
-    moved = (one for one in swarm.states("r1", seconds=CAP, poses=True) if math.isfinite(one.x))
-    assert [one.robot for one in itertools.islice(moved, 4)] == ["r1"] * 4
+    first = itertools.islice(swarm.states("r1", seconds=CAP, poses=True), 4)
+    assert [(one.robot, math.isfinite(one.x)) for one in first] == [("r1", True)] * 4
     assert swarm.describe("r1").why.startswith("running drive")
     outcome = swarm.stop()
     assert (outcome.exit_code, outcome.applied) == (0, BOTH)

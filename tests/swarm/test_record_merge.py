@@ -52,8 +52,8 @@ def test_robots_whose_clocks_are_three_hours_apart_share_a_timeline(
 ) -> None:
     if refusal := why_no_time_namespace():
         pytest.skip(f"no time namespace: {refusal}")
-    swarm.start("tb3-01")
-    swarm.start("tb3-02", prefix=UNSHARE)
+    swarm.start("tb3-01", swarm.resting("tb3-01"))
+    swarm.start("tb3-02", swarm.resting("tb3-02"), prefix=UNSHARE)
     swarm.await_presence("tb3-01", "tb3-02", Presence.ALIVE)
     swarm.await_presence("tb3-02", "tb3-01", Presence.ALIVE)
     assert swarm.ctl("record", "start", "--all").code == 0

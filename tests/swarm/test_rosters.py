@@ -154,7 +154,7 @@ def test_an_operator_with_an_older_roster_takes_that_of_a_robot(
         bundle.unlink(missing_ok=True)
         secured.keys("add", f"viewer{number}", "--role", "viewer", "--timeout", "1s")
         assert secured.keys("bundle", name, "-o", str(bundle)).code == 0
-    secured.start("r1")
+    secured.start("r1", secured.swarm.resting("r1"))
     # The authority does not know yet that the robot has the last bundle.
     assert secured.keys("push").outcome == (0, "1 targeted, 1 applied")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "bob"))
@@ -173,7 +173,7 @@ def test_an_operator_takes_the_key_of_a_robot_that_was_added_later_from_that_rob
     secured.keys("add", "r2", "--role", "robot", "--timeout", "1s")
     assert secured.keys("bundle", "r1", "r2", "-o", str(secured.folder)).code == 0
     for robot in ("r1", "r2"):
-        secured.start(robot)
+        secured.start(robot, secured.swarm.resting(robot))
     bundle.write_bytes(kept)
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "bob"))
     assert secured.keys("install", str(bundle)).code == 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core import codec
-from tests.support.processes import DaemonProcess, wait_until
+from tests.support.processes import DaemonProcess, free_endpoint, wait_until
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -20,7 +20,8 @@ def test_robots_of_other_versions_are_stopped_and_shown_and_refuse_the_rest_by_n
     swarm: Swarm, tmp_path: Path
 ) -> None:
     """r2 is newer, r3 older."""
-    swarm.spawn("r1")
+    swarm.spawn("r1", swarm.resting("r1"))
+    endpoints = {robot: free_endpoint() for robot in OFFSETS}
     with contextlib.ExitStack() as left:
         others = {
             robot: left.enter_context(
@@ -28,8 +29,14 @@ def test_robots_of_other_versions_are_stopped_and_shown_and_refuse_the_rest_by_n
                     tmp_path / robot,
                     swarm=swarm.name,
                     robot=robot,
-                    endpoint="tcp/127.0.0.1:9",
-                    module=("tests.support.other_version", str(offset)),
+                    endpoint=endpoints[robot],
+                    module=(
+                        "tests.support.other_version",
+                        str(offset),
+                        swarm.name,
+                        robot,
+                        endpoints[robot],
+                    ),
                 )
             )
             for robot, offset in OFFSETS.items()

@@ -30,7 +30,7 @@ def following(swarm: Swarm) -> Iterator[Iterator[dict[str, Any]]]:
 
 def test_events_and_load_of_three_daemons(swarm: Swarm) -> None:
     names = ["tb3-01", "tb3-02", "tb3-03"]
-    daemons = [swarm.spawn(name) for name in names]
+    daemons = [swarm.spawn(name, swarm.resting(name)) for name in names]
     for daemon in daemons:
         daemon.wait_ready()
     with following(swarm) as events:

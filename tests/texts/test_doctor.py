@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 import pytest
 from msgspec.structs import replace
 
+from swarmd.cli.doctor import HERE, rows_of
 from swarmd.core.finding import Finding, Level, unknown
 from swarmd.core.messages import Sandbox
 from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts, PortFacts
@@ -164,3 +165,22 @@ def test_every_problem_says_what_to_do() -> None:
     down = replace(NETWORK, is_up=False, mtu=500, has_multicast=False, firewall="drops")
     found = [*of_machine(bad), *of_network(down, is_robot=True)]
     assert all(one.remedy for one in found if one.level in (Level.WARNING, Level.FAULT))
+
+
+def test_the_worst_come_first_and_equal_ones_of_several_robots_are_one_row() -> None:
+    full, busy = (
+        Finding(what, False, "no room", is_minor=what == "load") for what in ("state", "load")
+    )
+    well = Finding("mtu", True, "1500")
+    lines = [
+        (HERE, well),
+        *(("r1", one) for one in (well, busy, full)),
+        *(("r2", one) for one in (well, busy)),
+        ("r3", busy),
+    ]
+    assert rows_of(lines, only_problems=False) == [
+        ("fault", "r1", "state", "no room"),
+        ("warning", "all 3 robots", "load", "no room"),
+        ("ok", "this machine, r1, r2", "mtu", "1500"),
+    ]
+    assert [row[2] for row in rows_of(lines, only_problems=True)] == ["state", "load"]

@@ -35,7 +35,7 @@ def test_speed_is_that_of_robots_that_are_known_at_both_times() -> None:
 
 
 def test_shares_and_means_of_rows() -> None:
-    rows = {
+    rows: dict[str, dict[str, Any]] = {
         "a": {"state": "running", "protection": "active", "report": {"opinion": "A", "votes": 2}},
         "b": {"state": "running", "protection": "clear", "report": {"opinion": "A", "votes": 4}},
         "gone": {"state": "running", "protection": "active", "presence": "failed"},

@@ -69,6 +69,7 @@ def test_one_key_leaves_the_map_and_its_legend_alone(
         )
         page.key("f")
         page.until(f"{SHARE} === 1", "the whole window")
+        assert page.evaluate("document.getElementById('caveat').checkVisibility()")
         assert page.evaluate(seen) == ["#legend"]
         page.key("f")
         page.until(f"{SHARE} < 0.9", "all again")
@@ -447,7 +448,7 @@ def test_near_events_have_one_tick_and_words_for_people(
     with shown(2, capsys) as (_, (address,)):
         ready(page, address, 2)
         page.until("swarm.plots.latest() > 0 && swarm.plots.left", "a plot")
-        text = "stop to 2 robots, by anna@desk from handed on by 127.0.0.1: applied: commanded zero"
+        text = "stop to 2 robots, by anna@desk, handed on by 127.0.0.1: applied: commanded zero"
         told = page.evaluate(
             "(() => { const { model, plots } = swarm, now = plots.latest();"
             f" model.marks = [0, 0.1, 0.2].map((at) => [now + at - 1, '{text}', ['a'], 1]);"

@@ -92,7 +92,7 @@ def viewed(swarm: Swarm, **environ: str) -> Iterator[Terminal]:
 @pytest.mark.integration
 def test_keys_command_three_robots_and_answers_are_counted(swarm: Swarm) -> None:
     names = ["tb3-01", "tb3-02", "tb3-03"]
-    daemons = [swarm.spawn(name) for name in names]
+    daemons = [swarm.spawn(name, swarm.resting(name)) for name in names]
     for daemon in daemons:
         daemon.wait_ready()
     with viewed(swarm, NO_COLOR="1") as shown:

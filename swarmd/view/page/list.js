@@ -4,7 +4,6 @@ import { colourOf, reasonOf, signOf, wordOf } from './states.js';
 
 const ROW = 30; // px, until a row is drawn
 const PERIOD = 250; // ms between two updates
-const number = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : '-');
 
 const { compare } = new Intl.Collator(undefined, { numeric: true });
 const heard = (age) => (age < 2 ? 'now' : Number.isFinite(age) ? `${age.toFixed(0)} s ago` : 'never');
@@ -15,15 +14,11 @@ export const COLUMNS = [
   ['pattern', 'Pattern', (robot) => (robot.row.pattern || '').replaceAll('_', ' ')],
   ['why', 'Why', (robot, now, model) => reasonOf(robot.row, model.time)],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
-  ['battery', 'Battery', (robot) => number(robot.row.battery == null ? NaN : 100 * robot.row.battery, 0, ' %')],
+  ['battery', 'Battery', (robot) => (robot.row.battery == null ? '-' : `${(100 * robot.row.battery).toFixed(0)} %`)],
   ['age', 'Heard', (robot, now, model) => heard(model.age(robot, now))],
-  ['near', 'Near', (robot) => number(robot.row.near, 2, ' m')],
-  ['x', 'x', (robot) => number(robot.x, 2, ' m')],
-  ['y', 'y', (robot) => number(robot.y, 2, ' m')],
 ];
 const NUMBERS = {
-  near: (robot) => robot.row.near ?? Infinity, battery: (robot) => robot.row.battery ?? Infinity,
-  age: (robot, now, model) => model.age(robot, now), x: (robot) => robot.x, y: (robot) => robot.y,
+  battery: (robot) => robot.row.battery ?? Infinity, age: (robot, now, model) => model.age(robot, now),
 };
 
 export class RobotList {

@@ -69,13 +69,13 @@ export class PatternForm {
 
   // Why robots that commands go to cannot run a pattern, and whether that is so of all of them.
   refusal({ unfit = {} }) {
-    const { robots, selected } = this.model;
-    const platforms = new Set([...robots.values()].filter(({ name }) => !selected.size || selected.has(name)).map((one) => one.platform));
-    const some = [...platforms].filter((one) => unfit[one]);
-    return { text: some.map((one) => `${one}: ${unfit[one]}`).join('; '), isAll: some.length > 0 && some.length === platforms.size };
+    const some = [...this.platforms].filter((one) => unfit[one]);
+    return { text: some.map((one) => `${one}: ${unfit[one]}`).join('; '), isAll: some.length > 0 && some.length === this.platforms.size };
   }
 
   draw() {
+    const { robots, selected } = this.model;
+    this.platforms = new Set([...robots.values()].filter(({ name }) => !selected.size || selected.has(name)).map((one) => one.platform));
     const typed = wordsOf(this.name.value), known = this.chosen, all = this.patterns();
     const matches = all.filter((one) => typed.split(' ').every((word) => wordsOf(`${one.name} ${one.group || ''} ${one.summary || ''}`).includes(word)));
     const shown = known ? all : matches, recent = typed && !known ? [] : this.recent();

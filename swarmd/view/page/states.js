@@ -37,7 +37,7 @@ function ago(seconds) {
 // addresses, hosts of operators, codes in parentheses and measured speeds are in the details.
 export function plain(text) {
   return text.replace(/`swarmctl (\w)(\w*)[^`]*`/g, (_, first, rest) => `${first.toUpperCase()}${rest}`).replaceAll('`', '')
-    .replace(/,? by (\S+) from (?:handed on by )?\S+?(?=: |$)/g, ' by $1').replace(/\bby ([\w.-]+)@[\w.-]+/g, 'by $1')
+    .replace(/,? by (\S+?)(?: from|, handed on by) \S+?(?=: |$)/g, ' by $1').replace(/\bby ([\w.-]+)@[\w.-]+/g, 'by $1')
     .replace(/: applied: .*$/, ': applied').replace(/ \((?:operator|estop|reset)\)/, '').replace(': from the page', ' from the page')
     .replace(/held by (\w+)/, (_, reason) => `held: ${reason.replaceAll('_', ' ')}`);
 }

@@ -191,6 +191,16 @@ def test_a_wrong_lesson_and_an_empty_folder_are_refused(
     assert what in f"{result.output} {result.exception}"
 
 
+@pytest.mark.parametrize(
+    ("words", "lacking"), [([], "FOLDER"), (["--lesson", "2"], "FOLDER"), (["."], "--lesson")]
+)
+def test_what_is_missing_is_named_with_a_whole_command(words: list[str], lacking: str) -> None:
+    result = CliRunner().invoke(classroom, ["check", *words])
+    assert result.exit_code == 2
+    assert f"{lacking}" in result.output.rpartition("Error: ")[2].partition(" is missing")[0]
+    assert "swarmctl class check FOLDER --lesson 2" in " ".join(result.output.split())
+
+
 def test_the_folder_of_one_pupil_is_refused(tmp_path: Path) -> None:
     (tmp_path / "beeclust.py").touch()
     result = checked(tmp_path, "2")

@@ -77,6 +77,7 @@ def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) ->
         (["demo", "--platform", "waffle"], "'waffle'"),
         (["demo", "--arena", "1x1"], "robot"),
         (["demo", "--layout", "circle"], "'circle'"),
+        (["demo", "--layout", "list"], "0 poses; expected 7 of x:y:degrees, such as list:0:0:90"),
         (["demo", "--seconds", "soon"], "'soon'"),
         (["demo", "-p", "speed"], "'speed'"),
         (["demo", "-p", "sped=1"], "no parameter 'sped'"),
@@ -175,6 +176,29 @@ def children_of_session(session: int) -> list[int]:
             if fields[0] != "Z" and int(fields[3]) == session:
                 found.append(int(path.parent.name))
     return found
+
+
+@pytest.mark.integration
+def test_sim_up_of_a_swarm_whose_keys_are_here_is_insecure_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm = unique_swarm()
+    monkeypatch.setenv("HOME", str(tmp_path))
+    made = run_command("swarmctl", "keys", "init", swarm, "--robots", "tb3-01", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    command = [SWARMCTL, "sim", "up", "-n", "1", "--swarm", swarm]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        try:
+            assert "1 robots are up" in process.stdout.readline()
+            lines = [process.stdout.readline() for _ in range(2)]
+        finally:
+            process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=CAP)
+    assert f"SWARM={swarm} swarmctl --insecure members" in lines[1]
+    assert "no keys" in errors
+    assert process.returncode == 0
 
 
 @pytest.mark.integration

@@ -18,6 +18,7 @@ from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.detector import ObjectsAround
 from swarmd.sim.world.world import World
 
 RANDOM = {
@@ -344,7 +345,13 @@ def test_what_robots_recognise_is_computed_for_a_pattern_that_needs_it_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked: list[int] = []
-    monkeypatch.setattr(World, "detections", lambda self, row: asked.append(row))
+    objects_around = World.objects_around
+
+    def look(world: World, row: int) -> ObjectsAround:
+        asked.append(row)
+        return objects_around(world, row)
+
+    monkeypatch.setattr(World, "objects_around", look)
     walkers = {"count": 2, "platform": "turtlebot4", "pattern": "random_walk"}
     Lockstep(scenario(groups={"a": walkers}), 0).advance(1.0)
     assert not asked

@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.plots.theme import new_figure, save
+from swarmd.sim.plots.intervals import Panel, intervals_figure
+from swarmd.sim.plots.survival import Times, survival_figure
+from swarmd.sim.plots.theme import in_order, new_figure, save, variant_style, variant_styles
 
 pytest.importorskip("matplotlib")
 
@@ -66,3 +69,27 @@ def test_a_picture_that_cannot_be_written_leaves_nothing(tmp_path: Path, in_the_
     with pytest.raises(SwarmError, match=r"taken/x\.png"):
         save(new_figure(3.0, 2.0), tmp_path / "taken" / "x.png")
     assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_a_swept_number_has_the_colours_of_a_scale_in_its_order() -> None:
+    values = ["2.0", "0.5", "1.0"]
+    assert in_order(values) == ["0.5", "1.0", "2.0"]
+    assert in_order(["b", "1.0", "a"]) == ["b", "1.0", "a"]
+    dark, middle, light = (
+        sum(int(colour[at : at + 2], 16) for at in (1, 3, 5))
+        for colour, _ in variant_styles(in_order(values))
+    )
+    assert dark < middle < light
+    assert variant_styles(values)[1] == variant_styles(in_order(values))[0]
+    words = ["law=a", "law=b", "law=c"]
+    assert variant_styles(words) == [variant_style(index) for index in range(3)]
+    assert variant_styles(["1.0", "2.0"]) == [variant_style(0), variant_style(1)]
+
+
+def test_rows_and_legends_are_in_the_order_of_a_swept_number() -> None:
+    values = {name: (0.1, 0.2, 0.3) for name in ("2.0", "0.5", "1.0")}
+    axes = intervals_figure([Panel(label="gap", values=values)]).axes[0]
+    assert [one.get_text()[:3] for one in axes.get_yticklabels()] == ["0.5", "1.0", "2.0"]
+    times = {name: Times(np.array([1.0, 2.0]), np.full(2, 9.0)) for name in values}
+    figure = survival_figure({"": times}, event="gathering")
+    assert [one.get_text()[:3] for one in figure.legends[0].get_texts()] == ["0.5", "1.0", "2.0"]

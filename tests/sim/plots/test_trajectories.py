@@ -103,3 +103,21 @@ def test_more_than_fit_are_counted() -> None:
     figure = overview_figure([(str(k), lambda: trace) for k in range(MAX_RUNS + 3)])
     assert len(figure.axes) == MAX_RUNS
     assert note(figure).startswith("the first 25 of 28 runs")
+
+
+def test_each_robot_has_its_start_mark_though_its_pose_is_known_later() -> None:
+    """As in the recording of a robot that was switched on after the others."""
+    trace = walk(3)
+    trace.pose[:7, 1] = np.nan
+    axes = trajectories_figure(trace).axes[0]
+    hollow = [
+        path.vertices
+        for body in axes.collections
+        if not len(body.get_facecolor()) and body.get_zorder() == 3.0
+        for path in body.get_paths()
+        if len(path.vertices) > 2
+    ]
+    middles = np.array([corners[:-1].mean(axis=0) for corners in hollow])
+    starts = [trace.pose[0, 0, :2], trace.pose[7, 1, :2], trace.pose[0, 2, :2]]
+    assert len(middles) == 3
+    assert np.abs(middles - starts).max() < 0.3

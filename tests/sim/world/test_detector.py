@@ -14,6 +14,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.light import LightField
 from swarmd.sim.world.scalar_fields import Field
+from swarmd.sim.world.sensors import SENSORS, detections
 from swarmd.sim.world.world import World
 
 BURGER = load_platform("burger")
@@ -38,15 +39,15 @@ def world(
 
 
 def seen(one: World, robot: int = 0) -> dict[str, Detection]:
-    found = one.detections(robot)
-    assert found is not None
-    return {detection.id: detection for detection in found}
+    input = detections(one, robot, 0.0)
+    assert input is not None
+    return {detection.id: detection for detection in input.detections or ()}
 
 
 def test_a_robot_without_such_a_sensor_recognises_nothing() -> None:
     plain = world([(0.0, 0.0, 0.0)], BURGER)
-    assert plain.detections(0) is None
-    assert not plain.has_detectors
+    assert detections(plain, 0, 0.0) is None
+    assert not any(sensor.need and sensor.is_there(plain) for sensor in SENSORS)
 
 
 def test_robots_within_view_and_range_are_recognised_from_the_axle() -> None:
@@ -78,9 +79,10 @@ def test_boxes_and_lamps_are_recognised_by_kind() -> None:
 def test_two_sensors_see_a_robot_once() -> None:
     wide = math.radians(180.0)
     both = eyes((0.0, 0.0, 0.0, wide, 3.0), (0.0, 0.0, math.pi, wide, 3.0))
-    found = world([(0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)], both).detections(0)
-    assert found is not None
-    assert sorted(one.id for one in found) == ["r-1", "r-2"]
+    robots = world([(0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)], both)
+    input = detections(robots, 0, 0.0)
+    assert input is not None
+    assert sorted(one.id for one in input.detections or ()) == ["r-1", "r-2"]
 
 
 def test_a_robot_that_was_taken_out_is_not_recognised() -> None:
