@@ -283,17 +283,15 @@ def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """The results of one row in one task: values by seed, NaN without one.
+    """The results of one row in one task."""
 
-    `rank` from 1 on; None where the interval of the median overlaps that of another row, so that
-    other seeds may change the order, and where either has none. `place`: the order of the medians
-    alone, infinite without a median; rows of equal median share the better one.
-    """
-
-    values: Mapping[int, float]
+    values: Mapping[int, float]  # by seed; NaN for a run without a value
     summary: statistics.Summary
     rank: int | None = None
+    """From 1 on. None where the interval of the median overlaps the interval of another row (other
+    seeds may change their order), and where either row has no interval."""
     place: float = math.inf
+    """By the medians alone; infinite without a median. Rows of equal median share a place."""
 
 
 Table = dict[str, dict[str, Cell]]
