@@ -42,11 +42,14 @@ _CORNERS = (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)  # of a tag, in it
 class InputEncoder(Protocol):
     """The messages of one kind of input, or of one entry of it."""
 
-    topics: Sequence[tuple[str, type]]  # with their message classes
     is_reliable: bool  # the quality of service of the publishers
     depth: int
 
-    def encode(self, value: Any, stamp: float) -> Sequence[object | None]:
+    @property
+    def topics(self) -> Sequence[tuple[str, type]]:
+        """Each topic with its message class."""
+
+    def encode(self, value: Any, stamp: float, /) -> Sequence[object | None]:
         """A message for each topic, in their order, or None.
 
         `value`: the content of the input. `stamp` in s of the last odometry, for values without.
