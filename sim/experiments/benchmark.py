@@ -65,7 +65,7 @@ class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bounds: Bounds = (None, None)
 
 
-class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TaskCandidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A pattern of swarmd that is tried, with parameters for all groups and `by_group`."""
 
     pattern: str
@@ -91,7 +91,7 @@ class TaskFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     metric: MetricSection
     seeds: Annotated[int, Meta(ge=1, le=1000)] = 20
     groups: Annotated[list[str], Meta(min_length=1)]
-    candidates: list[Candidate] = []
+    candidates: list[TaskCandidate] = []
     scenario: dict[str, Any]
 
 
@@ -128,7 +128,7 @@ class Task:
         ConfigError if the pattern does not fit: it names the need that the robots do not meet.
         """
         declared = next((one for one in self.file.candidates if one.pattern == pattern), None)
-        chosen = declared or Candidate(pattern=pattern)
+        chosen = declared or TaskCandidate(pattern=pattern)
         data = dict(self.file.scenario)
         groups = {name: dict(group) for name, group in data["groups"].items()}
         for name in self.file.groups:
@@ -206,7 +206,7 @@ def _folder() -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TaskEntry:
     """A pattern in a task, with its complete scenario."""
 
     task: Task
@@ -225,7 +225,7 @@ class Misfit:
 
 def entries_of(
     tasks: Sequence[Task], patterns: Sequence[str] = (), plugin_dir: Path | None = None
-) -> tuple[list[Entry], list[Misfit]]:
+) -> tuple[list[TaskEntry], list[Misfit]]:
     """What to run: `patterns` where they fit, or without any the candidates of each task.
 
     A candidate of a file that does not fit is an error of the file: ConfigError.
@@ -243,12 +243,12 @@ def entries_of(
                     raise
                 misfits.append(Misfit(task.name, pattern, str(error)))
             else:
-                entries.append(Entry(task, pattern, scenario))
+                entries.append(TaskEntry(task, pattern, scenario))
     return entries, misfits
 
 
 def run_entry(
-    entry: Entry,
+    entry: TaskEntry,
     seeds: Iterable[int] | None,
     folder: Path,
     runner: Runner,
@@ -273,7 +273,7 @@ def run_entry(
     return run_experiment(manifest, place, runner, on_progress=on_progress)
 
 
-def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
+def values_by_seed(entry: TaskEntry, results: Results) -> dict[int, float]:
     """The metric of each seed of an entry; NaN for a run that failed."""
     values = results.metric(metric_of(entry.task.file.metric.name)).tolist()
     found = dict(zip(results.seeds(""), values, strict=True))
