@@ -57,8 +57,8 @@ from swarmd.settings.platforms import (
     platform_sources,
 )
 from swarmd.sim.experiments.benchmark import (
+    Candidate,
     MetricSection,
-    TaskCandidate,
     TaskFile,
     load_task,
     task_names,
@@ -262,7 +262,7 @@ def benchmark_format() -> Iterator[str]:
     """The keys of a file of the benchmark suite."""
     yield from _schema("", TaskFile)
     yield from _schema("metric", MetricSection)
-    yield from _schema("candidates", TaskCandidate)
+    yield from _schema("candidates", Candidate)
 
 
 def commands() -> Iterator[str]:

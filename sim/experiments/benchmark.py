@@ -65,7 +65,7 @@ class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     bounds: Bounds = (None, None)
 
 
-class TaskCandidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A pattern of swarmd that is tried, with parameters for all groups and `by_group`."""
 
     pattern: str
@@ -91,7 +91,7 @@ class TaskFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     metric: MetricSection
     seeds: Annotated[int, Meta(ge=1, le=1000)] = 20
     groups: Annotated[list[str], Meta(min_length=1)]
-    candidates: list[TaskCandidate] = []
+    candidates: list[Candidate] = []
     scenario: dict[str, Any]
 
 
@@ -128,7 +128,7 @@ class Task:
         ConfigError if the pattern does not fit: it names the need that the robots do not meet.
         """
         declared = next((one for one in self.file.candidates if one.pattern == pattern), None)
-        chosen = declared or TaskCandidate(pattern=pattern)
+        chosen = declared or Candidate(pattern=pattern)
         data = dict(self.file.scenario)
         groups = {name: dict(group) for name, group in data["groups"].items()}
         for name in self.file.groups:
