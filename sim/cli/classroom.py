@@ -20,7 +20,7 @@ from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
 if TYPE_CHECKING:
     from swarmd.cli.plugin_check import Point
-    from swarmd.sim.experiments.lessons import Lesson, Mark
+    from swarmd.sim.experiments.lessons import Lesson, LessonMark
     from swarmd.sim.experiments.plan import Plan
 
 FAILED = 1  # exit code
@@ -34,7 +34,7 @@ class Work:
 
     pupil: str
     checks: Sequence[Point] = ()
-    mark: Mark | None = None
+    mark: LessonMark | None = None
     why: str = ""
 
     @property

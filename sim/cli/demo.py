@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions
     from swarmd.sim.live.demo_run import DemoSettings
     from swarmd.sim.live.fleet import FleetSpec
-    from swarmd.sim.live.summary import Summary
+    from swarmd.sim.live.summary import DemoSummary
     from swarmd.view.scene import Scene
 
 
@@ -137,7 +137,7 @@ def _settings(
 
 def perform(
     spec: FleetSpec, settings: DemoSettings, *, is_live: bool, page: WebOptions | None = None
-) -> Summary:
+) -> DemoSummary:
     """Run the demo from start to end; every process is gone when it returns or raises.
 
     With `page` it is served on a web page.
@@ -167,7 +167,7 @@ def perform(
         return summary
 
 
-def report(summary: Summary, folder: Path, *, is_json: bool) -> None:
+def report(summary: DemoSummary, folder: Path, *, is_json: bool) -> None:
     """Print the summary, problems on stderr, then write the files.
 
     Printed first: a full disk must not cost the summary. SwarmError if a file cannot be written.

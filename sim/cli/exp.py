@@ -6,7 +6,7 @@ import itertools
 import math
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -165,15 +165,12 @@ def run(
         cores = shared if shared > 1 else None
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
-    command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
-    for option, values in (("--set", sets), ("--sweep", sweeps)):
-        command += [word for value in values for word in (option, value)]
     given = {"--jobs": jobs, "--cores": cores, "--shard": shard, "--scheduler": scheduler,
              "--out": folder}  # fmt: skip
-    command += [word for k, v in given.items() if v is not None for word in (k, str(v))]
-    command += ["--no-traces"] * no_traces
+    command = _command(scenario, seeds, {"--set": sets, "--sweep": sweeps}, given)
+    command += ["--no-traces"] if no_traces else []
     if own:
-        command += ["--metrics", ",".join(one.origin or one.name for one in own)]
+        command += ["--metrics", ",".join(metric.origin or metric.name for metric in own)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(plan, traces=not no_traces, command=command, metrics=own, shown=shown)
     limit = STEP_TIMEOUT if timeout is None else timeout
@@ -200,6 +197,24 @@ def run(
     warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {took}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     ctx.exit(0 if not results.failures else PARTIAL if results.runs else FAILED)
+
+
+def _command(
+    scenario: str,
+    seeds: str,
+    repeated: Mapping[str, tuple[str, ...]],
+    given: Mapping[str, object],
+) -> list[str]:
+    """The words of the command line that goes on with an experiment; None: not given."""
+    words = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
+    for option, values in repeated.items():
+        words += [word for value in values for word in (option, value)]
+    return words + [
+        word
+        for option, value in given.items()
+        if value is not None
+        for word in (option, str(value))
+    ]
 
 
 @exp.command()

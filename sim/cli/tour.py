@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _ENTRY = "from swarmd.cli.entry import swarmctl; swarmctl()"
 
 
-class Step(NamedTuple):
+class TourStep(NamedTuple):
     """A command, what it is for, and for how long the robots drive after it."""
 
     words: tuple[str, ...]
@@ -28,14 +28,14 @@ class Step(NamedTuple):
     seconds: float = 0.0
 
 
-def steps(robots: tuple[str, ...]) -> tuple[Step, ...]:
+def steps(robots: tuple[str, ...]) -> tuple[TourStep, ...]:
     """The commands of the tour, for these robots."""
     return (
-        Step(("members",), "Which robots are there, and in which state?"),
-        Step(("run", "attraction", "--all"), "All robots drive towards each other.", 5.0),
-        Step(("describe", robots[0]), "What does one robot do, and why does it stand or move?"),
-        Step(("stop",), "All robots stop."),
-        Step(("events",), "What has happened?"),
+        TourStep(("members",), "Which robots are there, and in which state?"),
+        TourStep(("run", "attraction", "--all"), "All robots drive towards each other.", 5.0),
+        TourStep(("describe", robots[0]), "What does one robot do, and why does it stand or move?"),
+        TourStep(("stop",), "All robots stop."),
+        TourStep(("events",), "What has happened?"),
     )
 
 

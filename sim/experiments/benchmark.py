@@ -207,7 +207,7 @@ def _folder() -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TaskEntry:
     """A pattern in a task, with its complete scenario."""
 
     task: Task
@@ -226,7 +226,7 @@ class Misfit:
 
 def entries_of(
     tasks: Sequence[Task], patterns: Sequence[str] = (), plugin_dir: Path | None = None
-) -> tuple[list[Entry], list[Misfit]]:
+) -> tuple[list[TaskEntry], list[Misfit]]:
     """What to run: `patterns` where they fit, or without any the candidates of each task.
 
     A candidate of a file that does not fit is an error of the file: ConfigError.
@@ -244,12 +244,12 @@ def entries_of(
                     raise
                 misfits.append(Misfit(task.name, pattern, str(error)))
             else:
-                entries.append(Entry(task, pattern, scenario))
+                entries.append(TaskEntry(task, pattern, scenario))
     return entries, misfits
 
 
 def run_entry(
-    entry: Entry,
+    entry: TaskEntry,
     seeds: Iterable[int] | None,
     folder: Path,
     runner: Runner,
@@ -274,7 +274,7 @@ def run_entry(
     return run_experiment(manifest, place, runner, on_progress=on_progress)
 
 
-def values_by_seed(entry: Entry, results: Results) -> dict[int, float]:
+def values_by_seed(entry: TaskEntry, results: Results) -> dict[int, float]:
     """The metric of each seed of an entry; NaN for a run that failed."""
     values = results.metric(metric_of(entry.task.file.metric.name)).tolist()
     measured = dict(zip(results.seeds(""), values, strict=True))

@@ -24,7 +24,7 @@ from swarmd.sim.experiments.plan import Plan
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_jobs
 from swarmd.sim.experiments.requirements import (
     RUNS,
-    Finding,
+    RequirementFinding,
     check,
     parse_requirement,
 )
@@ -57,13 +57,13 @@ class _LessonsFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, slots=True)
-class Mark:
+class LessonMark:
     """How the work of a pupil meets the targets: a finding for each, as far as there are results.
 
     `why`: the first thing that is wrong, in one line; empty if nothing is.
     """
 
-    findings: Sequence[Finding] = ()
+    findings: Sequence[RequirementFinding] = ()
     why: str = ""
 
 
@@ -81,9 +81,9 @@ def plan_of_lesson(lesson: Lesson) -> Plan:
     return plan_of(scenario, range(lesson.seeds), sweep=lesson.sweep)
 
 
-def mark_results(lesson: Lesson, folder: Path) -> Mark:
+def mark_results(lesson: Lesson, folder: Path) -> LessonMark:
     """The mark of the results that a pupil's folder holds."""
-    findings: list[Finding] = []
+    findings: list[RequirementFinding] = []
     faults: list[str] = []
     for where, texts in lesson.targets.items():
         try:
@@ -94,12 +94,12 @@ def mark_results(lesson: Lesson, folder: Path) -> Mark:
                 faults.append(f"{where}: {lacking}")
         except (SwarmError, OSError) as error:
             faults.append(str(error).replace(f"{folder}/", ""))
-    return Mark(findings, next(iter([*faults, *_missed(findings)]), ""))
+    return LessonMark(findings, next(iter([*faults, *_missed(findings)]), ""))
 
 
 def mark_pattern(
     lesson: Lesson, plan: Plan, folder: Path, *, processes: int, timeout: float
-) -> Mark:
+) -> LessonMark:
     """The mark of the pattern that a pupil's folder holds, by runs of at most `timeout` s in all.
 
     `plan` is that of `plan_of_lesson`.
@@ -112,19 +112,21 @@ def mark_pattern(
     rows: list[Row] = []
     for result in _bounded(jobs, processes, timeout):
         if result.metrics is None:
-            return Mark(why=f"{by_id[result.run].title}: {result.reason.rstrip(': ')}")
+            return LessonMark(why=f"{by_id[result.run].title}: {result.reason.rstrip(': ')}")
         if result.metrics["failed_patterns"]:
-            return Mark(why=f"{by_id[result.run].title}: the pattern raised an error in a step")
+            return LessonMark(
+                why=f"{by_id[result.run].title}: the pattern raised an error in a step"
+            )
         rows.append(Row(by_id[result.run], result.metrics, result.wall))
     if len(rows) < len(jobs):
         done = f"{len(rows)} of {len(jobs)} runs"
-        return Mark(why=f"the pattern is too slow: {done} are done after {timeout:g} s")
+        return LessonMark(why=f"the pattern is too slow: {done} are done after {timeout:g} s")
     rows.sort(key=lambda row: list(by_id).index(row.run.id))
     results = Results(folder, plan, rows, {}, tuple(METRICS))
-    findings: list[Finding] = []
+    findings: list[RequirementFinding] = []
     for where, texts in lesson.targets.items():
         findings += _findings([Side(where, results, where.partition(":")[2])], texts)
-    return Mark(findings, next(_missed(findings), ""))
+    return LessonMark(findings, next(_missed(findings), ""))
 
 
 def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[JobResult]:
@@ -143,7 +145,7 @@ def _with_pattern(effective: Mapping[str, Any], pattern: str, folder: Path) -> d
     return {**effective, "groups": groups, "plugin_dir": str(folder)}
 
 
-def _findings(sides: Sequence[Side], texts: Sequence[str]) -> list[Finding]:
+def _findings(sides: Sequence[Side], texts: Sequence[str]) -> list[RequirementFinding]:
     return [check(parse_requirement(text), side) for side in sides for text in texts]
 
 
@@ -154,7 +156,7 @@ def _check_measured(results: Results, texts: Sequence[str]) -> None:
             raise ConfigError(f"{results.folder}: the runs have not measured {requirement.metric}")
 
 
-def _missed(findings: Sequence[Finding]) -> Iterator[str]:
+def _missed(findings: Sequence[RequirementFinding]) -> Iterator[str]:
     for finding in findings:
         if not finding.is_met:
             what, wanted = finding.requirement.text.split(finding.requirement.comparison, 1)

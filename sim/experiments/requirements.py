@@ -43,7 +43,7 @@ class Requirement:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class RequirementFinding:
     """What an experiment has for a requirement.
 
     `value` is None if the statistic does not exist, and `remark` then has the reason. `interval`:
@@ -87,7 +87,7 @@ def parse_requirement(text: str) -> Requirement:
     return Requirement(text, statistic or "mean", inner or bare, comparison, value)
 
 
-def check(requirement: Requirement, side: Side) -> Finding:
+def check(requirement: Requirement, side: Side) -> RequirementFinding:
     """The finding of one variant; ConfigError with the nearest name for an unknown metric."""
     results, name = side.results, requirement.metric
     interval, remark = None, ""
@@ -104,7 +104,7 @@ def check(requirement: Requirement, side: Side) -> Finding:
         elif requirement.statistic == "median":
             interval = summary.median_interval
     is_met = value is not None and _COMPARISONS[requirement.comparison](value, requirement.value)
-    return Finding(requirement, side.variant, value, interval, remark, is_met)
+    return RequirementFinding(requirement, side.variant, value, interval, remark, is_met)
 
 
 def _remark(summary: Summary, statistic: str, value: float | None) -> str:

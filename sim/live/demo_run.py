@@ -24,7 +24,7 @@ from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.recording import StatusLog
 from swarmd.sim.live.state import WorldState
-from swarmd.sim.live.summary import DoneEvent, Summary, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import DemoSummary, DoneEvent, mean_duty, numbers_of, problems_of
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
 from swarmd.view.scene import Area, Scene
@@ -187,7 +187,7 @@ class DemoRun:
 
     def perform(
         self, trace: Path, began: float, tell: Callable[[str], object] | None = None
-    ) -> Summary:
+    ) -> DemoSummary:
         """Run all events from start to end; `began` is when the command did (boot time).
 
         `tell` gets lines while robots start.
@@ -254,7 +254,7 @@ class DemoRun:
         before: Mapping[str, Status],
         after: Mapping[str, Status],
         stopped: Outcome,
-    ) -> Summary:
+    ) -> DemoSummary:
         spec, trace = self._fleet.spec, self._log.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         platforms = {platform.name: platform for platform in spec.platforms().values()}
@@ -271,7 +271,7 @@ class DemoRun:
         if stopped.exit_code:
             problems.append(starting.why_not("stop", stopped))
         moved = self._watcher.all_moved_at
-        return Summary(
+        return DemoSummary(
             pattern=self._settings.pattern,
             platform=self._settings.platform,
             robots=self._robots,

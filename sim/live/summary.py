@@ -54,7 +54,7 @@ class DoneEvent:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Summary:
+class DemoSummary:
     """A finished demo."""
 
     pattern: str

@@ -40,7 +40,7 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
-from swarmd.sim.lockstep.schedules import Alarms, Schedules, Timeline
+from swarmd.sim.lockstep.schedules import Alarms, EventTimeline, Schedules
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.preflight import has_findings
 from swarmd.sim.scenarios.pseudo_reality import drawn
@@ -156,7 +156,7 @@ class Lockstep:
         self.has_daemon = [False] * n
         self._absent_count = n
         self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
-        self._timeline = Timeline(scenario.events, self)
+        self._timeline = EventTimeline(scenario.events, self)
         self._recorder = LockstepRecorder(self.world)
 
     # For the timeline of a scenario

@@ -93,7 +93,7 @@ class Alarms:
         return rows
 
 
-class Timeline:
+class EventTimeline:
     """Events in order of time, carried out when due."""
 
     def __init__(self, events: Sequence[ScheduledEvent], swarm: Lockstep) -> None:

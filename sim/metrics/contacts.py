@@ -24,7 +24,7 @@ Kind = Literal["robot", "arena", "box"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Contact:
+class TraceContact:
     """One contact, from `start` to `end` in the trace's s.
 
     `a` is a robot's id; `b` is another robot's, WALLS or the name of a movable box, as `kind` says.
@@ -42,7 +42,7 @@ class Contact:
     is_b_moving: bool
 
 
-def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Contact]:
+def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[TraceContact]:
     """Each contact of the run, by start and then by robots."""
     if len(trace.contact_t) == 0:
         return []
@@ -80,14 +80,14 @@ def hardest_contact(trace: Trace) -> float | None:
 
 def _contact(
     trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray
-) -> Contact:
+) -> TraceContact:
     a, b = int(pair[0]), int(pair[1])
     kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
     # Below ARENA stand the movable boxes: -2 is the first of `movable_boxes`.
     partner = (
         trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.movable_boxes[ARENA - 1 - b]
     )
-    return Contact(
+    return TraceContact(
         start=ends[0],
         end=ends[1],
         a=trace.ids[a],

@@ -20,7 +20,7 @@ from swarmd.sim.experiments.manifest import NAME as MANIFEST
 from swarmd.sim.experiments.results import load_results
 from swarmd.sim.experiments.store import trace_path
 from swarmd.sim.metrics.aggregation import cluster_link
-from swarmd.sim.metrics.contacts import Contact, contact_list
+from swarmd.sim.metrics.contacts import TraceContact, contact_list
 from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.scenarios.environment import fields_of
 from swarmd.sim.trace import Trace, load_trace, patterns_of, poses_at
@@ -294,7 +294,7 @@ class _ShownRun:
         return partners
 
 
-def _partner(contact: Contact, robot: str) -> str:
+def _partner(contact: TraceContact, robot: str) -> str:
     """The partner of a robot in a contact; empty for a contact of other robots."""
     if contact.a == robot:
         return f"box {contact.b}" if contact.kind == "box" else contact.b

@@ -97,7 +97,7 @@ def _padded(polygons: Sequence[Array]) -> Array:
     return np.array(padded, dtype=np.float64).reshape(len(polygons), most, 2)
 
 
-class Rays:
+class SortedRays:
     """The rays of a scan in order of bearing, repeated over four turns so that no interval is cut.
 
     By place in that order: `number` in the scan, `bearings` in rad, their `cos` and `sin`.
@@ -134,7 +134,7 @@ class Lidar:
     """Casts the scans of all sensors of one kind at once."""
 
     def __init__(self, spec: ScanSpec, shapes: Shapes) -> None:
-        self._spec, self._rays = spec, Rays(spec.bearings)
+        self._spec, self._rays = spec, SortedRays(spec.bearings)
         # Surfaces: x and y of the start, x and y from there to the end.
         start, end = shapes.walls[:, 0], shapes.walls[:, 1]
         walls = np.concatenate((start, end - start), axis=1)

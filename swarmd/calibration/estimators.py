@@ -25,7 +25,7 @@ _DELAY_STEP = 0.005  # s
 _LEAST_TURN_RATE = 0.1  # rad/s, root of the mean square, below which a turn shows no delay
 
 
-class Stop(NamedTuple):
+class Braking(NamedTuple):
     """A stop from a cruise at `speed`, m/s or rad/s; `seconds` at that speed give its way."""
 
     speed: float
@@ -40,7 +40,7 @@ def is_steady(times: Array, way: Array) -> bool:
     return bool(abs((c - b) - (b - a)) <= _STEADY * abs(c - a) / 2.0)
 
 
-def stop_of(times: Array, way: Array, at: float) -> Stop | None:
+def stop_of(times: Array, way: Array, at: float) -> Braking | None:
     """The stop after the command zero at `at` s; None without a cruise before it.
 
     `way` (n,) m or rad at `times` (n,) s of one clock, positive in the sense of the drive, up to
@@ -55,10 +55,10 @@ def stop_of(times: Array, way: Array, at: float) -> Stop | None:
     if speed <= 0.0:
         return None
     rolled = float(way[-1] - way[last]) - speed * (at - float(times[last]))
-    return Stop(speed, rolled / speed)
+    return Braking(speed, rolled / speed)
 
 
-def stopping(stops: Sequence[Stop]) -> tuple[Figure, Figure]:
+def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     """The brake in m/s2 or rad/s2 and the delay in s, of stops from two speeds or more."""
     if len(stops) < 4:
         none = Figure(why="fewer than four stops")

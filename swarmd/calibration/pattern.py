@@ -9,7 +9,14 @@ from typing import Annotated, NamedTuple, TypeAlias
 import numpy as np
 
 from swarmd.calibration import figures
-from swarmd.calibration.estimators import Stop, is_steady, mean_of, stop_of, stopping, turn_delay
+from swarmd.calibration.estimators import (
+    Braking,
+    is_steady,
+    mean_of,
+    stop_of,
+    stopping,
+    turn_delay,
+)
 from swarmd.calibration.figures import AXES, Figure
 from swarmd.calibration.floor import needed_floor, tolerance, top_speeds, travel
 from swarmd.calibration.scan_matching import Located, Reference, points_of
@@ -185,7 +192,7 @@ class Calibration(Pattern[CalibrationParams]):
         yield ZERO
         yield from self._look()
         scales = dict[str, list[float]]()
-        stops = dict[str, list[tuple[float, Stop]]]()
+        stops = dict[str, list[tuple[float, Braking]]]()
         for axis in (axis for axis in _AXES if axis in self._speeds):
             stops[axis], scales[axis] = [], []
             yield from self._stops(axis, stops[axis], scales[axis])
@@ -269,7 +276,7 @@ class Calibration(Pattern[CalibrationParams]):
     def _locate(self, points: Array, guess: Pose) -> Located | None:
         return None if self._reference is None else self._reference.locate(points, guess)
 
-    def _stops(self, axis: str, stops: list[tuple[float, Stop]], scales: list[float]) -> _Drives:
+    def _stops(self, axis: str, stops: list[tuple[float, Braking]], scales: list[float]) -> _Drives:
         """Stops from two speeds, to and fro; add them to `stops`, each with the speed commanded.
 
         After a drive that was not steady all over again, slower.
@@ -294,7 +301,7 @@ class Calibration(Pattern[CalibrationParams]):
 
     def _stop(
         self, speed: float, axis: str, scales: list[float]
-    ) -> Generator[Twist, Inputs, Stop | None]:
+    ) -> Generator[Twist, Inputs, Braking | None]:
         """Drive or turn until the speed is steady, and stop; None if it was not steady."""
         twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
@@ -395,7 +402,7 @@ class Calibration(Pattern[CalibrationParams]):
 
     def _finish(
         self,
-        stops: Mapping[str, Sequence[tuple[float, Stop]]],
+        stops: Mapping[str, Sequence[tuple[float, Braking]]],
         scales: Mapping[str, Sequence[float]],
         headings: Sequence[tuple[float, float]],
         track: Array,

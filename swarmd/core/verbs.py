@@ -664,7 +664,8 @@ def _request(
     return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, audit)
 
 
-_ROBOT, _TOOLS, _RECORDING = Handler.ROBOT, Handler.TOOLS, Handler.RECORDING
+_ROBOT, _TOOLS = Handler.ROBOT, Handler.TOOLS
+_RECORDING = Handler.RECORDING
 
 MEMBERS = Verb("members", MembersQuery, PeerView, Handler.NETWORK)
 RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _RECORDING)

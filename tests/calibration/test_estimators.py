@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.calibration.estimators import Stop, is_steady, stop_of, stopping, turn_delay
+from swarmd.calibration.estimators import Braking, is_steady, stop_of, stopping, turn_delay
 from swarmd.core.values import Array
 
 
@@ -40,7 +40,9 @@ def test_stops_give_brake_and_delay_however_slow_odometry_is(
 def test_the_spread_of_a_brake_is_that_of_its_stops() -> None:
     rng = np.random.default_rng(1)
     brakes = 1.0 + 0.05 * rng.standard_normal(400)
-    stops = [Stop(v, 0.1 + v / (2.0 * b)) for v, b in zip((0.22, 0.08) * 200, brakes, strict=True)]
+    stops = [
+        Braking(v, 0.1 + v / (2.0 * b)) for v, b in zip((0.22, 0.08) * 200, brakes, strict=True)
+    ]
     braking, _ = stopping(stops)
     assert braking.value == pytest.approx(1.0, rel=0.02)
     assert braking.spread == pytest.approx(0.05, rel=0.25)
@@ -48,7 +50,9 @@ def test_the_spread_of_a_brake_is_that_of_its_stops() -> None:
 
 def test_a_brake_within_the_scatter_of_odometry_is_not_measured() -> None:
     rng = np.random.default_rng(2)
-    stops = [Stop(v, 0.1 + 0.02 * e) for v, e in zip((0.2, 0.1) * 6, rng.random(12), strict=True)]
+    stops = [
+        Braking(v, 0.1 + 0.02 * e) for v, e in zip((0.2, 0.1) * 6, rng.random(12), strict=True)
+    ]
     braking, reaction = stopping(stops)
     assert not braking.is_measured
     assert reaction.value == pytest.approx(0.11, abs=0.02)

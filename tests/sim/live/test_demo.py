@@ -19,7 +19,7 @@ from swarmd.core.messages import Presence
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.cli.demo import report
-from swarmd.sim.live.summary import Numbers, Summary
+from swarmd.sim.live.summary import DemoSummary, Numbers
 from tests.sim.conftest import Refusal
 from tests.support.processes import CAP, run_command, unique_swarm, wait_until
 from tests.support.swarmctl import swarmctl_in_time
@@ -106,9 +106,9 @@ def test_a_wrong_option_is_one_line_and_starts_nothing(
 
 
 @pytest.fixture
-def summary() -> Summary:
+def summary() -> DemoSummary:
     numbers = dict.fromkeys((field.name for field in fields(Numbers)), 1)
-    return Summary(
+    return DemoSummary(
         pattern="attraction",
         platform="burger",
         robots=("tb3-01",),
@@ -123,7 +123,7 @@ def summary() -> Summary:
 
 
 def test_a_full_disk_does_not_cost_the_summary(
-    tmp_path: Path, summary: Summary, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, summary: DemoSummary, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "summary.json").symlink_to("/dev/full")
     with pytest.raises(SwarmError, match="No space left on device"):
@@ -133,7 +133,7 @@ def test_a_full_disk_does_not_cost_the_summary(
 
 def test_without_matplotlib_only_the_picture_is_missing(
     tmp_path: Path,
-    summary: Summary,
+    summary: DemoSummary,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

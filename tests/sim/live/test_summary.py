@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.messages import DecisionSummary, Health, Reason, State
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import DemoSummary, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Trace, TraceBuilder
 from tests.support.statuses import status
 
@@ -32,7 +32,7 @@ def closing_in() -> Trace:
     return recorder.trace()
 
 
-def summary(**changes: Any) -> Summary:
+def summary(**changes: Any) -> DemoSummary:
     numbers = numbers_of(closing_in(), {"burger": BURGER}, 0.25, 0.99)
     plain: dict[str, Any] = {
         "pattern": "attraction",
@@ -46,7 +46,7 @@ def summary(**changes: Any) -> Summary:
         "numbers": numbers,
         "problems": (),
     }
-    return Summary(**{**plain, **changes})
+    return DemoSummary(**{**plain, **changes})
 
 
 def test_numbers_of_two_robots_that_meet() -> None:

@@ -15,7 +15,7 @@ from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.lidar import Lidar, LidarModel, Rays, Visibility, shapes_of
+from swarmd.sim.world.lidar import Lidar, LidarModel, SortedRays, Visibility, shapes_of
 from swarmd.sim.world.world import World
 from tests.support.platforms import with_plain_scan
 
@@ -245,4 +245,4 @@ def test_the_lidars_of_our_platforms_need_no_search(name: str) -> None:
     bearings = load_platform(name).scan.bearings
     steps = np.diff(np.sort(bearings))
     is_lidar = len(bearings) > 7 and np.allclose(steps, steps[0])
-    assert Rays(bearings).is_even == is_lidar  # of few rays a search is as fast
+    assert SortedRays(bearings).is_even == is_lidar  # of few rays a search is as fast
