@@ -42,7 +42,7 @@ from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.buffers import view
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
-from swarmd.protection.constraints import Rows, SpeedAxes, linear_limit
+from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.envelope import Creeping
@@ -221,7 +221,7 @@ class Barrier:
     def _judge(self, speed: cython.double, angular: cython.double) -> cython.int:
         """1 if a request must be limited, to `_speeds`."""
         axes: SpeedAxes = self._feasible.constraints.axes
-        rows: Rows = self._feasible.constraints.rows
+        rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
         projection: Projection = self._projection
         wanted_x: cython.double = speed / axes.limit
@@ -243,7 +243,7 @@ class Barrier:
     def _creep(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
         """Take the command of a robot that creeps, if it is nearer to the requested command."""
         axes: SpeedAxes = self._feasible.constraints.axes
-        rows: Rows = self._feasible.constraints.rows
+        rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
         projection: Projection = self._projection
         x: cython.double = projection.x

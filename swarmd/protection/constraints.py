@@ -73,7 +73,7 @@ def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
 
 @cython.final
 @cython.cclass
-class Rows:
+class ConstraintRows:
     """Rows of constraints: those with a point first, then those of the envelope."""
 
     count: cython.Py_ssize_t  # without the envelope
@@ -168,7 +168,7 @@ class PlacedPoints:
 class Constraints:
     """The rows of one decision, made of the placed points."""
 
-    rows: Rows
+    rows: ConstraintRows
     placed: PlacedPoints
     axes: SpeedAxes
     touch: TouchSector
@@ -178,14 +178,14 @@ class Constraints:
 
     def __init__(self, assumptions: Assumptions, outline: Outline, touch: TouchSector) -> None:
         self._assumptions, self._outline = assumptions, outline
-        self.rows, self.placed = Rows(), PlacedPoints()
+        self.rows, self.placed = ConstraintRows(), PlacedPoints()
         self.axes = SpeedAxes()
         self.touch, self._chunk = touch, Chunk()
         self.axes.angular_limit = assumptions.angular_limit
 
     def check_indices(self) -> None:
         """ValueError unless the counts of rows and of points are within the arrays."""
-        rows: Rows = self.rows
+        rows: ConstraintRows = self.rows
         placed: PlacedPoints = self.placed
         if not (0 <= rows.count <= len(rows.x) and 0 <= rows.all <= len(rows.x)):
             raise ValueError(f"{rows.count} rows of {rows.all} in {len(rows.x)}")
@@ -313,7 +313,7 @@ class Constraints:
         """Place the points of the chunk, which become those from `first` on, and add their rows."""
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
-        rows: Rows = self.rows
+        rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
         count: cython.Py_ssize_t = chunk.count
@@ -462,7 +462,7 @@ class Constraints:
         """The rows of one side: of the foremost corner in the directions `edge_x`, `edge_y`."""
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
-        rows: Rows = self.rows
+        rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         reserve: cython.double = self._assumptions.side_reserve
         gap: cython.p_double = chunk.gap
@@ -602,7 +602,7 @@ class Constraints:
         """Add the rows of one corner that some twist within the limits violates."""
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
-        rows: Rows = self.rows
+        rows: ConstraintRows = self.rows
         others: cython.double = self._assumptions.others
         gap: cython.p_double = chunk.gap
         free: cython.p_double = chunk.free
@@ -660,7 +660,7 @@ class Constraints:
         since a pushed object is not always seen.
         """
         i: cython.Py_ssize_t
-        rows: Rows = self.rows
+        rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         placed: PlacedPoints = self.placed
         touch: TouchSector = self.touch

@@ -13,7 +13,7 @@ from swarmd.core.values import Array
 from swarmd.protection.barrier_assumptions import Assumptions
 from swarmd.protection.buffers import checked, doubles, maximum, view
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
-from swarmd.protection.constraints import ENVELOPE_ROWS, PlacedPoints, Rows, SpeedAxes
+from swarmd.protection.constraints import ENVELOPE_ROWS, ConstraintRows, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -74,7 +74,7 @@ class Envelope:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def put(self, rows: Rows, axes: SpeedAxes) -> cython.int:
+    def put(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
         """Put the rows of the envelope behind all others."""
         i: cython.Py_ssize_t
         if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
@@ -156,7 +156,7 @@ class Creeping:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def begin(self, rows: Rows, axes: SpeedAxes) -> cython.int:
+    def begin(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
         """Use the caps and the envelope of a robot that creeps."""
         i: cython.Py_ssize_t
         if len(self._kept_cap) < rows.all:
@@ -171,7 +171,7 @@ class Creeping:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def end(self, rows: Rows, axes: SpeedAxes) -> cython.int:
+    def end(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
         """Use the caps and the envelope of a robot that does not creep."""
         i: cython.Py_ssize_t
         for i in range(rows.count):

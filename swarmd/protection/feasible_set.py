@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.buffers import is_same, maximum
 from swarmd.protection.closing_speed import DECISION_PERIOD
-from swarmd.protection.constraints import Constraints, PlacedPoints, Rows, SpeedAxes
+from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.dead_reckoning import (
     LONGEST_EXTRAPOLATION,
     DeadReckoning,
@@ -180,7 +180,7 @@ class FeasibleSet:
         near: NearObstacles = self.near
         assumptions: Assumptions = self.assumptions
         constraints: Constraints = self.constraints
-        rows: Rows = constraints.rows
+        rows: ConstraintRows = constraints.rows
         odometry_age: cython.double = self.situation.odometry_age
         if odometry_age != odometry_age:
             odometry_age = 0.0
@@ -249,7 +249,7 @@ class FeasibleSet:
         """
         i: cython.Py_ssize_t
         near: NearObstacles = self.near
-        rows: Rows = self.constraints.rows
+        rows: ConstraintRows = self.constraints.rows
         placed: PlacedPoints = self.constraints.placed
         for i in range(0 if near.has_contact else placed.seen):
             gap: cython.double = min(placed.gap[i], placed.scan_gap[i])

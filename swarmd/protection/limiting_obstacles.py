@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.messages import LimitingObstacle
 from swarmd.protection.buffers import checked
-from swarmd.protection.constraints import Constraints, PlacedPoints, Rows
+from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints
 from swarmd.protection.outline import Outline
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -57,7 +57,7 @@ class LimitingRows:
         bearing of a place at the axle is 0.
         """
         i: cython.Py_ssize_t
-        rows: Rows = self._constraints.rows
+        rows: ConstraintRows = self._constraints.rows
         placed: PlacedPoints = self._constraints.placed
         tight: cython.Py_ssize_t = 0
         row_x: cython.p_double = checked(rows.x, rows.all)
@@ -85,7 +85,7 @@ class LimitingRows:
         return tuple(obstacles)
 
     @cython.cfunc
-    def _obstacle(self, rows: Rows, placed: PlacedPoints, row: cython.Py_ssize_t):
+    def _obstacle(self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t):
         """The obstacle of a row."""
         point: cython.Py_ssize_t = rows.source[row]
         radius: cython.double = placed.radius[point]
@@ -96,7 +96,7 @@ class LimitingRows:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _rank(self, rows: Rows, row: cython.Py_ssize_t) -> cython.int:
+    def _rank(self, rows: ConstraintRows, row: cython.Py_ssize_t) -> cython.int:
         """Insert a row into the ranked rows; the last of too many is dropped."""
         cap: cython.double = rows.cap[row]
         gap: cython.double = rows.gap[row]

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.protection.buffers import checked, doubles
-from swarmd.protection.constraints import Rows
+from swarmd.protection.constraints import ConstraintRows
 from swarmd.protection.outline import CHUNK
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -50,7 +50,7 @@ class Projection:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def project(self, rows: Rows, x: cython.double, y: cython.double) -> cython.int:
+    def project(self, rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
         """Find the feasible point nearest to a requested one: exact, for two variables.
 
         The axes are the two speeds over their limits, so that "nearest" weighs them alike. The loop
@@ -176,7 +176,7 @@ class Projection:
 
 @cython.cfunc
 @cython.exceptval(-1)
-def is_feasible(rows: Rows, x: cython.double, y: cython.double) -> cython.int:
+def is_feasible(rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
     """1 if a point violates no row."""
     i: cython.Py_ssize_t
     row_x: cython.p_double = checked(rows.x, rows.all)

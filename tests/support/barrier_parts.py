@@ -81,7 +81,7 @@ def nearest_feasible(requested: Point, normals: Array, caps: Array) -> tuple[Poi
 
     Also the indices of the constraints on which the point lies.
     """
-    rows, projection = part("constraints").Rows(), part("projection").Projection()
+    rows, projection = part("constraints").ConstraintRows(), part("projection").Projection()
     (rows.x, rows.y), rows.cap = normals.T.tolist(), caps.tolist()
     rows.all = len(caps)
     projection.project(rows, *requested)
