@@ -24,7 +24,7 @@ from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from swarmd.sim.experiments.benchmark import Entry, Task
+    from swarmd.sim.experiments.benchmark import Task, TaskEntry
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
 _LIST = "list"
@@ -165,7 +165,9 @@ def bench(
     ctx.exit(0 if finished == planned else PARTIAL if finished else FAILED)
 
 
-def _tell_the_time(entries: Sequence[Entry], seeds: Sequence[int] | None, processes: int) -> None:
+def _tell_the_time(
+    entries: Sequence[TaskEntry], seeds: Sequence[int] | None, processes: int
+) -> None:
     """Print how many runs there are, and an estimate of the time that all of them take."""
     from swarmd.sim.cli.progress import time_span
     from swarmd.sim.experiments.cost import measured_cost

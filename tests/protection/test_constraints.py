@@ -379,7 +379,7 @@ def test_what_is_farther_than_the_hidden_gap_is_beyond_range_min(
     towards = np.array((math.cos(bearing), math.sin(bearing)))
     for way in (0.0, 0.02, 0.1, 0.5, 2.0):
         place = np.array(lidar) + (blind + way) * towards
-        gap, direction, hidden = separation(outline, *place.tolist(), blind=blind)
+        gap, direction, hidden = separation(outline, float(place[0]), float(place[1]), blind=blind)
         normal = np.array(direction)
         if gap == 0.0:
             continue
@@ -399,7 +399,7 @@ def test_hidden_gap_of_a_burger(ahead: float, left: float, hidden: float) -> Non
     corner = burger.footprint.max(axis=0)
     place = (corner * (ahead, left) + (0.04 * ahead, 0.04 * left)).tolist()
     outline = outline_of(burger.footprint, burger.scan.offset)
-    separated = separation(outline, *place, blind=burger.scan.range_min)
+    separated = separation(outline, place[0], place[1], blind=burger.scan.range_min)
     assert separated.hidden == pytest.approx(hidden, abs=1e-3)
 
 
