@@ -59,6 +59,19 @@ class Traces:
         return load_trace(path)
 
 
+@dataclass(frozen=True, slots=True)
+class CustomMetrics:
+    """The metrics of an experiment that are not in the catalog.
+
+    `errors`: why a metric has no value, by run and metric. `is_trusted`: the files of the metrics
+    may be run, whatever is in the files now.
+    """
+
+    by_name: Mapping[str, Metric]
+    errors: Mapping[str, Mapping[str, str]]
+    is_trusted: bool = False
+
+
 class Results:
     """The finished runs of an experiment, in the order of its plan.
 
@@ -76,23 +89,17 @@ class Results:
         failures: Mapping[str, str],
         metrics: Sequence[str],
         kernels: str = "",
-        *,
-        own: Mapping[str, Metric] | None = None,
-        errors: Mapping[str, Mapping[str, str]] | None = None,
-        is_trusted: bool = False,
+        custom: CustomMetrics | None = None,
     ) -> None:
-        """`own`: the metrics by name that were measured besides those of the catalog.
-
-        `is_trusted`: their files may be run, whatever is in them now.
-        """
+        custom = custom or CustomMetrics({}, {})
         self.folder = folder
         self.plan = plan
         self.failures = dict(failures)
         self.metrics = tuple(metrics)
         self.kernels = kernels
-        self.errors = {run: dict(why) for run, why in (errors or {}).items()}
-        self._own = dict(own or {})
-        self._is_trusted = is_trusted
+        self.errors = {run: dict(why) for run, why in custom.errors.items()}
+        self._own = dict(custom.by_name)
+        self._is_trusted = custom.is_trusted
         self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
@@ -321,10 +328,8 @@ def load_results(folder: str | Path, *, is_trusted: bool = False) -> Results:
     kernels = manifest.made_with.get("kernels", "")
     own = known_metrics(manifest, place, is_trusted=is_trusted)
     errors = {run: why for run, why in read_errors(place).items() if run in rows}
-    return Results(
-        place, plan, rows.values(), failures, metrics, kernels, own=own, errors=errors,
-        is_trusted=is_trusted,
-    )  # fmt: skip
+    custom = CustomMetrics(own, errors, is_trusted=is_trusted)
+    return Results(place, plan, rows.values(), failures, metrics, kernels, custom)
 
 
 def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict[str, Metric]:

@@ -29,7 +29,7 @@ from swarmd.plugins import MISSION
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, run_job, run_jobs
-from swarmd.sim.experiments.results import Results, known_metrics
+from swarmd.sim.experiments.results import CustomMetrics, Results, known_metrics
 from swarmd.sim.experiments.store import Store, open_store
 from swarmd.sim.experiments.trust import remember_code
 from swarmd.sim.metrics.catalog import METRICS, Metric, beyond_catalog, metric_of
@@ -244,9 +244,11 @@ def _results(store: Store) -> Results:
         store.failures,
         (*METRICS, *(metric.name for metric in store.manifest.metrics)),
         store.manifest.made_with["kernels"],
-        own=known_metrics(store.manifest, store.folder, is_trusted=True),
-        errors=store.errors,
-        is_trusted=True,
+        CustomMetrics(
+            known_metrics(store.manifest, store.folder, is_trusted=True),
+            store.errors,
+            is_trusted=True,
+        ),
     )
 
 

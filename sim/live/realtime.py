@@ -51,7 +51,6 @@ class RealTimeWorld:
         radio: Radio | None = None,
         emulated: EmulatorTransport | None = None,
         command_timeouts: Sequence[float] | None = None,
-        has_shared_frame: bool = False,
         seed: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -59,7 +58,6 @@ class RealTimeWorld:
 
         - `radio`: gives the neighbors. Without a radio, no neighbors are published and all robots
           hear all.
-        - `has_shared_frame`: each robot is given its pose in the world.
         - `emulated`: the source of the robots' sensors and commands instead of the link.
         - `command_timeouts`: for each robot the seconds without a command after which its base
           stops, inf for never, by default `COMMAND_TIMEOUT`.
@@ -81,7 +79,6 @@ class RealTimeWorld:
         self._unreadable = 0
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
-        world.posed = frozenset(range(n if has_shared_frame else 0))
         self._sensor_times = SensorTimes(
             Staggered(scan_rates, start, order),
             Staggered(world.ring_rates, start),

@@ -123,6 +123,8 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         gc.freeze()
         # Without one all robots hear each other, which daemons assume without neighbors.
         radio = radio_of(scenario, options.seed) if scenario.radio != RadioSettings() else None
+        if options.shared_frame:
+            world.posed = frozenset(range(len(world.ids)))
         live = RealTimeWorld(
             world,
             link,
@@ -130,7 +132,6 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
             radio=radio,
             emulated=emulated,
             command_timeouts=timeouts,
-            has_shared_frame=options.shared_frame,
             seed=options.seed,
         )
         live.run(is_over)

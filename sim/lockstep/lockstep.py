@@ -37,7 +37,7 @@ from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.settings import EarlierLives, RobotSettings
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, EventTimeline, Schedules
@@ -202,7 +202,7 @@ class Lockstep:
             seed=self.seed,
             instance=f"lockstep-{self._boots[row]}",
             now=now,
-            latches=self._latches.get(row),
+            earlier=EarlierLives(self._latches.get(row)),
         )
         self._boots[row] += 1
         return RobotShell(row, robot, self._find, self, now)

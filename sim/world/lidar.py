@@ -147,7 +147,6 @@ class Lidar:
             np.concatenate((walls, farthest_sides[:, None]), axis=1),
             shapes.poles,
             np.concatenate((corners, np.roll(corners, -1, axis=1) - corners), axis=2),
-            np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0),
             shapes.polygon_owners,
             shapes.discs,
             shapes.disc_owners,

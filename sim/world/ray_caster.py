@@ -119,7 +119,7 @@ class Caster:
     _cos_half: cython.double
     _sin_half: cython.double
 
-    def __init__(self, spec, rays, walls, poles, edges, reach, polygon_owners, discs, disc_owners):
+    def __init__(self, spec, rays, walls, poles, edges, polygon_owners, discs, disc_owners):
         n = len(spec.bearings)
         self._rays = n
         self._number = memoryview(np.array(rays.number[:n], np.intp))
@@ -138,6 +138,7 @@ class Caster:
         self._edges = memoryview(np.array(edges, order="C"))
         self._discs = memoryview(np.array(discs, order="C"))
         self._owner = memoryview(np.concatenate((polygon_owners, disc_owners)).astype(np.intp))
+        reach = np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0)
         around = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
         reaches = np.concatenate((reach, around)) + (spec.range_max + _ROUNDING)
         self._reach = memoryview(reaches)

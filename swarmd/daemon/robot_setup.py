@@ -15,7 +15,7 @@ from swarmd.plugins import pattern_names
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.settings import EarlierLives, RobotSettings
 from swarmd.settings.settings import DaemonSettings
 
 
@@ -46,8 +46,7 @@ def make_robot(
         seed=seed,
         instance=instance,
         now=boottime(),
-        latches=latches,
-        goals=goals,
+        earlier=EarlierLives(latches, goals),
     )
     return robot
 

@@ -35,7 +35,7 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.memory import recall
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.settings import EarlierLives, RobotSettings
 
 
 @dataclass(slots=True)
@@ -131,10 +131,12 @@ class Replay:
             seed=head.seed,
             instance=head.instance,
             now=now,
-            latches=LatchRecord(held=dict(head.latches), cleared=head.cleared),
-            goals=head.goals,
-            revision=head.revision,
-            generation=head.generation,
+            earlier=EarlierLives(
+                LatchRecord(held=dict(head.latches), cleared=head.cleared),
+                head.goals,
+                head.revision,
+                head.generation,
+            ),
         )
 
     def run(self, recorded: Iterable[RecordedMessage]) -> Parity:

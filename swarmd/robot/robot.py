@@ -35,11 +35,10 @@ from swarmd.protection.decision import Decision
 from swarmd.protection.protection import Protection
 from swarmd.robot.actions import Actions
 from swarmd.robot.goal_handler import GoalHandler
-from swarmd.robot.latches import LatchRecord
 from swarmd.robot.message_limits import EventLimit
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
-from swarmd.robot.settings import RobotIdentity, RobotSettings
+from swarmd.robot.settings import EarlierLives, RobotIdentity, RobotSettings
 from swarmd.robot.state import Lifecycle, StateMachine
 from swarmd.robot.status import decision_summary, make_status, status_reason
 from swarmd.robot.timeouts import STATUS_PERIOD
@@ -58,9 +57,7 @@ class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
     `seed` makes the random choices of its patterns repeatable, `instance` identifies this life of
-    the daemon, `now` is in s on a monotonic clock, `latches` and `goals` were written by an earlier
-    instance.
-    `revision`, `generation`: of the epoch and of the last pattern, to continue from.
+    the daemon, `now` is in s on a monotonic clock, `earlier` is what earlier instances left.
     `decision` is the last one, made at `decided_at`.
     """
 
@@ -81,10 +78,7 @@ class Robot(Ticker):
         seed: int,
         instance: str,
         now: float,
-        latches: LatchRecord | None = None,
-        goals: GoalRecord | None = None,
-        revision: int = 0,
-        generation: int = 0,
+        earlier: EarlierLives = EarlierLives(),  # noqa: B008  # it is frozen
     ) -> None:
         super().__init__()
         self.id = id
@@ -93,9 +87,9 @@ class Robot(Ticker):
         self._sensors = Sensors(platform, settings.accepts, tells_pose=settings.tells_pose)
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
-        self._lifecycle = Lifecycle(identity, latches, goals, now)
-        self._lifecycle.revision = revision
-        self._lifecycle.pattern_run.generation = generation
+        self._lifecycle = Lifecycle(identity, earlier.latches, earlier.goals, now)
+        self._lifecycle.revision = earlier.revision
+        self._lifecycle.pattern_run.generation = earlier.generation
         self._events = EventLimit(self._lifecycle)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)

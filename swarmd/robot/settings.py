@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import Layers
 from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import Platform, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
+from swarmd.robot.latches import LatchRecord
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +33,20 @@ class RobotSettings:
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
     accepts: Accepts = ACCEPTS_NONE
     tells_pose: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EarlierLives:
+    """What a robot goes on with after a restart of its daemon.
+
+    `latches`, `goals`: as their files have them, None without a file. `revision`: of the epoch.
+    `generation`: of the last pattern that was loaded.
+    """
+
+    latches: LatchRecord | None = None
+    goals: GoalRecord | None = None
+    revision: int = 0
+    generation: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

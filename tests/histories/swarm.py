@@ -84,7 +84,7 @@ from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.settings import EarlierLives, RobotSettings
 from swarmd.security.roster import Role
 from swarmd.settings.settings import load_platform
 from tests.support.fake_services import fake_services
@@ -376,8 +376,7 @@ class VirtualDaemon(Node):
             seed=1,
             instance=instance.hex(),
             now=now,
-            latches=self.disk.latches,
-            goals=self.disk.goals,
+            earlier=EarlierLives(self.disk.latches, self.disk.goals),
         )
         self.admission = self._admission()
         self.peer = Peer(

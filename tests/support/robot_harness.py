@@ -46,7 +46,7 @@ from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions, FailedCode
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
+from swarmd.robot.settings import EarlierLives, RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 
@@ -112,8 +112,7 @@ class RobotHarness:
             seed=1,
             instance=instance,
             now=self.now,
-            latches=latches,
-            goals=goals,
+            earlier=EarlierLives(latches, goals),
         )
         self.step(DriverInput(True, "there"))
 
