@@ -382,6 +382,35 @@ def list_scenarios(is_json: bool) -> None:
     warn(f"ONE RUN and 20 SEEDS (on {cores} {many}) are estimates, from {cost.basis}")
 
 
+@exp.command("check-mission")
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("scenario", shell_complete=scenarios)
+@set_option
+@click.pass_context
+def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str, ...]) -> None:
+    """Check the mission in FILE for the robots of SCENARIO: their platforms, fields and radio.
+
+    As `swarmctl mission check`, which knows a platform alone. Patterns are those that are installed
+    and those in the scenario's plugin_dir. Exit code 2 if there is a fault.
+    """
+    need("mujoco")
+    from swarmd.pattern_host.plugin_inspector import check_mission as faults_of
+    from swarmd.sim.experiments.plan import parse_sets
+    from swarmd.sim.scenarios.scenariofile import load_scenario
+
+    loaded = load_scenario(scenario, parse_sets(sets), source="--set")
+    kinds = {(one.name, frozenset(one.provides)): one for one in loaded.robots.values()}
+    faults = dict.fromkeys(
+        line for kind in kinds.values() for line in faults_of(file, kind, loaded.plugin_dir)
+    )
+    for line in faults:
+        warn(line)
+    if faults:
+        ctx.exit(2)
+    names = ", ".join(dict.fromkeys(name for name, _ in kinds))
+    click.echo(f"{file}: ok on {names} of {loaded.name}")
+
+
 @exp.command("metrics")
 @output_option
 def list_metrics(is_json: bool) -> None:

@@ -224,8 +224,9 @@ _NARROWEST, _WIDEST = 2.0, 20.0
 @click.option(
     "--only",
     metavar="A,B,..",
-    help="Draw these pictures: intervals, differences, survival, over_time, runs (all from above),"
-    " trajectories (of a typical and the worst run) [the first four; all with --seeds].",
+    help="Draw these pictures: intervals, differences, survival, over_time, curve (over a swept"
+    " number), runs (all from above), trajectories (of a typical and the worst run) [the first"
+    " four; with --seeds all but the curve].",
 )
 @click.option(
     "--label",
@@ -325,12 +326,12 @@ def parse_width(text: str) -> float:
 
 def parse_kinds(text: str) -> tuple[str, ...]:
     """The kinds of pictures of `--only A,B`; ConfigError for an unknown one."""
-    from swarmd.sim.plots.figures import KINDS
+    from swarmd.sim.plots.figures import CURVE, KINDS
 
     found = tuple(text.split(","))
     for one in found:
-        if one not in KINDS:
-            raise ConfigError(f"--only: {unknown('picture', one, KINDS)}")
+        if one not in (*KINDS, CURVE):
+            raise ConfigError(f"--only: {unknown('picture', one, (*KINDS, CURVE))}")
     return found
 
 

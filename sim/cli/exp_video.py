@@ -50,7 +50,11 @@ _SMALLEST, _LARGEST = 160, 4096
     show_default=True,
     help="Times real time.",
 )
-@click.option("--size", metavar="WxH", help="Pixels [1280x720; .gif and .webp 480x360].")
+@click.option(
+    "--size",
+    metavar="WxH",
+    help="Pixels [as many as 1280x720, of .gif and .webp 480x360, in the shape of the arena].",
+)
 @click.option("--from", "start", type=click.FloatRange(min=0.0), default=0.0, help="First s [0].")
 @click.option("--to", "stop", type=click.FloatRange(min=0.0), help="Last s [the end].")
 @click.option(

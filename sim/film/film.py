@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,25 +16,28 @@ from swarmd.sim.film.colours import Rgb, colouring_of
 from swarmd.sim.film.encode import Encoder, check_output
 from swarmd.sim.film.renderer import Camera, Renderer
 from swarmd.sim.film.stage import stage_of
-from swarmd.sim.plots.scene import check_drawable
+from swarmd.sim.plots.scene import check_drawable, extent_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.view.trace_source import RecordedRun
 
 RATES = {".mp4": 25, ".gif": 12, ".webp": 12}
 """Frames per s by suffix."""
 SIZES = {".mp4": (1280, 720), ".gif": (480, 360), ".webp": (480, 360)}
-"""Width and height in pixels by suffix."""
+"""Width and height in pixels by suffix, in perspective; from above the arena gives the aspect."""
 _HOLD = 1.0  # s for which the last frame stays
 _BACK = (255, 255, 255)  # colours
 _TEXT = (22, 25, 29)
 _DIM = (90, 101, 114)
 _LINES_A_FRAME = 32  # the height of a frame in lines of text
 _SMALLEST = 13  # pixels of text
+_NARROWEST, _WIDEST = 0.8, 2.2  # width by height of a picture that is as wide as its arena
+_LONGEST_BAR = 0.2  # of the width of a frame
+_MAX_NAMES = 20  # robots with names
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmSettings:
-    """`speed` times real time; `size` in pixels (None: by the file's suffix).
+    """`speed` times real time; `size` in pixels (None: by the file's suffix and the arena).
 
     `start` and `stop` in s from the begin of the run (None: its end). `trail`: s of the path behind
     each robot.
@@ -72,7 +76,8 @@ def make_film(
     check_output(path)
     trace = run.trace
     check_drawable(trace)
-    size, rate = settings.size or SIZES[path.suffix], RATES[path.suffix]
+    rate = RATES[path.suffix]
+    size = settings.size or frame_size(trace, SIZES[path.suffix], settings.camera)
     stop = trace.duration if settings.stop is None else min(settings.stop, trace.duration)
     if stop <= settings.start:
         text = f"from {settings.start:g} s to {stop:g} s of a run of {trace.duration:g} s"
@@ -85,12 +90,15 @@ def make_film(
     with Renderer(trace, stage, colouring, settings.camera) as renderer:
         if stage.factor > 1.05:
             notes.append(f"robots enlarged {stage.factor:.1f}x")
+        marks = Marks(renderer, trace.ids)
+        if marks.prefix:
+            notes.append(f"names begin with {marks.prefix}")
         caption = Caption(size, title, colouring.key, notes)
         count = max(round((stop - settings.start) * rate / settings.speed), 1)
         with Encoder(path, size, rate) as encoder:
             for number in range(count):
                 time = settings.start + (number + 1) * (stop - settings.start) / count
-                picture = renderer.frame(time, settings.trail)
+                picture = marks.onto(renderer.frame(time, settings.trail), time)
                 frame = caption.below(picture, f"{time:.1f} s")
                 encoder.write(frame)
                 on_progress(number + 1, count)
@@ -98,6 +106,61 @@ def make_film(
                 encoder.write(frame)
     assumed = stage.assumed
     return [f"the heights of {name} are assumed: there is no such platform" for name in assumed]
+
+
+def frame_size(trace: Trace, size: tuple[int, int], camera: Camera) -> tuple[int, int]:
+    """The size in pixels, of about as many as `size`, that a view from above of the run fills."""
+    if camera != "top":
+        return size
+    extent, (width, height) = extent_of(trace), size
+    aspect = min(max(extent.width / extent.height, _NARROWEST), _WIDEST)
+    caption = Caption(size, "", ()).height
+    across = math.sqrt(width * (height - caption) * aspect)
+    return 2 * round(across / 2.0), 2 * round((across / aspect + caption) / 2.0)
+
+
+class Marks:
+    """Draws a scale bar and the names of the robots onto frames from above; else nothing."""
+
+    def __init__(self, renderer: Renderer, ids: Sequence[str]) -> None:
+        """`ids`: the names of the robots; of many robots there are none."""
+        self._renderer = renderer
+        self.prefix = ""
+        """What all names begin with, and is not drawn."""
+        self._names: Sequence[str] = ()
+        if renderer.scale is not None and len(ids) <= _MAX_NAMES:
+            heads = {name[: name.rfind("-") + 1] for name in ids}
+            self.prefix = heads.pop() if len(heads) == 1 else ""
+            self._names = [name.removeprefix(self.prefix) for name in ids]
+        self._text = max(_SMALLEST - 2, round(renderer.height / _LINES_A_FRAME))
+        self._font = ImageFont.load_default(self._text)
+
+    def onto(self, picture: NDArray[np.uint8], time: float) -> NDArray[np.uint8]:
+        """The picture of `time` in s with its marks."""
+        scale = self._renderer.scale
+        if scale is None:
+            return picture
+        image = Image.fromarray(picture)
+        draw = ImageDraw.Draw(image)
+        above = self._renderer.stage.reach * scale
+        for name, (x, y) in zip(self._names, self._renderer.pixels(time).tolist(), strict=False):
+            if math.isfinite(x + y):
+                draw.text((x, y - above), name, _TEXT, self._font, anchor="mb", stroke_width=2,
+                          stroke_fill=_BACK)  # fmt: skip
+        length = bar_length(_LONGEST_BAR * image.width / scale)
+        left, level = 2 * self._text, image.height - 2 * self._text  # within the walls
+        ends = (left, level, left + round(length * scale), level)
+        draw.line(ends, _BACK, 6)
+        draw.line(ends, _TEXT, 2)
+        draw.text((left, level - 3), f"{length:g} m", _TEXT, self._font, anchor="lb",
+                  stroke_width=2, stroke_fill=_BACK)  # fmt: skip
+        return np.asarray(image)
+
+
+def bar_length(most: float) -> float:
+    """The longest of 1, 2 and 5 times a power of ten that is not above `most`, all in m."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most)
 
 
 class Caption:

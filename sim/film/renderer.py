@@ -26,7 +26,7 @@ BACKENDS = ("egl", "osmesa")
 _FOVY = 40.0  # degrees, of the perspective camera, as the next two
 _ELEVATION = -48.0
 _AZIMUTH = 90.0
-_MARGIN = 1.06
+_MARGIN = 1.03
 _HOUSING = 0.62  # how dark a lidar is beside the body
 _TRAIL_STEPS = 24  # segments of a trail
 _MAX_TRAILS = 4000  # segments of all trails
@@ -43,7 +43,7 @@ class Renderer:
         model = self.stage.model
         self._data = mujoco.MjData(model)
         self._camera = mujoco.MjvCamera()
-        _aim(self._camera, model, self.stage.extent, size, camera)
+        self._high = _aim(self._camera, model, self.stage.extent, size, camera)
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:4] = 0, 1, 1, 1  # without collision shapes
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MAX_TRAILS + 100)
@@ -64,6 +64,19 @@ class Renderer:
             self._make_current()
             self._context.free()
         self._gl.free()
+
+    @property
+    def scale(self) -> float | None:
+        """Pixels of 1 m from above; None in perspective, where there is no such number."""
+        return None if self._high is None else self.height / self._high
+
+    def pixels(self, time: float) -> Array:
+        """(n, 2) where the robots are at `time` in s in a frame from above; NaN without a pose."""
+        extent, scale = self.stage.extent, self.scale or math.nan
+        middle = (extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0
+        away = poses_at(self._t, self._trace.pose, time)[:, :2] - middle
+        found: Array = np.array([self.width, self.height]) / 2.0 + scale * away * (1.0, -1.0)
+        return found
 
     def show(self, trace: Trace, colouring: Colouring) -> None:
         """Draw this trace from now on: other instants of the same robots in the same arena."""
@@ -155,8 +168,8 @@ def _aim(
     extent: Extent,
     size: tuple[int, int],
     kind: Camera,
-) -> None:
-    """Point the camera so that the extent fills the frame."""
+) -> float | None:
+    """Point the camera so that the extent fills the frame; m of its height, from above."""
     width, height = size
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = (extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0, 0.0
@@ -171,10 +184,11 @@ def _aim(
         model.vis.global_.orthographic = 1
         high = _MARGIN * max(extent.height, extent.width * height / width)
         model.vis.global_.fovy = high
-        return
+        return high
     camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
     model.vis.global_.fovy = _FOVY
     camera.distance = _distance(extent, math.tan(math.radians(_FOVY) / 2.0), width / height)
+    return None
 
 
 def _distance(extent: Extent, tangent: float, aspect: float) -> float:

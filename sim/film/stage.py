@@ -45,8 +45,8 @@ class Stage:
     """A compiled model, the size of frames in pixels, what they show, and the geoms of robots.
 
     `bodies` and `housings` are the geoms that have the robot's colour, `parts` all of its visible
-    ones. Robots are drawn `factor` times as large as they are. `assumed` names platforms whose
-    heights are not known here.
+    ones. Robots are drawn `factor` times as large as they are, within `reach` m of their axles at
+    most. `assumed` names platforms whose heights are not known here.
     """
 
     model: mujoco.MjModel
@@ -57,6 +57,7 @@ class Stage:
     parts: tuple[NDArray[np.int64], ...]
     boxes: NDArray[np.int64]
     factor: float
+    reach: float
     assumed: tuple[str, ...]
 
 
@@ -109,6 +110,7 @@ def stage_of(
         housings=np.array([model.geom(f"{robot}/housing").id for robot in robots]),
         parts=parts,
         factor=factor,
+        reach=factor * max(map(radius, trace.footprints.values())),
         boxes=np.array([model.geom(f"box/{n}").id for n in trace.movable_boxes], dtype=np.int64),
         assumed=tuple(sorted(assumed)),
     )

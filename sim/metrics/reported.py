@@ -22,6 +22,7 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import TIMES, Metric, over_time
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import WORD, Trace
+from swarmd.sim.world.item_kind import DELIVERED, HELD
 
 _REPORT, _READING = "report:", "reading:"
 PREFIXES = _REPORT, _READING
@@ -36,6 +37,9 @@ ROBOTS: Mapping[str, Callable[..., Any]] = MappingProxyType(
     }
 )
 """Statistics over the robots."""
+
+_UNITS = {HELD: "items", DELIVERED: "items", "_distance": "m", "_bearing": "rad"}
+"""Units of readings by their key, or by the end of their key."""
 
 _MAX_TEXT = int(WORD[1:])  # characters of a text in a trace
 _SUFFIXES: Mapping[str, tuple[str, str]] = MappingProxyType(
@@ -64,12 +68,21 @@ def reported_metric(name: str) -> Metric:
         what = f"share of the robots whose {parts.key} is {parts.text!r}"
     return Metric(
         name=name,
-        unit="share" if parts.text and parts.robots == "mean" else "",
+        unit=_unit(parts),
         meaning=f"{what}: {parts.robots} over the robots, {parts.time} over time",
         source=f"{'reports' if is_report else 'readings'} of the robots",
         value=value,
         series=series,
     )
+
+
+def _unit(parts: _Parts) -> str:
+    """The unit of a count of robots or of a reading that the world gives; empty if unknown."""
+    if parts.text:
+        return {"mean": "share", "sum": "robots"}.get(parts.robots, "")
+    if parts.prefix == _REPORT:
+        return ""
+    return _UNITS.get(parts.key) or _UNITS.get(f"_{parts.key.rpartition('_')[2]}", "")
 
 
 def check_reported(name: str, trace: Trace) -> None:

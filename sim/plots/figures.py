@@ -23,7 +23,13 @@ from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
 from swarmd.sim.metrics.catalog import METRICS, Metric, series
 from swarmd.sim.plots import select
 from swarmd.sim.plots.bands import Series, series_figure
-from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
+from swarmd.sim.plots.intervals import (
+    DifferencePanel,
+    Panel,
+    curve_figure,
+    differences_figure,
+    intervals_figure,
+)
 from swarmd.sim.plots.start_and_end import start_and_end_figure
 from swarmd.sim.plots.survival import Times, survival_figure
 from swarmd.sim.plots.theme import save
@@ -41,6 +47,8 @@ _log = logging.getLogger(__name__)
 STATISTICS = ("intervals", "differences", "survival", "over_time")
 KINDS = (*STATISTICS, "runs", "trajectories")
 """The kinds of pictures; the last two are of traces seen from above."""
+CURVE = "curve"
+"""A further kind, over a swept number, that is drawn only where it is named."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,8 +58,8 @@ class Look:
     `suffix`: .png, .svg or .pdf. `width` in inches: for a paper, with texts and lines of that size
     and without titles, of panels of a `facet` too, which have letters. `facet`: a swept key, with
     a panel for each of its values. `targets` are by metric; `labels`, such as `lidar range [m]`, by
-    metric or swept key. `only`: the kinds of pictures, of KINDS; None: STATISTICS, and all where
-    seeds are chosen.
+    metric or swept key. `only`: the kinds of pictures, of KINDS, and CURVE; None: STATISTICS,
+    and KINDS where seeds are chosen.
     """
 
     suffix: str = ".png"
@@ -87,7 +95,7 @@ def draw_experiment(
     kinds = look.only if look.only is not None else STATISTICS if seeds is None else KINDS
     gallery = _Gallery(folder, out, metrics, seeds, look)
     made: list[Path] = []
-    for kind in KINDS:
+    for kind in (*KINDS, CURVE):
         if kind in kinds:
             made += gallery.draw(kind)
     return made
@@ -149,10 +157,12 @@ class _Gallery:
             _log.warning("%s: no traces were kept; what needs them is not drawn", folder)
 
     def draw(self, kind: str) -> list[Path]:
-        """All pictures of a kind of KINDS."""
+        """All pictures of a kind of KINDS, or of CURVE."""
         match kind:
             case "intervals":
                 return self.intervals()
+            case "curve":  # CURVE
+                return self.curve()
             case "differences":
                 return self.differences()
             case "survival":
@@ -180,6 +190,27 @@ class _Gallery:
 
     def intervals(self) -> list[Path]:
         """Metrics run by run."""
+        panels = self._run_by_run()
+        if not panels:
+            return []
+        figure = intervals_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
+        return [self._save(figure, "intervals")]
+
+    def curve(self) -> list[Path]:
+        """Metrics over the values of a swept number; ConfigError if there is no such number."""
+        if not self._axis:
+            raise ConfigError(
+                "--only curve: expected one swept number; of several swept keys, a panel for each"
+                " value of one: --facet KEY"
+            )
+        panels = self._run_by_run()
+        if not panels:
+            return []
+        figure = curve_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
+        return [self._save(figure, "curve")]
+
+    def _run_by_run(self) -> list[Panel]:
+        """A panel for each metric and facet whose values differ."""
         panels = []
         for one in self._asked(select.RUN_BY_RUN):
             for panel, variants in self._by_panel().items():
@@ -190,14 +221,12 @@ class _Gallery:
                 panels.append(
                     Panel(label=_joined(shown_as.name, panel), unit=shown_as.unit,
                           values=shown,
+                          quantity=select.stem_of(one.name),
                           is_share=one.unit == YES_OR_NO,
                           target=self._look.targets.get(one.name),
                           is_time_to_event=one.is_time_to_event)
                 )  # fmt: skip
-        if not panels:
-            return []
-        figure = intervals_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
-        return [self._save(figure, "intervals")]
+        return panels
 
     def differences(self) -> list[Path]:
         """The difference of each variant from the first, by metric."""

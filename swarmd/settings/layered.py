@@ -152,10 +152,11 @@ class _Reader:
         if len(given) == 1:
             return tags[given[0]]
         has = " and ".join(given or data) or "nothing"
-        near = next((hint for key in data if (hint := nearest(key, tags))), "") if not given else ""
+        hints = {key: hint for key in data if not given and (hint := nearest(key, tags))}
+        mistyped, near = next(iter(hints.items()), ("", ""))
         meant = f"; did you mean {near!r}?" if near else ""
-        text = f"has {has}; expected exactly one of {', '.join(tags)}{meant}"
-        self.faults.append(fault_at(keys, text))
+        _, text = fault_at(keys, f"has {has}; expected exactly one of {', '.join(tags)}{meant}")
+        self.faults.append(((*keys, mistyped or next(iter(given), "")), text))
         return None
 
     def _fields(self, data: Data, kind: type[Struct], keys: Keys) -> dict[str, Any]:
@@ -171,7 +172,9 @@ class _Reader:
                 values[field.name] = self.read(data[key], field.type, (*keys, key))
             elif field.required:
                 wanted = f"is missing; expected {_wanted(field.type, None)}"
-                self.faults.append(fault_at((*keys, key), wanted))
+                _, text = fault_at((*keys, key), wanted)
+                tag = kind.__struct_config__.tag
+                self.faults.append(((*keys, tag if tag in data else key), text))
         return {name: value for name, value in values.items() if value is not _INVALID}
 
     def _made(self, kind: Any, values: dict[str, Any], keys: Keys, *, is_clean: bool) -> Any:

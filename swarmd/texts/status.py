@@ -89,8 +89,9 @@ def passage_text(passage: NarrowestPassage) -> str:
         for width in (passage.door, passage.corridor, passage.meeting)
     )
     return (
-        f"doors of {door} and corridors of {corridor} or wider; two that meet need {meeting} to"
-        " pass each other"
+        f"doors of {door} and corridors of {corridor} or wider: its width and the gap that"
+        f" protection keeps on each side; corridors of {meeting} let two such robots pass each"
+        " other, with a gap between them too"
     )
 
 

@@ -90,7 +90,7 @@ WRONG = (  # what is replaced, by what, the line of the fault, and what it must 
     ),
     (STAY, "then: end", 9, "sequence[1]", "until"),
     (STAY, "then: go", 10, "then", "'go'", "stay"),
-    (STAY, "", 1, "then", "stay"),
+    (STAY, "", 7, "then", "stay"),
     (STAY, "then: stay\nuntl: 3", 11, "'untl'", "'until'"),
     (STAY, "then: stay\nrecovery: 1", 11, "recovery", "1"),
     (STAY, "then: stay\nreport: {a: go.stps}", 11, "report.a", "'stps'", "'steps'"),
@@ -296,6 +296,7 @@ def test_a_mistyped_kind_of_element_gets_a_hint(tmp_path: Path) -> None:
     path = tmp_path / "kind.yaml"
     path.write_text("mission: a\nparts: {b: {pattern: drive}}\nsequnce: [b]\n")
     (fault,) = check_mission(path, PLATFORM, tmp_path)
+    assert "kind.yaml:3: " in fault
     assert "'sequence'" in fault
 
 

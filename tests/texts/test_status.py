@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import msgspec
 
@@ -11,13 +12,14 @@ from swarmd.core.messages import (
     DelayFigure,
     LimitingObstacle,
     Member,
+    NarrowestPassage,
     Reason,
     Sandbox,
     ScanDelaySummary,
     State,
     Status,
 )
-from swarmd.texts.status import sections
+from swarmd.texts.status import passage_text, sections
 from swarmd.texts.values import sandbox_text
 from tests.support.statuses import ESTOPPED, make_member
 
@@ -152,3 +154,9 @@ def test_shows_floats_in_short() -> None:
         "whole": "3",
         "count": "123456",
     }
+
+
+def test_the_narrowest_passages_are_rounded_up_and_explained() -> None:
+    text = passage_text(NarrowestPassage(door=0.951, corridor=0.96, meeting=1.8201))
+    assert re.findall(r"[\d.]+ m", text) == ["0.96 m", "0.96 m", "1.83 m"]
+    assert "gap" in text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -486,3 +487,20 @@ def test_a_missing_library_of_clusters_is_one_line(
     )
     error = refusal("exp", "run", duo, "--scheduler", "tcp://127.0.0.1:1", "--out", "x")
     assert "pip install 'swarmd[sim,plot,cluster]'" in error
+
+
+def test_a_mission_is_checked_for_the_robots_of_a_scenario(
+    tmp_path: Path, swarmctl: Swarmctl
+) -> None:
+    page = Path(__file__).resolve().parents[3] / "docs" / "missions.md"
+    (machine,) = [
+        text for text in re.findall(r"```yaml\n(.*?)```", page.read_text(), re.S) if "slope" in text
+    ]
+    path = tmp_path / "machine.yaml"
+    path.write_text(machine)
+    words = "exp", "check-mission", path
+    done = swarmctl(*words, "shelter_choice")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "ok on burger" in done.stdout
+    done = swarmctl(*words, "shelter_choice", "--set", "radio.range_and_bearing=false")
+    assert done.returncode == 2

@@ -157,6 +157,59 @@ def test_a_film_of_a_second(trace: Trace, tmp_path: Path) -> None:
     assert last[round(y), round(x)].min() > 180  # the third robot has left; the floor is pale
 
 
+@pytest.mark.parametrize(("most", "length"), [(1.9, 1.0), (2.0, 2.0), (0.07, 0.05), (70.0, 50.0)])
+def test_a_scale_bar_has_a_round_length(most: float, length: float) -> None:
+    from swarmd.sim.film.film import bar_length
+
+    assert bar_length(most) == pytest.approx(length)
+
+
+@pytest.mark.parametrize("arena", ["6x4", "4x4", "3x9"])
+def test_frames_from_above_have_the_shape_of_the_arena(trace: Trace, arena: str) -> None:
+    from swarmd.sim.film.film import Caption, frame_size
+    from swarmd.sim.plots.scene import extent_of
+
+    own = replace(trace, meta={"arena": arena})
+    width, height = frame_size(own, SIZE, "top")
+    extent = extent_of(own)
+    picture = height - Caption((width, height), "", ()).height
+    wanted = max(extent.width / extent.height, 0.8)  # a caption needs some width
+    assert width / picture == pytest.approx(wanted, rel=0.05)
+    assert width * height == pytest.approx(SIZE[0] * SIZE[1], rel=0.05)
+    assert width % 2 == height % 2 == 0
+    assert frame_size(own, SIZE, "perspective") == SIZE
+
+
+def test_frames_from_above_have_names_and_a_scale_bar(trace: Trace) -> None:
+    from swarmd.sim.film.film import Marks, bar_length
+    from swarmd.sim.film.renderer import Renderer
+    from swarmd.sim.film.stage import stage_of
+
+    pytest.importorskip("OpenGL", reason="there is no PyOpenGL")
+    named = replace(trace, ids=("tb3-01", "tb3-02", "tb3-03"))
+    try:
+        renderer = Renderer(named, stage_of(named, SIZE), colouring_of(named, "state"), "top")
+    except PluginError as error:
+        pytest.skip(str(error))
+    with renderer:
+        scale = renderer.scale
+        assert scale is not None
+        marks = Marks(renderer, named.ids)
+        assert marks.prefix == "tb3-"
+        bare = renderer.frame(0.0)
+        difference = (np.abs(marks.onto(bare, 0.0).astype(int) - bare) > 60).any(axis=2)
+        reach = renderer.stage.reach * scale
+        for x, y in renderer.pixels(0.0).tolist():
+            left, right = round(x - reach), round(x + reach)
+            assert difference[round(y - 3 * reach) : round(y - reach), left:right].any()
+            assert not difference[round(y - reach / 2) : round(y + reach), left:right].any()
+        longest = int(difference[SIZE[1] // 2 :].sum(axis=1).max())
+        length = bar_length(0.2 * SIZE[0] / scale)
+        assert longest == pytest.approx(length * scale, abs=8)  # with its pale edge
+        middle = renderer.pixels(0.0)[1] - renderer.pixels(0.0)[0]
+        assert middle == pytest.approx(scale * np.array([1.5, -1.0]))
+
+
 def _shape(path: Path) -> tuple[int, int, int]:
     keys = "stream=width,height,nb_read_frames"
     done = subprocess.run(

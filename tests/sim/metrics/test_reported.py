@@ -62,9 +62,22 @@ def test_its_series_is_over_the_robots_alone(trace: Trace) -> None:
     np.testing.assert_array_equal(series(trace), [1.0, 2.0, 3.0, 5.0])
 
 
-def test_a_share_of_robots_has_that_unit() -> None:
-    units = [metric_of(f"report:state=wait{end}").unit for end in ("", ".max_end")]
-    assert units == ["share", ""]
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("report:state=wait", "share"),
+        ("report:state=wait.max_end", ""),
+        ("report:state=wait.sum", "robots"),
+        ("report:delivered", ""),  # a pattern's own number
+        ("reading:delivered.sum_end", "items"),
+        ("reading:held", "items"),
+        ("reading:food_distance", "m"),
+        ("reading:food_bearing", "rad"),
+        ("reading:food", ""),
+    ],
+)
+def test_shares_counts_and_readings_of_items_have_a_unit(name: str, unit: str) -> None:
+    assert metric_of(name).unit == unit
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from swarmd.sim.plots.bands import Series, bands_of, series_figure, shares_of
 from swarmd.sim.plots.intervals import (
     DifferencePanel,
     Panel,
+    curve_figure,
     differences_figure,
     intervals_figure,
 )
@@ -54,6 +55,11 @@ def bands(count: int) -> Figure:
 def intervals(metrics: int, count: int) -> Figure:
     panel = Panel(label=LABEL, unit="m", values=dict.fromkeys(variants(count), (0.5, 0.7, 0.9)))
     return intervals_figure([panel] * metrics, "paper_exp1_hardware")
+
+
+def curve(width: float | None) -> Figure:
+    panel = Panel(label=LABEL, unit="m", values=dict.fromkeys(("0.1", "1", "10"), (0.5, 0.7, 0.9)))
+    return curve_figure([panel] * 4, "paper_exp1_hardware", width=width, axis="lidar range [m]")
 
 
 def differences() -> Figure:
@@ -95,6 +101,9 @@ def start_and_end(arena: str) -> Figure:
         pytest.param(lambda: bands(12), id="bands of twelve variants"),
         pytest.param(lambda: intervals(9, 2), id="intervals of many metrics"),
         pytest.param(lambda: intervals(2, 12), id="intervals of many variants"),
+        pytest.param(lambda: intervals(12, 1), id="table of one variant"),
+        pytest.param(lambda: curve(None), id="curves"),
+        pytest.param(lambda: curve(3.5), id="curves in a column"),
         pytest.param(differences, id="differences in a column"),
         pytest.param(lambda: survival(None), id="survival"),
         pytest.param(lambda: survival(3.5), id="survival in a column"),

@@ -184,3 +184,8 @@ def test_variants_of_experiments_are_compared_over_time(experiment: Path) -> Non
     assert texts == ["paper (n = 3)", "settling (n = 3)"]
     with pytest.raises(ConfigError, match="minimum_gap"):
         compared_over_time(sides, "minimum_gab")
+
+
+def test_a_curve_needs_a_swept_number(experiment: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--facet"):
+        draw_experiment(experiment, tmp_path / "out", look=Look(only=("curve",)))

@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.statistics import Interval, mean_interval, wilson
-from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
+from swarmd.sim.plots.intervals import (
+    DifferencePanel,
+    Panel,
+    curve_figure,
+    differences_figure,
+    intervals_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -135,3 +142,89 @@ def test_rows_are_values_of_the_axis_that_is_named() -> None:
         intervals_figure([Panel(label="a", values={"1": [1.0, 2.0]})], axis="lidar range [m]"),
     ):
         assert figure.axes[0].get_ylabel() == "lidar range [m]"
+
+
+@pytest.mark.parametrize(
+    ("names", "places", "note"),
+    [
+        (("0.5", "1.0", "2.0"), [0.0, 1.0, 3.0], ""),
+        (("1", "10", "100"), [0.0, 1.0, 2.0], ", on a log scale"),
+        (("0", "1", "100"), [0.0, 1.0, 2.0], ""),  # too far apart, and 0 has no logarithm
+        (("a", "b", "c"), [0.0, 1.0, 2.0], ""),
+    ],
+)
+def test_rows_of_numbers_stand_at_their_value(
+    names: tuple[str, ...], places: list[float], note: str
+) -> None:
+    panel = Panel(label="x", values=dict.fromkeys(names, VALUES))
+    axes = intervals_figure([panel], axis="range [m]").axes[0]
+    assert axes.get_yticks() == pytest.approx(places)
+    assert axes.get_ylabel() == f"range [m]{note}"
+    drawn = [float(np.asarray(line.get_ydata())[0]) for line in axes.lines]
+    assert drawn == pytest.approx(np.array(places) - 0.22)
+
+
+def test_rows_of_differences_stand_at_the_value_of_the_variant() -> None:
+    of = {f"{value} - 0.5": difference(0.1, 0.3) for value in ("1.0", "1.5", "2.5")}
+    (axes,) = differences_figure([DifferencePanel("gap", "m", of)]).axes
+    assert axes.get_yticks() == pytest.approx([0.0, 1.0, 3.0])
+
+
+def test_one_variant_with_many_metrics_is_a_table() -> None:
+    panels = [
+        Panel(label="gap", unit="m", values={"": VALUES}),
+        Panel(label="gather time", unit="s", values={"": (3.0, None)}, is_time_to_event=True),
+        *[Panel(label="gathered", values={"": (1.0, 0.0, 1.0)}, is_share=True, target=0.5)] * 2,
+    ]
+    (axes,) = intervals_figure(panels).axes
+    (table,) = axes.tables
+    cells = {place: cell.get_text().get_text() for place, cell in table.get_celld().items()}
+    rows = [[cells[row, column] for column in range(6)] for row in range(1, 4)]
+    bounds, share = mean_interval(np.array(VALUES)), wilson(2, 3)
+    assert bounds is not None
+    spread = f"{bounds.low:.4g} to {bounds.high:.4g}"
+    assert rows[0] == ["gap [m]", "0.675", spread, "0.65", "0.5 to 0.9", "4"]
+    assert rows[1][1:3] == ["1 of 2 never", "-"]
+    assert rows[2][:2] == ["gathered [share of runs], target 0.5", "0.6667"]
+    assert rows[2][2] == f"{share.low:.4g} to {share.high:.4g}"
+
+
+def test_panels_of_one_quantity_share_an_axis() -> None:
+    panels = [
+        Panel(label="gap late", quantity="gap", unit="m", values={"a": (1.0, 2.5)}),
+        Panel(label="gap end", quantity="gap", unit="m", values={"a": (7.0, 7.0)}),
+        Panel(label="speed", quantity="speed", unit="m/s", values={"a": (0.1, 0.2)}),
+    ]
+    late, end, speed = (axes.get_xlim() for axes in intervals_figure(panels).axes)
+    assert late == end != speed
+    assert late[0] <= 1.0
+    assert late[1] >= 7.0
+
+
+def test_a_curve_joins_the_means_over_the_values() -> None:
+    values = {"2.0": (1.0, 3.0), "0.5": (0.0, 1.0), "1.0": (1.0, 2.0)}
+    panel = Panel(label="gap", unit="m", values=values, target=1.5)
+    axes = curve_figure([panel], axis="range [m]").axes[0]
+    curve = max((np.asarray(line.get_xydata()) for line in axes.lines), key=len)
+    assert curve.tolist() == [[0.5, 0.5], [1.0, 1.5], [2.0, 2.0]]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("range [m]", "m")
+    bars = [
+        np.asarray(line.get_xdata()).tolist() for line in axes.lines if len(line.get_xdata()) == 2
+    ]
+    assert bars[:3] == [[0.5, 0.5], [1.0, 1.0], [2.0, 2.0]]
+
+
+@pytest.mark.parametrize("names", [("a", "b"), ("1.0",)])
+def test_a_curve_needs_values_of_a_number(names: tuple[str, ...]) -> None:
+    with pytest.raises(SwarmError, match="swept number"):
+        curve_figure([Panel(label="x", values=dict.fromkeys(names, VALUES))])
+
+
+def test_curves_of_one_quantity_share_an_axis() -> None:
+    runs = {"late": (1.0, 2.5), "end": (7.0, 9.0)}
+    panels = [
+        Panel(label=name, quantity="gap", values={"1": values, "2": values})
+        for name, values in runs.items()
+    ]
+    late, end = (axes.get_ylim() for axes in curve_figure(panels).axes)
+    assert late == end
