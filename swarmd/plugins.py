@@ -49,6 +49,7 @@ PATTERN_FILE = "pattern.py"
 IN_WHEEL = "//"
 """Between the path of a wheel and the `module:Class` that is imported from it."""
 MAX_MISSION_SIZE = 1 << 20
+MAX_SUMMARIES = 1 << 20  # bytes of the file of the cache
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
@@ -204,7 +205,10 @@ def command_summaries() -> Mapping[str, str]:
     another time: without the file, the search in the metadata of packages takes 17 ms of `--help`.
     """
     try:
-        kept = json.loads(_summaries_file().read_bytes())
+        # A queue without a writer must not block, and a device may never end.
+        handle = os.open(_summaries_file(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(handle, "rb") as file:
+            kept = json.loads(file.read(MAX_SUMMARIES))
         if kept["times"] == {path: _time(path) for path in (*sys.path, *kept["sources"])}:
             return {str(name): str(text) for name, text in kept["lines"].items()}
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):

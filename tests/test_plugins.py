@@ -153,6 +153,10 @@ def test_a_bad_file_of_lines_of_verbs_is_made_again(
     file.write_bytes(content)
     assert plugins.command_summaries() == first
     assert file.read_bytes() == good
+    file.unlink()
+    os.mkfifo(file)  # without a writer, which a plain `open` would wait for
+    assert plugins.command_summaries() == first
+    assert file.read_bytes() == good
 
 
 @pytest.mark.usefixtures("outsider")

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core import record
-from swarmd.core.bounds import Line, Name, ParamValues, Seconds, Word
+from swarmd.core.bounds import MAX_SECONDS, Line, Name, ParamValues, Seconds, Word
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.record import Record
@@ -176,5 +176,5 @@ class HeldGoal(NamedTuple):
         return *self.goal.order, self.content
 
     def age(self, now: float) -> float | None:
-        """Seconds since it was set, if they are known."""
-        return None if self.issued is None else max(now - self.issued, 0.0)
+        """Seconds since it was set, if they are known; at most MAX_SECONDS, if forged."""
+        return None if self.issued is None else min(max(now - self.issued, 0.0), MAX_SECONDS)

@@ -27,7 +27,7 @@ from typing import Annotated, Any, Literal, get_args
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Line, Name
+from swarmd.core.bounds import MAX_SECONDS, Line, Name
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_GOAL
@@ -45,12 +45,12 @@ MAX_TRAILER = 77  # bytes of it for the longest signature
 MAX_KINDS = 8  # of records whose digests a beacon shows
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
-_MAX_MS = 2**40
+MAX_MS = round(1000 * MAX_SECONDS)
 _ROUNDING = 1e-6  # mm that rounding adds to a whole number of them
 
 RobotId = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
-Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
+Milliseconds = Annotated[int, Meta(ge=0, le=MAX_MS)]
 Nanoseconds = Annotated[int, Meta(ge=0, le=2**62)]
 Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
 Coordinate = Annotated[int, Meta(ge=-1_000_000_000, le=1_000_000_000)]

@@ -27,7 +27,7 @@ from swarmd.core.verbs import (
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.requests import MAX_PENDING, RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
-from swarmd.network.datagram import Stop
+from swarmd.network.datagram import MAX_MS, Stop
 from tests.support.fake_services import FakeService, fake_services
 
 EPOCH = Epoch("0123456789ab", 1)
@@ -390,8 +390,10 @@ def test_a_fault_of_the_handler_is_a_failure_and_no_refusal() -> None:
 def test_the_age_of_a_stop_stays_within_that_of_a_request() -> None:
     taken: list[Request] = []
     server = server_of("tb3-01", taken.append)
-    server.stop(Stop(id="s1", verb="stop", operator="a", age=2**40), "10.0.0.5", lambda reply: None)
-    server.stop(Stop(id="e1", verb="estop", operator="a", age=2**40), "10.0.0.5", lambda _: None)
+    server.stop(
+        Stop(id="s1", verb="stop", operator="a", age=MAX_MS), "10.0.0.5", lambda reply: None
+    )
+    server.stop(Stop(id="e1", verb="estop", operator="a", age=MAX_MS), "10.0.0.5", lambda _: None)
     for request in taken:
         assert isinstance(request, StopRequest | EstopRequest)
         assert msgspec.convert(request.age, Seconds) > 3600.0

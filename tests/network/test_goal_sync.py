@@ -6,10 +6,13 @@ from typing import Any
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
+from msgspec import convert, to_builtins
 from msgspec.structs import replace
 
+from swarmd.core.bounds import MAX_SECONDS
+from swarmd.core.events import GoalInput
 from swarmd.core.goal import MAX_UNSIGNED, Goal, HeldGoal, digest_of, encode_goal, signed_part
-from swarmd.network.datagram import GoalReport, Solicit
+from swarmd.network.datagram import MAX_MS, GoalReport, Solicit
 from swarmd.network.spread.goal_sync import CHECK_BURST, GoalCheck, GoalSync
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.private_keys import public_bytes
@@ -124,6 +127,19 @@ def test_an_answer_to_no_question_brings_nothing() -> None:
     assert found is not None
     assert found.age == pytest.approx(1.2)
     assert sync.on_report(answer, 1.8) is None, "a recorded answer"
+
+
+def test_an_answer_with_the_greatest_age_brings_an_input_that_can_be_recorded() -> None:
+    sync = GoalSync(1)
+    echo = sync.wants(INSTANCE, digest_of(goal()), SOURCE, None, 1.0)
+    assert echo is not None
+    report = GoalReport(
+        robot="r1", instance=INSTANCE, echo=echo, goal=encode_goal(goal()), age=MAX_MS
+    )
+    found = sync.on_report(report, 1.2)
+    assert found is not None
+    content = to_builtins(GoalInput(found.goal, found.age, found.may_join))
+    assert convert(content, GoalInput).age == MAX_SECONDS
 
 
 def test_beacons_of_many_strangers_cost_a_bounded_number_of_questions() -> None:

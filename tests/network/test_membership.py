@@ -5,11 +5,23 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from swarmd.core.messages import Body, Presence
-from swarmd.network.datagram import MAX_HOPS, Beacon, BodyReport, Flag, MemberList, MemberReport
+from swarmd.network.datagram import (
+    MAX_HOPS,
+    MAX_MS,
+    TAG_BYTES,
+    Beacon,
+    BodyReport,
+    Flag,
+    MemberList,
+    MemberReport,
+    pack,
+    unpack,
+)
 from swarmd.network.members.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
 
 ADDRESS = ("10.0.0.1", 7440)
 LEASE = 3.0
+TAG = bytes(TAG_BYTES)
 
 
 def beacon(robot: str, sequence: int = 1, instance: bytes = b"abcdef", flags: int = 0) -> Beacon:
@@ -102,6 +114,14 @@ def test_hearsay_is_bounded_in_number_distance_and_time() -> None:
     assert len(membership.indirect) == MAX_MEMBERS
     membership.advance(STRANGER_KEPT + 1.0)
     assert not membership.indirect
+
+
+def test_hearsay_with_the_greatest_age_can_be_handed_on() -> None:
+    """A list with an age beyond its bound would be dropped whole by all others."""
+    membership = Membership("me", LEASE)
+    membership.on_member_list(word(heard("r3", age=MAX_MS)), 0.0)
+    told = word(*membership.reports(1.0), robot="me")
+    assert unpack(TAG, pack(TAG, told)) == told
 
 
 def test_a_robot_that_is_heard_is_no_hearsay_and_is_probed_before_it_fails() -> None:

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Code
-from swarmd.network.datagram import Ack, Address, Stop
+from swarmd.network.datagram import MAX_MS, Ack, Address, Stop
 from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.network.stops.stop_relay import (
     ACK_PERIOD,
@@ -105,7 +105,7 @@ def test_a_stranger_does_not_keep_a_robot_from_handing_a_stop_on(attack: str) ->
         if attack == "ack":
             relay.on_ack(ack("r2"), STRANGER, 0.0)
         elif attack == "age":
-            relay.on_stop(stop(age=2**40), STRANGER, 0.0)
+            relay.on_stop(stop(age=MAX_MS), STRANGER, 0.0)
         else:
             relay.on_stop(stop(hops=1), STRANGER, 0.0, is_member=False)
     sent = copies(relay, 2.0)
@@ -135,7 +135,7 @@ def test_relays_end_a_minute_after_the_operator_sent_its_last_copy(hears_operato
 def test_a_copy_with_a_forged_age_does_not_prolong_the_relays() -> None:
     relay = StopRelay("r1", seed=1)
     relay.on_stop(stop(), OPERATOR, 0.0)
-    relay.on_stop(stop(age=2**40, repeated=2**40, hops=1), STRANGER, 1.0)
+    relay.on_stop(stop(age=MAX_MS, repeated=MAX_MS, hops=1), STRANGER, 1.0)
     assert copies(relay, LIFETIME + 2.0 * LAST_INTERVAL)
     assert not copies(relay, 100.0, LIFETIME + 4.0)
 

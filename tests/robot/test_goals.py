@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.msgpack import Decoder, encode
 from msgspec.structs import replace
 
+from swarmd.core.bounds import MAX_SECONDS
 from swarmd.core.events import ForgetInput, LeaseInput, LeaveInput, RequestInput
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
 from swarmd.core.host_messages import Load, Loaded
-from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State
+from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State, Status
 from swarmd.core.verbs import EstopRequest, StopRequest
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import LatchRecord
@@ -121,6 +123,21 @@ def test_a_goal_whose_age_is_told_later_is_run_then() -> None:
     harness.find(goal(**JOINED), 10.0)
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
+
+
+@pytest.mark.parametrize("way", ["found", "asked"])
+def test_an_age_at_its_bound_keeps_the_status_readable(way: str) -> None:
+    """The age of a forged goal would grow beyond what operators decode."""
+    harness = ready()
+    if way == "found":
+        harness.find(goal(), MAX_SECONDS)
+    else:
+        harness.ask("goal", goal=goal(), age=MAX_SECONDS)
+    harness.advance(1.0)
+    status = Decoder(Status).decode(encode(harness.status))
+    assert status.goal is not None
+    assert status.goal.held is not None
+    assert status.goal.held.age == MAX_SECONDS
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])

@@ -22,6 +22,7 @@ from enum import Enum, auto
 from msgspec import Struct
 from msgspec.structs import replace
 
+from swarmd.core.bounds import MAX_SECONDS
 from swarmd.core.messages import Body, Member, Presence
 from swarmd.core.record import RecordKind
 from swarmd.network.datagram import (
@@ -134,8 +135,8 @@ class IndirectMember(Struct, frozen=True):
     at: float  # the time at which the description came
 
     def age(self, now: float) -> float:
-        """Seconds since a robot heard this robot directly."""
-        return self.heard.age / 1000.0 + max(now - self.at, 0.0)
+        """Seconds since a robot heard this robot directly; at most MAX_SECONDS."""
+        return min(self.heard.age / 1000.0 + max(now - self.at, 0.0), MAX_SECONDS)
 
 
 class Membership:

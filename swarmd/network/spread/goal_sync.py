@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable
 from typing import NamedTuple
 
-from swarmd.core.bounds import keep_newest
+from swarmd.core.bounds import MAX_SECONDS, keep_newest
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_UNSIGNED, Goal, HeldGoal, decode_goal, digest_of, signed_part
 from swarmd.core.record import may_replace
@@ -108,7 +108,9 @@ class GoalSync:
             return None
         if digest_of(goal) != question.digest:  # the robot's next beacon shows its present goal
             self._asks.forget(report.instance)
-        return FoundGoal(goal, None if report.age is None else report.age / 1000.0 + trip)
+        if report.age is None:
+            return FoundGoal(goal, None)
+        return FoundGoal(goal, min(report.age / 1000.0 + trip, MAX_SECONDS))
 
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
         """True if a robot shows a goal that may be greater than the own one, and is not known."""

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
-from swarmd.network.datagram import MAX_HOPS, Ack, Address, Stop
+from swarmd.network.datagram import MAX_HOPS, MAX_MS, Ack, Address, Stop
 from swarmd.network.stops.stop_freshness import REPLAYED
 
 _Key = tuple[str, str, tuple[str, ...] | None]
@@ -183,7 +183,10 @@ class StopRelay:
                 if is_needed and not is_over(relayed.stop, relayed.issued):
                     age, repeated = now - relayed.issued, relayed.repeated
                     hops = min(relayed.stop.hops + 1, MAX_HOPS)
-                    ages = {"age": round(age * 1000), "repeated": round(repeated * 1000)}
+                    ages = {
+                        "age": min(round(age * 1000), MAX_MS),
+                        "repeated": round(repeated * 1000),
+                    }
                     due.append(replace(relayed.stop, hops=hops, **ages))
             if now >= relayed.interval_ends:
                 doubled = min(2.0 * relayed.interval, LAST_INTERVAL)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.messages import Code, Presence, Refusal
-from swarmd.network.datagram import Ack, Flag, Stop, pack, tag_of
+from swarmd.network.datagram import MAX_MS, Ack, Flag, Stop, pack, tag_of
 from swarmd.network.operator.exit_codes import PARTIAL, TIMEOUT
 from swarmd.network.operator.stop_request import STOP_CAP, STOP_WAIT, PendingStop
 from tests.network.operator.discovery_rig import Rig, heard, life
@@ -181,7 +181,7 @@ def test_a_glob_sends_nothing_before_it_matches() -> None:
 
 def test_many_names_travel_in_several_datagrams() -> None:
     names = [f"{'x' * 58}{number:04}" for number in range(300)]
-    stop = Stop(id="f" * 63, verb="estop", operator="ä" * 128, reason="ä" * 256, age=2**40)
+    stop = Stop(id="f" * 63, verb="estop", operator="ä" * 128, reason="ä" * 256, age=MAX_MS)
     pending = PendingStop(stop, Rig().found, 0.0, select=lambda known: (), names=names)
     sent = [one for one, _ in pending.datagrams(9.0)]
     assert sorted(name for one in sent for name in one.targets or ()) == names
