@@ -327,8 +327,9 @@ class Constraints:
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
         """Place the points of the chunk, and add their constraints.
 
-        The first constraint of a point is that of the nearest place of the outline. The points become the placed points from `first` on. Side constraints and those of obstacles
-        that approach from the side follow.
+        The points become the placed points from `first` on. First comes one constraint for each
+        point, that of the nearest place of the outline; then come the constraints for obstacles
+        that are passed sideways or approach from the side.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -376,7 +377,10 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _place_chunk(self, first: cython.Py_ssize_t) -> cython.int:
-        """Keep the points of the chunk as those from `first` on; their rows come next."""
+        """Copy the points of the chunk to the placed points from `first` on.
+
+        Sets the indices of their first constraints, which the caller adds next.
+        """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
