@@ -58,11 +58,13 @@ _MIN_SEARCH_SPEED = 0.25
 _MIN_SIDE_SINE = 0.3
 # s: duration of a roll.
 _ROLL_TIME = 8.0
-# With so few robots in sight the rest may be lost. s and share of full speed for which it leads.
+# With so few robots in sight the rest of the swarm may be lost: the robot leads (drives away to
+# search) for so many s, at this share of full speed.
 _FEW_ROBOTS = 2
 _LEAD_TIME, _LEAD_SPEED = 12.0, 0.6
-# s at rest before a robot rolls the first time; above which the robot leads instead, if few robots
-# are in sight; and above which the robot tries no more. Each try doubles the time.
+# The time at rest before a try doubles with each try. s before the first roll (drive around the
+# group); s from which on the robot leads instead, if few robots are in sight; s from which on the
+# robot tries no more.
 _FIRST_REST_TIME = 0.5
 _LEAD_REST_TIME = 10.0
 _MAX_REST_TIME = 40.0
@@ -132,22 +134,16 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
 
 
 class _Surroundings(NamedTuple):
-    """The robots and near surfaces in one scan, in the base frame.
-
-    `points` of near surfaces; the range and bearing of each of the `robots`. `seen` counts the
-    robots and those partly hidden, `adjacent` the near ones. `pull` is the sum of all attraction,
-    at most 1 long; `free` is its length once it keeps clear of the points. `is_line`: all robots
-    lie on one line through this one.
-    """
+    """The robots and near surfaces in one scan, in the base frame."""
 
     scan: Scan
-    points: NearPoints
-    robots: list[tuple[float, float]]
-    seen: int
-    adjacent: int
-    pull: Vector
-    free: float
-    is_line: bool
+    points: NearPoints  # of near surfaces
+    robots: list[tuple[float, float]]  # range and bearing of each fully visible robot
+    seen: int  # number of robots, partly hidden robots included
+    adjacent: int  # number of robots that are near
+    pull: Vector  # the sum of all attraction, at most 1 long
+    free: float  # length of the pull that is left once it keeps clear of `points`
+    is_line: bool  # all robots lie on one line through this robot
 
     @property
     def nearest(self) -> tuple[float, float]:
@@ -184,7 +180,7 @@ class Attraction(FieldPattern[AttractionParams]):
         self._view = None
 
     def settle(self, inputs: Inputs, scan: Scan) -> Twist:
-        """Change its state (search, gather, settled, roll or lead) and follow it."""
+        """Change the state (search, gather, settled, roll or lead); the command of the state."""
         now, received = inputs.now, len(inputs.neighbors)
         if self._view is None or self._view.scan is not scan:
             self._view = self._look(scan)
@@ -234,7 +230,7 @@ class Attraction(FieldPattern[AttractionParams]):
         )
 
     def _robots(self, scan: Scan) -> tuple[list[tuple[float, float]], int]:
-        """Range and bearing of each robot, and their number with those partly hidden."""
+        """Range and bearing of each visible robot, and the number with those partly hidden."""
         params = self.params
         objects = clusters(scan, within=params.range)
         furthest = _MAX_RANGE_SHARE * params.range
@@ -253,7 +249,10 @@ class Attraction(FieldPattern[AttractionParams]):
         return robots, seen
 
     def _pull(self, robots: list[tuple[float, float]]) -> Vector:
-        """The sum over the robots, each 0 at `spacing` and growing with its range; at most 1."""
+        """The sum of the attraction of all robots, at most 1 long.
+
+        The attraction of a robot is 0 at `spacing` and grows with its range.
+        """
         spacing, brake = self.params.spacing, self.params.brake
         x = y = 0.0
         for distance, bearing in robots:
@@ -290,7 +289,10 @@ class Attraction(FieldPattern[AttractionParams]):
         return "gather" if is_pulled else "settled"
 
     def _try(self, state: str, view: _Surroundings) -> str:
-        """Start to roll or lead: away from the second robot if two are adjacent."""
+        """Begin to roll or lead: sets the side of the roll and the time until the next try.
+
+        If two robots are adjacent, the robot rolls around the nearer one, away from the other.
+        """
         self._rest_time *= 2.0
         if view.adjacent > 1:
             (_, first), (_, second) = sorted(view.robots, key=_range)[:2]
@@ -299,20 +301,20 @@ class Attraction(FieldPattern[AttractionParams]):
         return state
 
     def _toward(self, view: _Surroundings) -> Vector:
-        """Towards the nearest robot if it is near; a leading robot drives the opposite way."""
+        """A vector towards the nearest robot, 0 beyond twice `spacing`."""
         near, bearing = view.nearest
         weight = min(max(2.0 - near / self.params.spacing, 0.0), 1.0)
         return weight * math.cos(bearing), weight * math.sin(bearing)
 
     def _around(self, view: _Surroundings) -> Vector:
-        """Around the nearest robot, and along the pull of the others."""
+        """A vector around the nearest robot plus the pull of all robots, at most 1 long."""
         ahead = view.nearest[1] + self._side * math.pi / 2.0
         x, y = math.cos(ahead) + view.pull[0], math.sin(ahead) + view.pull[1]
         length = max(1.0, math.hypot(x, y))
         return x / length, y / length
 
     def _wander(self, now: float) -> Vector:
-        """Ahead, with a drift that changes from time to time."""
+        """A unit vector ahead, with a random drift that changes from time to time."""
         if now >= self._drift_until:
             rng = self.context.rng
             self._drift_until = now + float(rng.uniform(*_DRIFT_TIMES))

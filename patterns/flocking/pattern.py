@@ -4,13 +4,14 @@ Source of law "paper": Moeslinger, Schmickl and Crailsheim, "A minimalist flocki
 swarm robots" (2011), as Kaiser et al., ICRA 2022, have it in ROS2swarm: four sectors, three
 distances and, by priority, straight on or a turn.
 
-Law "elastic" is ours. Springs tie each robot to the few nearest: their force along the heading
-changes the speed, their force across it turns the robot (Ferrante et al., "Self-organized flocking
-with a mobile robot swarm: a novel motion control method", Adaptive Behavior 20, 2012). That alone
-aligns headings slowly and briefly, since the lidars and bodies of others are behind their axles. So
-the robot also turns to the direction in which the others move, measured from scans a second apart
-and its own odometry (aligning: Vicsek et al., Phys. Rev. Lett. 75, 1995); without odometry there
-are only the springs. Walls, distinguished from robots by their width, push like springs.
+Law "elastic" is ours. Springs tie each robot to the few nearest robots. The force along the heading
+changes the speed, and the force across the heading turns the robot (Ferrante et al.,
+"Self-organized flocking with a mobile robot swarm: a novel motion control method", Adaptive
+Behavior 20, 2012). Springs alone align headings slowly and not for long, since the lidars and
+bodies of other robots are behind their axles. So the robot also turns to the direction in which the
+other robots move (aligning: Vicsek et al., Phys. Rev. Lett. 75, 1995). This direction is measured
+from scans a second apart and the robot's odometry; without odometry there are only the springs.
+Walls, distinguished from robots by their width, push like springs.
 
 Limits: a pillar counts as a robot, a robot within about 0.2 m of a wall as a part of the wall. A
 robot without others in sight drives straight on.
@@ -56,7 +57,7 @@ _MAX_RANGE_SHARE = 0.95
 _COMPRESSED_STIFFNESS = 2.0
 # Share of the highest speed in reverse, so that two robots that meet separate.
 _MAX_REVERSE_SHARE = 0.4
-# s over which the motion of others is measured, and m that a robot moves meanwhile at most.
+# s over which the motion of other robots is measured, and m that a robot moves meanwhile at most.
 _MOTION_PERIOD, _MAX_MOTION = 1.0, 0.35
 # rad: width of a sector of law "paper".
 _SECTOR = math.pi / 2.0
@@ -247,7 +248,8 @@ class Flocking(MovementPattern[FlockingParams]):
     def _motion(self, robots: Sequence[Polar], inputs: Inputs) -> complex:
         """The mean velocity in m/s of the robots in sight: forward + i left.
 
-        From their positions a second ago, by odometry; 0 without these.
+        From the change of their positions in a second, in the frame of the odometry. 0 without
+        odometry, or without robots a second ago.
         """
         if inputs.odometry is None:
             return 0j
@@ -267,9 +269,9 @@ class Flocking(MovementPattern[FlockingParams]):
     def _look(self, scan: Scan) -> tuple[Sequence[Polar], Sequence[Polar]]:
         """Robots and the closest points of walls: range and bearing of each from the lidar.
 
-        Measured from the lidar, not from the axle. What a scan shows of a robot is its lidar, which
-        is behind its axle. From the axle all neighbours would appear shifted back, and that pull
-        breaks the alignment of the headings.
+        Places are relative to the lidar, not to the axle. The scan plane of a robot cuts the lidars
+        of other robots, which are behind their axles. Relative to the axle all neighbours would
+        appear shifted back, and the resulting pull breaks the alignment of the headings.
         """
         params = self.params
         objects = clusters(scan, within=scan.range_max)
@@ -307,7 +309,7 @@ class Flocking(MovementPattern[FlockingParams]):
         return force
 
     def _push(self, walls: Sequence[Polar]) -> complex:
-        """What the walls push against: forward + i left; 1 is full."""
+        """The force towards the walls (to be subtracted): forward + i left; 1 is full."""
         params, force = self.params, 0j
         depth = max(params.wall - params.spacing, params.give)
         for distance, bearing in walls:
@@ -350,7 +352,7 @@ class Flocking(MovementPattern[FlockingParams]):
         return "straight", True
 
     def _either(self) -> str:
-        """The side to which it already turns, else a random one."""
+        """The side to which the robot already turns, else a random side."""
         if self._state not in ("left", "right"):
             return str(self.context.rng.choice(("left", "right")))
         return self._state

@@ -60,7 +60,7 @@ class Context:
     make: Make = _no_parts
     """Makes other patterns as parts."""
     channel_prefix: str = ""
-    """For CombinedPattern."""
+    """What CombinedPattern puts before the channels of this pattern, if it is a part."""
 
 
 class Pattern(ABC, Generic[P]):
@@ -75,12 +75,12 @@ class Pattern(ABC, Generic[P]):
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
     - `is_symmetric`: mirrored inputs give mirrored commands, as PatternContract checks.
-    - `touches`: where the robot must touch obstacles, to push or to dock. The robot's configuration
-      must grant the zone. Requests of parts do not count.
-    - `scan_delay`: s beyond `scan.latency`, at most 0.5, up to which the robot goes on with late
-      scans, where its platform allows less. Protection counts what is measured: the robot keeps
-      larger gaps. For patterns that measure the delay. Requests of its parts, and of
-      pushed patterns, do not count.
+    - `touches`: the zone in which the robot must touch obstacles, to push or to dock. The robot's
+      configuration must grant the zone. `touches` of a part has no effect.
+    - `scan_delay`: s beyond `scan.latency`, at most 0.5, by which scans may be late before the
+      robot is held, if its platform allows less. Protection adds the measured delay to the age of
+      scans, so the robot keeps larger gaps. For patterns that measure the delay. `scan_delay` of a
+      part, or of a pushed pattern, has no effect.
     """
 
     params_type: ClassVar[type[Params]] = Params

@@ -43,9 +43,10 @@ class CombinedPattern(Pattern[P]):
         return self.combine({name: self.step_part(name, inputs) for name in self.parts}, inputs)
 
     def combine(self, outputs: Mapping[str, Outputs], inputs: Inputs) -> Outputs:
-        """The outputs of all parts as one: the first command and grip, all messages, all reports.
+        """Combine the outputs of all parts: the first command and grip, all messages and reports.
 
-        A report has the name `part.key`. Done when all parts are. Override it for another choice.
+        A report gets the name `part.key`. The result is done once all parts are done. Override this
+        method for another combination.
         """
         twists = [part.twist for part in outputs.values() if part.twist is not None]
         reasons = [part.done for part in outputs.values() if part.done is not None]
@@ -60,7 +61,7 @@ class CombinedPattern(Pattern[P]):
         return Outputs(twists[0] if twists else None, messages, report, done, grip)
 
     def step_part(self, name: str, inputs: Inputs) -> Outputs:
-        """Step one part with its own messages and dt; the messages it sends get outer names."""
+        """Step one part with its own messages and dt; its outgoing messages get outer names."""
         part = self.parts[name]
         heard: tuple[Message, ...] = ()
         if inputs.messages:
@@ -80,5 +81,5 @@ class CombinedPattern(Pattern[P]):
 
 
 def outer_name(part: Pattern[Any], channel: str) -> str:
-    """The outer pattern's name for a channel of its part; shared names are unchanged."""
+    """The name that the outer pattern gives a channel of its part; shared names are unchanged."""
     return channel if "/" in channel else part.context.channel_prefix + channel

@@ -34,7 +34,7 @@ _Evaluate: TypeAlias = Callable[[Observation], bool]
 
 
 class ConditionState:
-    """A condition with its memory: when it started, and since when reports are unchanged."""
+    """Evaluates one condition from step to step; keeps its start and since when reports settled."""
 
     def __init__(self, condition: conditions.Condition) -> None:
         self.condition = condition
@@ -58,7 +58,10 @@ class UntilConditions:
         self._is_started = False
 
     def apply(self, inputs: Inputs, outputs: Outputs) -> Outputs:
-        """The outputs of a step; if conditions hold after it, done with those that hold."""
+        """The outputs of a step; `done` names the conditions that hold after the step.
+
+        If the pattern itself is done, or no condition holds, the outputs are unchanged.
+        """
         if not self._is_started:
             self._is_started = True
             for state in self._states:
@@ -89,6 +92,7 @@ def until_conditions(until: Sequence[str], platform: Platform) -> UntilCondition
 
 
 def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
+    """The function that evaluates a condition; some have a memory. `started` in s is time 0."""
     match condition:
         case conditions.AnyOf() | conditions.AllOf():
             inner = [_evaluator(part, started) for part in condition.conditions]
@@ -139,7 +143,7 @@ def _settled(condition: conditions.Settled) -> _Evaluate:
 
 
 def _drawn(probability: Callable[[Observation], float], started: float) -> _Evaluate:
-    """Holds with this probability a second: with 1 - (1 - p)^dt after dt seconds."""
+    """A condition that is drawn at each evaluation: holds with 1 - (1 - p)^dt after dt seconds."""
     last = started
 
     def evaluate(seen: Observation) -> bool:

@@ -94,10 +94,11 @@ class Reading(Struct, frozen=True, tag="reading", forbid_unknown_fields=True):
 
 
 class Neighbors(Struct, frozen=True, tag="neighbors", forbid_unknown_fields=True):
-    """At least so many neighbours, `within` so many metres; without `within`, all in reach.
+    """There are at least `count` neighbours within `within` m; without `within`, in radio reach.
 
-    With `slope` the condition holds in a second with probability 1 / (1 + exp(slope (count - n)))
-    for n neighbours: the neighbour count of AutoMoDe, with a negative slope the inverted count.
+    With `slope` the condition is drawn. With n neighbours the condition holds within a second with
+    probability 1 / (1 + exp(slope (count - n))). This is the neighbour count of AutoMoDe; with a
+    negative slope, its inverted neighbour count.
     """
 
     count: Annotated[float, Meta(ge=0.0, le=1000.0)] = field(name="neighbors")
@@ -188,7 +189,7 @@ def parse_condition(text: str) -> Condition:
 
 
 def parse_conditions(texts: object) -> Condition:
-    """Any of several, as a request from the network holds them; ConfigError if malformed."""
+    """The condition of a network request: any of several texts; ConfigError if malformed."""
     if not isinstance(texts, list | tuple) or not 1 <= len(texts) <= MAX_CONDITIONS:
         wanted = f"expected a list of 1 to {MAX_CONDITIONS} conditions"
         raise ConfigError(f"until is {str(texts)[:60]!r}; {wanted}")

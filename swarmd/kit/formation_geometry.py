@@ -1,16 +1,17 @@
-"""Places in a formation from what one robot senses of its neighbours, without leader or positions.
+"""The place of a robot in a formation, from its sensed neighbours, without leader or positions.
 
 Points are x, y in m in the base frame of the robot, which is at the origin. The robot fits the
-formation to all robots in sight and itself, and takes its own place. So robots that see the same
-agree, and a complete formation stays as it is.
+formation to all robots in sight and itself, and takes its own place in it. So robots that see the
+same robots agree, and a complete formation does not move.
 
-Line: the closest point of the line that fits best by least squares (Yun, Alptekin and Albayrak,
-"Line and circle formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997;
-the task is Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Ours: the spacing along it, and
-the places on a circle, are those of the evenly spaced row or polygon that fits best. With one
-neighbour on each side that is the middle between them, as in Defago and Souissi,
-"Non-uniform circle formation algorithm for oblivious mobile robots with convergence toward
-uniformity", Theor. Comput. Sci. 396, 2008.
+Line: the line fits the robots best by least squares (Yun, Alptekin and Albayrak, "Line and circle
+formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997; the task is
+Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Ours: the place along the line is that in an
+evenly spaced row that fits the robots best.
+
+Circle: ours: the place is that in a regular polygon that fits the robots best. Between two
+neighbours that is the middle, as in Defago and Souissi, "Non-uniform circle formation algorithm for
+oblivious mobile robots with convergence toward uniformity", Theor. Comput. Sci. 396, 2008.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from swarmd.sensing.rays import clusters
 _kernel = load_kernel("swarmd.kit.points")
 # Beyond this share of its range a lidar sees only parts of an object.
 _MAX_RANGE_SHARE = 0.95
-# A position is the mean of at most so many measurements. A measurement farther from it than so many
-# m plus this share of its distance means that the robot has moved.
+# A position is the mean of at most so many measurements. If a measurement differs from the mean by
+# more than so many m plus this share of its distance, the robot has moved.
 _MAX_AVERAGED = 20
 _MOVED_DISTANCE, _MOVED_SHARE = 0.06, 0.08
 # s for which a neighbour that is no longer sensed is assumed to stay where it was.
@@ -109,7 +110,7 @@ def to_odometry_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]
 
 @dataclass(slots=True)
 class _Track:
-    """A neighbour's last measurement and its time, and its mean position x + iy."""
+    """The last measurement of a neighbour, its time, and the mean position x + iy by odometry."""
 
     sensed: tuple[float, float]
     place: complex
@@ -150,6 +151,7 @@ class NeighborTracker:
 
 
 def _again(old: _Track | None, sensed: tuple[float, float], place: complex, now: float) -> _Track:
+    """The track after a new measurement: the mean, or a new track if the neighbour has moved."""
     if old is None or abs(old.place - place) > _MOVED_DISTANCE + _MOVED_SHARE * sensed[0]:
         return _Track(sensed, place, now)
     count = min(old.count + 1, _MAX_AVERAGED)

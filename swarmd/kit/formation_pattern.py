@@ -1,8 +1,9 @@
-"""The base of patterns that form a shape: sensing and driving; a pattern only gives the place.
+"""The base of patterns that form a shape. A pattern gives the robot's place in the shape.
 
-With range-and-bearing hardware a robot measures each neighbour. Without, narrow objects in the scan
-count as robots. The robot keeps its place in the odometry frame, drives there (slower the nearer)
-and rests until the place is farther away than `tolerance`.
+This base senses the other robots and drives to the place. With range-and-bearing hardware a robot
+measures each neighbour. Without it, narrow objects in the scan count as robots. The robot keeps its
+place in the odometry frame and drives there, slower the nearer it is. Then the robot rests until
+the place is farther away than `tolerance`.
 """
 
 from __future__ import annotations
@@ -123,9 +124,9 @@ F = TypeVar("F", bound=FormationParams)
 
 
 class FormationPattern(MovementPattern[F]):
-    """Drives to its place among the robots in sight and stands there; alone it stands.
+    """Drives to its place among the robots in sight and stands there; a robot alone stands.
 
-    The `needs` of the object depend on how it senses the others.
+    `needs` of the object depends on the parameter `sensing`.
     """
 
     params_type: ClassVar[type[Params]] = FormationParams
@@ -168,7 +169,7 @@ class FormationPattern(MovementPattern[F]):
 
     @abstractmethod
     def place(self, others: Array) -> Array:
-        """Its place (2,) with `others` (k, 2), k > 0, all in the base frame."""
+        """The place (2,) of this robot among `others` (k, 2), k > 0; m in the base frame."""
 
     def drive(self, inputs: Inputs) -> Twist:
         """The command towards its place."""
@@ -180,7 +181,8 @@ class FormationPattern(MovementPattern[F]):
             return ZERO
         x, y = to_base_frame(self._goal, pose)
         length = math.hypot(x, y)
-        # Its own position counts in the mean; this is the distance by the others alone.
+        # The place depends on the mean of all robots. Without this robot in the mean, the place
+        # would be farther away by this factor.
         off = length * (self._seen + 1) / max(self._seen, 1)
         limit = self.params.tolerance
         self._is_settled = off <= (limit if self._is_settled else _ARRIVAL_SHARE * limit)

@@ -1,7 +1,7 @@
-"""What a learned policy observes and requests: a declaration, and the numbers that follow from it.
+"""Observations and actions of a learned policy: their declaration, and their numbers.
 
 A policy is trained in the environment of `sim/learning` and runs on robots as `PolicyPattern`. Both
-call the functions of this file, so that a policy gets on a robot what it got in training.
+call the functions of this file, so a policy gets the same observations on a robot as in training.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class ScanPart(_Part, frozen=True, tag="scan"):
 
 
 class RobotsPart(_Part, frozen=True, tag="robots"):
-    """The nearness of objects of the scan that are as narrow as a robot, as ScanPart.
+    """The nearness, as in ScanPart, of objects in the scan that are as narrow as a robot.
 
     See `robots_near`: a pillar counts as a robot, and a robot that stands at a wall does not.
     """
@@ -56,8 +56,8 @@ class RobotsPart(_Part, frozen=True, tag="robots"):
 class NeighborsPart(_Part, frozen=True, tag="neighbors"):
     """The neighbours by range and bearing: their number, then the nearest `count` of them.
 
-    The number is scaled from 0 to `count`. Each neighbour has its nearness, as of ScanPart, and the
-    cosine and sine of its bearing: -1, 0, 0 for a missing neighbour.
+    The number is scaled from [0, `count`] to [-1, 1]. For each neighbour follow its nearness (see
+    ScanPart) and the cosine and sine of its bearing; -1, 0, 0 for a missing neighbour.
     """
 
     count: Annotated[int, Meta(ge=1, le=64)] = 3
@@ -65,7 +65,7 @@ class NeighborsPart(_Part, frozen=True, tag="neighbors"):
 
 
 class ReadingPart(_Part, frozen=True, tag="reading"):
-    """The reading `name`, scaled from `low` to `high` and limited to them; 0 without a reading."""
+    """The reading `name`, scaled from [`low`, `high`] to [-1, 1]; 0 without a reading."""
 
     name: Annotated[str, Meta(pattern=r"^[A-Za-z_][A-Za-z0-9_]*\Z", max_length=63)]
     low: float = 0.0
@@ -73,7 +73,7 @@ class ReadingPart(_Part, frozen=True, tag="reading"):
 
 
 class TwistPart(_Part, frozen=True, tag="twist"):
-    """The measured linear and angular speed by the base's limits, with `lateral` also that one."""
+    """The measured linear and angular speed (with `lateral` also the lateral), over its limit."""
 
     lateral: bool = False
 
@@ -84,8 +84,8 @@ Part = ScanPart | RobotsPart | NeighborsPart | ReadingPart | TwistPart
 class PolicySpec(Struct, frozen=True, forbid_unknown_fields=True):
     """The declaration of a policy: the `parts` of its observation, in order, and its actions.
 
-    An action has a number in [-1, 1] for the linear and the angular speed, with `lateral` a third
-    one for the lateral speed. A policy decides every `period` s.
+    An action has a number in [-1, 1] for the linear speed and one for the angular speed. With
+    `lateral` there is a third number for the lateral speed. A policy decides every `period` s.
     """
 
     parts: Annotated[tuple[Part, ...], Meta(min_length=1, max_length=64)]
@@ -126,7 +126,7 @@ class PolicySpec(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def default_spec(platform: Platform) -> PolicySpec:
-    """The declaration for a platform without one: all that its sensors give without a field."""
+    """The default declaration: all parts that the platform's own sensors provide."""
     reach = min(platform.scan.range_max, 3.5)
     parts: list[Part] = []
     if "scan" in platform.provides:
@@ -152,7 +152,7 @@ def decode_spec(data: bytes) -> PolicySpec:
 
 
 def check_spec(spec: PolicySpec) -> None:
-    """ConfigError for a declaration that a file could not give back, such as a period of 0."""
+    """ConfigError for a declaration that cannot be read back from a file, such as a period of 0."""
     try:
         data = encode_spec(spec)
     except TypeError as error:

@@ -46,11 +46,12 @@ Avoidance = Annotated[
 class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
 
-    The type is float, int, bool, str or a Literal of strings, `Annotated[int, about(...)] | None`
-    where None has a meaning. Without a default it is derived or required. `__post_init__` may check
-    several fields and raise ValueError. Every pattern has `recovery`; a pattern that stops or
-    pushes on purpose overrides its default, `recovery: Recovery = False`. Every pattern has
-    `avoidance`, too.
+    - Type: float, int, bool, str or a Literal of strings; `Annotated[int, about(...)] | None` where
+      None has a meaning.
+    - Default: a field without a default is derived from the platform (see `about`) or required.
+    - `__post_init__` may check several fields and raise ValueError.
+    - Every pattern has `recovery` and `avoidance`. A pattern that stops or pushes on purpose
+      overrides the default: `recovery: Recovery = False`.
     """
 
     recovery: Recovery = True
@@ -71,8 +72,8 @@ def about(
 ) -> Meta:
     """The meaning, bounds and unit of a parameter, and the source of its default.
 
-    `derived` computes the default from the platform; it applies to a field that declares none. A
-    lambda may use only its argument there: annotations are evaluated outside of the module.
+    `derived` computes the default from the platform, for a field that declares no default. A lambda
+    as `derived` may use only its argument, since annotations are evaluated outside of the module.
     """
     extra = {"unit": unit, "source": source, "derived": derived}
     return Meta(ge=ge, le=le, description=description, extra=extra)
@@ -84,7 +85,7 @@ def threshold(platform: Platform) -> float:
 
 
 def of_threshold(share: float) -> Callable[[Platform], float]:
-    """For `about(derived=...)`: so many times `threshold`."""
+    """For `about(derived=...)`: the function that gives `share` times `threshold`."""
     return lambda platform: share * threshold(platform)
 
 
@@ -160,7 +161,7 @@ WalkClearance = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
-    """One parameter as tools show it; `default` is None if derived or `is_required`."""
+    """One parameter for tools to show; `default` is None if it is derived or `is_required`."""
 
     name: str
     type: str
@@ -240,6 +241,7 @@ class _Declared(NamedTuple):
 
 @lru_cache(maxsize=64)  # evaluating annotations takes 1 ms, and each run needs them
 def _declared(params_type: type[Params]) -> _Declared:
+    """The declaration of the parameters; PluginError for a wrong type or default."""
     hints = type_hints(params_type, include_extras=True)
     try:
         msgspec.inspect.type_info(params_type)
@@ -268,6 +270,7 @@ def _check_default(params_type: type[Params], spec: ParamSpec, hint: Any) -> Non
 
 
 def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | None:
+    """A value from a layer in the type of its parameter; ParameterError if it does not fit."""
     if spec.is_optional and value in ("none", "null"):
         return None
     plain: Value = value
@@ -314,7 +317,7 @@ def _spec(params_type: type[Params], field: Any, hint: Any) -> ParamSpec:
 
 
 def _fields(params_type: type[Params]) -> list[Any]:
-    """The fields of the pattern in their order, then those of every pattern."""
+    """The fields that the pattern declares, in order, then those of every pattern."""
     shared = Params.__struct_fields__
     return sorted(msgspec.structs.fields(params_type), key=lambda field: field.name in shared)
 

@@ -1,8 +1,8 @@
 """Counting votes in windows of time or in rounds, and deciding by majority. Pure.
 
-Source: Kaiser et al., ICRA 2022: tumbling windows (of fixed length, one after the other), with
-sliding windows and synchronised rounds as variants. The latest vote of each sender counts; the
-voter's own does not, as in ROS2swarm.
+Source: Kaiser et al., ICRA 2022: tumbling windows (of fixed length, one after the other). Sliding
+windows and synchronised rounds are variants. The latest vote of each sender counts. The robot's own
+vote does not count, as in ROS2swarm.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Ties: TypeAlias = Literal["random", "keep", "lowest"]
 Windows: TypeAlias = Literal["tumbling", "sliding", "rounds"]
 
 ROUNDS = 1 << 16
-"""Rounds are numbered modulo this; a round less than half of it ahead is later."""
+"""Round numbers wrap at this; a round is later if it is less than half of this ahead."""
 
 
 class RoundVote(NamedTuple):
@@ -30,12 +30,13 @@ class RoundVote(NamedTuple):
 
 
 class VoteWindow:
-    """A window of `length` s: tumbling, or sliding with a `period`.
+    """Collects votes in a window of `length` s: tumbling, or sliding if there is a `period`.
 
-    A tumbling window opens again whenever it is closed; votes received before do not count. A
-    sliding one is closed every `period` s and counts the votes of the last `length` s, also those
-    counted before. Votes received more than `expiry` s before its end do not count. The first
-    window or period lasts the share `first` of its length.
+    - A tumbling window opens anew whenever it is closed; earlier votes do not count.
+    - A sliding window is closed every `period` s, and counts the votes of the last `length` s, also
+      those that were counted before.
+    - Votes received more than `expiry` s before the end of a window do not count.
+    - The first window (or period) is shorter: the share `first` of its length.
     """
 
     def __init__(
@@ -55,7 +56,7 @@ class VoteWindow:
         self._votes: dict[str, tuple[int, float]] = {}
 
     def add(self, sender: str, opinion: int, received_at: float) -> None:
-        """Count a vote; an older one of the same sender is replaced."""
+        """Count a vote; it replaces an older vote of the same sender."""
         known = self._votes.get(sender)
         if known is None or received_at >= known[1]:
             self._votes[sender] = (opinion, received_at)
@@ -71,8 +72,8 @@ class VoteWindow:
     def close(self, now: float) -> Mapping[str, int] | None:
         """The votes by sender if the window or period has ended; else None.
 
-        Ends stay on the grid of the first one: several windows that ended between two calls are
-        closed as one.
+        Windows end on a fixed grid of times. Windows that ended between two calls are closed as
+        one.
         """
         if now < self._end:
             return None
@@ -88,11 +89,14 @@ class VoteWindow:
 class Rounds:
     """Synchronised updates: the votes of one round decide, then the next round begins.
 
-    A round lasts at least `pause` s and at most `length` s. In between it ends as soon as no robot
-    received in the last `expiry` s is in an earlier round. The message of a robot that is one round
-    ahead also holds its vote in this round; a robot further ahead is ignored. If more than half are
-    further ahead, this robot has fallen behind and jumps to their median round. So neither a lost
-    message nor a robot that left or sends arbitrary rounds blocks the others.
+    1. A round lasts at least `pause` s and at most `length` s. In between, the round ends as soon
+       as no robot heard in the last `expiry` s is in an earlier round.
+    2. A robot one round ahead counts with its previous vote, which its message repeats. Robots
+       further ahead do not count.
+    3. If more than half of the robots are further ahead, this robot has fallen behind, and jumps to
+       their median round.
+
+    So no lost message blocks the others, nor a robot that left or sends arbitrary rounds.
 
     Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: instead of
     acknowledgements, votes are repeated and hold the previous vote.
@@ -117,7 +121,7 @@ class Rounds:
             self._plain[sender] = (opinion, received_at)
 
     def add_round_vote(self, sender: str, vote: RoundVote, received_at: float) -> None:
-        """Count a vote; one of an earlier round than the sender's last came late and is ignored."""
+        """Count a vote, unless the sender has already voted in a later round."""
         self._plain.pop(sender, None)
         known = self._round_votes.get(sender)
         if known is not None:
@@ -132,9 +136,9 @@ class Rounds:
         self._round_votes.pop(sender, None)
 
     def close(self, now: float) -> Mapping[str, int] | None:
-        """The votes by sender if the round has ended (then the next one begins); else None.
+        """The votes by sender if the round has ended, which begins the next round; else None.
 
-        {} if it ended because this robot jumps to a later round.
+        {} if the round ended by a jump to a later round.
         """
         elapsed = now - self._began
         if elapsed < min(self.period, self.length):
@@ -176,8 +180,8 @@ def tally(opinions: Iterable[int]) -> Mapping[int, int]:
 def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generator) -> int:
     """The most frequent opinion; `current` without opinions.
 
-    `ties` decides between equally frequent ones: a random one, `current` (whether or not it is one
-    of them), or the lowest.
+    Between equally frequent opinions `ties` decides: "random" draws one of these, "keep" gives
+    `current` (even if it is none of these), "lowest" gives the lowest.
     """
     counts = tally(opinions)
     if not counts:

@@ -1,4 +1,4 @@
-"""The base of voting patterns: windows, expiry and sharing; a pattern only decides."""
+"""The base of voting patterns: collects votes and sends the opinion. A pattern only decides."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from swarmd.kit.vote_windows import Rounds, Ties, VoteWindow, Windows, read_opin
 
 OPINION = "opinion"
 ROUND_VOTE = "round_vote"
-"""The channel used instead with `windows: rounds`: [round, opinion, previous opinion]."""
+"""The channel that replaces OPINION with `windows: rounds`: [round, opinion, previous opinion]."""
 
 
 Opinions = Annotated[
@@ -102,8 +102,8 @@ class VotingPattern(Pattern[V]):
     """Holds an opinion, which is sent to the neighbours and updated when a window ends.
 
     The robot stands. Source: Kaiser et al., ICRA 2022: each robot sends its opinion after every
-    update. Ours: the robot also repeats its opinion. Votes that are not repeated expire, and so do
-    those of a robot that is no longer a neighbour.
+    update. Ours: the robot also repeats its opinion. A vote expires if it is not repeated, or if
+    its sender is no longer a neighbour.
     """
 
     params_type: ClassVar[type[Params]] = VotingParams
@@ -122,9 +122,9 @@ class VotingPattern(Pattern[V]):
 
     @abstractmethod
     def decide(self, votes: Mapping[str, int]) -> int:
-        """The new opinion, from the latest vote of each neighbour in the window, by robot.
+        """The new opinion. `votes` has the latest vote of each neighbour in the window, by robot.
 
-        There is at least one; with `count_own` this robot's own is among them.
+        There is at least one vote. With `count_own` the robot's own vote is among them.
         """
 
     def step(self, inputs: Inputs) -> Outputs:
@@ -196,6 +196,7 @@ class VotingPattern(Pattern[V]):
         self._neighbors = neighbors
 
     def _conclude(self, votes: dict[str, int]) -> None:
+        """Set the opinion by the votes of a window that has ended."""
         self._previous, self._heard = self.opinion, len(votes)
         if not votes:
             return
@@ -204,6 +205,7 @@ class VotingPattern(Pattern[V]):
         self.opinion = self.decide(votes)
 
     def _share(self, window: VoteWindow | Rounds, now: float) -> Mapping[str, Value]:
+        """The message with the own opinion, if one is due."""
         if now < self._share_at:
             return {}
         self._share_at = now + self.params.period

@@ -1,10 +1,10 @@
 """Protection: the only path from a requested command to the command that the driver gets.
 
-`Protection` enforces limits and holds, whatever the mode; an `Arbiter` (modes.py) implements one
-mode. The holds of old scans and odometry are found in `robot/input_ages.py`.
+`Protection` enforces limits and holds in every mode. An `Arbiter` (modes.py) implements one mode.
+`robot/input_ages.py` decides on the holds of old scans and old odometry.
 
-A kernel (see `core/kernels.py`): each input that can change the command passes it. protection.py
-gives it to others, compiled or interpreted.
+A kernel (see `core/kernels.py`), since each input that can change the command passes it. Other
+modules import `Protection` from protection.py, compiled or interpreted.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery c
 # m/s or rad/s: what rounding leaves of a zero command
 _ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
 _NO_POINTS = np.empty((0, 2))
-# Names of C: to look up a name of the module takes as long as a tenth of a decision.
+# C names: to look up a name of the module takes a tenth of the time of a decision.
 _zero = cython.declare(object, ZERO)
 _decision = cython.declare(object, Decision)
 _no_scan = cython.declare(object, Reason.NO_SCAN)
@@ -53,9 +53,10 @@ _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 class Protection:
     """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
 
-    `seed` decides the side on which recovery passes an obstacle. `events`: what the caller has yet
-    to log. `following`: whether the base of a running robot follows the safe commands. `moved_at`:
-    the time in s of the last safe command that was not zero; -inf without one.
+    `seed` seeds the random choices of recovery and right of way. Attributes:
+        events: texts that the caller has yet to log.
+        following: the monitor of whether the base of a running robot follows the safe commands.
+        moved_at: the time in s of the last safe command that was not zero; -inf without such one.
     """
 
     events = cython.declare(list, visibility="readonly")
@@ -85,8 +86,8 @@ class Protection:
     _allowed: object  # the safe command before `speed_share`
     _requested: object
     _wanted: object  # `_requested` within the limits
-    # The last decision without a hold is given again for the same case in the same context, which a
-    # scan or odometry ends: no mode decides anything else then.
+    # The last decision without a hold. The decision is repeated for the same case (`_case`) in the
+    # same context, in which each mode decides the same. A scan or odometry ends the context.
     _context: object
     _case: tuple
     _last: object
@@ -115,7 +116,7 @@ class Protection:
 
     @property
     def passage(self) -> NarrowestPassage | None:
-        """The widths that the mode lets the robot through; None for a mode without one."""
+        """The narrowest widths that the mode lets the robot through; None except for `barrier`."""
         return narrowest_passage(self._arbiter)
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
@@ -138,7 +139,7 @@ class Protection:
                 self.events.append(text)
 
     def on_odometry(self, odometry: Odometry) -> None:
-        """Compare what mode barrier assumes of the base with its measured motion."""
+        """Take in a reading: monitors, tracks and right of way use it."""
         if self._monitor is not None:
             text = self._monitor.on_odometry(odometry)
             if text:
@@ -152,7 +153,7 @@ class Protection:
             self._right_of_way.on_odometry(odometry)
 
     def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
-        """The tracks by which the robot avoids; None if it does not."""
+        """The tracks that avoidance uses; None while avoidance is off."""
         return self._tracker.surroundings(context).tracks if self._is_avoiding else None
 
     @property
@@ -162,7 +163,7 @@ class Protection:
 
     @property
     def not_following(self) -> str:
-        """How the base does not follow its commands, or follows late; empty if it does."""
+        """A text on how the base differs from its commands, or responds late; empty if neither."""
         text = self.following.text
         return text if text or self._monitor is None else self._monitor.late
 
@@ -185,26 +186,28 @@ class Protection:
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-        # In a hold there is no permit of the run, which goes on afterwards.
+        # Switch avoidance on or off. A hold has no permit; avoidance then stays as it was.
         if recovery is not None and (hold is None or not is_running):
             avoids = self._avoids if permit.avoids is None else permit.avoids
             is_avoiding: cython.bint = is_running and permit.may_recover and avoids
             if is_avoiding != self._is_avoiding:
                 self._is_avoiding = is_avoiding
-                self._tracker.reset()  # what has moved meanwhile
+                self._tracker.reset()  # objects have moved meanwhile
                 self._avoidance.reset()
                 self._right_of_way.reset()
-        if requested is not self._requested:  # most are judged more than once
+        # Clip the request. Most requests are judged more than once, so the result is kept.
+        if requested is not self._requested:
             self._requested, self._wanted = requested, _zero
             if requested is not None and requested.is_finite:
                 self._wanted = self._limits.clip(requested)
         wanted = judged = self._wanted
         self._near = context.near_points if context.near else None
+        # Decide zero outside `running` and under a hold.
         if is_running and hold is None and context.scan_age is None:
             hold = _no_scan
         if self._is_followed and (not is_running or hold is _driver_lost or touch is not None):
             self._is_followed = False
-            self.following.reset()  # what a robot may touch may stop it
+            self.following.reset()  # an object that the robot may touch may stop the robot
         if not is_running or hold is not None:
             if self._may_recover:
                 self._may_recover = self._is_recovering = False
@@ -212,6 +215,7 @@ class Protection:
                 self._avoidance.reset()
                 self._right_of_way.reset()
             return self._decision(wanted, _zero, False, (), hold, context)
+        # Let right of way, avoidance and recovery replace the request.
         if recovery is not None and permit.may_recover:
             self._may_recover = True
             allows = partial(self._safe_for, context, touch)
@@ -224,6 +228,7 @@ class Protection:
             case = wanted, judged, judged is wanted, self._is_recovering, touch
             if case == self._case:
                 return self._last
+        # Let the mode judge the request.
         asked = judged if judged is wanted else self._limits.clip(judged)
         decision = self._arbiter.decide(asked, context, self._safe, touch)
         twist = decision.twist
@@ -253,7 +258,10 @@ class Protection:
     def _passing(
         self, wanted: Twist, context: DecisionContext, allows: Allows
     ) -> tuple[Twist, Others]:
-        """The command that leads past others; `wanted` if nothing is in its way."""
+        """The command that leads past openings and moving objects; else `wanted`.
+
+        Also what recovery must know about other objects.
+        """
         avoidance, recovery = self._avoidance, self._recovery
         if not self._is_avoiding:
             return wanted, NO_OTHERS
@@ -270,7 +278,7 @@ class Protection:
         return passing, Others(wanted, avoidance.are_near, avoidance.avoiding is not None)
 
     def _points(self) -> Array:
-        """(k, 2) returns of the scan within the lookahead, and of the ring, base frame, m."""
+        """(k, 2) returns in m in the base frame: of the scan within the lookahead, and the ring."""
         if self._scan is None or self._recovery is None:
             return _NO_POINTS
         points = self._geometry.points(self._scan, self._recovery.lookahead)
@@ -322,7 +330,7 @@ class Protection:
         )
 
     def _avoided(self, context: DecisionContext) -> Avoided | None:
-        """What avoidance or right of way leads the robot past in this decision."""
+        """The track or the opening because of which the command was replaced; None without."""
         track = self._avoidance.avoiding
         if track is None:
             return None if self._is_recovering else self._right_of_way.passed(context)

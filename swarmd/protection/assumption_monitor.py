@@ -1,31 +1,33 @@
-"""Compares what mode `barrier` assumes of base and surroundings with what happens. Pure.
+"""Compares the assumptions of mode `barrier` about base and surroundings with measurements. Pure.
 
-Braking: each clear fall of the safe command begins a stop, which lasts until odometry shows that
-the base has followed it, or until the command rises. The way that odometry shows in each of its
-periods, and before the stop, is fitted by that of a base that responds late and brakes evenly.
-Delay and speed of the base are free, so that neither late nor rare odometry makes brakes look weak.
-The noise of odometry is what the fits leave over. A stop weighs as much as its readings tell.
+Braking of the base:
+- A stop begins when the safe command falls clearly. The stop ends when odometry shows that the base
+  has followed the command, or when the command rises.
+- A model of a base that responds after a delay and brakes evenly is fitted to the distances of all
+  periods of odometry, from shortly before the stop. Delay and speed of the base are free, so
+  neither late nor rare odometry makes brakes look weak. The residuals of the fits estimate the
+  noise of odometry. A stop weighs by the likelihood of its readings.
+- The test is CUSUM (Page, Biometrika 1954): it sums from stop to stop the logarithm of the
+  likelihood ratio of two hypotheses, and never falls below zero. The hypotheses are brakes with the
+  share WEAK, and with the share SOUND, of the declared braking. Brakes of at least SOUND raise an
+  alarm after e^ALARM stops on average, or later (Lorden, Annals of Mathematical Statistics 1971).
+  An alarm needs at least three stops, since another robot may have pushed this robot in one.
+- A base that moves sideways has the same declared braking ahead and sideways. Its wheels may share
+  their braking between both axes in a diagonal stop. So a stop counts only if the speed on the
+  other of these axes changes little.
 
-The test adds up evidence from stop to stop: CUSUM (Page, Biometrika 1954), the logarithm of the
-likelihood of brakes with the share WEAK of the declared braking over that with the share SOUND,
-never below zero. Brakes of at least SOUND raise an alarm after e^ALARM stops on average, or later
-(Lorden, Annals of Mathematical Statistics 1971). An alarm needs three stops at least: in one,
-another robot may have pushed this one.
+Speed of others: the speed at which the gap to the nearest return falls is fitted by least squares
+over several scans. All motion of the robot itself and the standard deviations are subtracted. The
+rest is compared with `others_speed`. An object that approaches is found, an object that passes is
+not.
 
-Of a base that moves sideways, ahead and sideways are judged alike, with one declared braking. The
-braking of such a base may be that of all wheels together, which a diagonal stop shares between
-both. So a stop counts only if the speed on the other axis changes little meanwhile.
+A violation reduces the speed of the robot to `speed_share` until an operator ends the violation,
+since nothing that happens later proves the assumption again. For braking, the share is the measured
+braking (less two standard deviations) over the declared braking: with it the time to stop is as
+declared, and the distance to stop is shorter. For others, the share is the assumed speed over the
+measured speed.
 
-Others: the speed at which the gap to the nearest return falls, less all that the robot itself has
-moved, is compared with `others_speed`: by least squares over several scans, less its deviation. A
-thing that approaches is seen so, one that passes is not.
-
-A violation makes the robot slower by `speed_share`, until an operator ends it: nothing that happens
-later proves the assumption. The share is the measured braking, two deviations to the safe side,
-over the declared one: with it the speed s and braking b keep s / b, the time to stop, in which
-others approach, and shorten the way. For others it is the assumed speed over the measured one.
-
-A kernel (see `core/kernels.py`): each reading of odometry and each command pass it.
+A kernel (see `core/kernels.py`), since each reading of odometry and each command pass it.
 """
 
 from __future__ import annotations
@@ -56,33 +58,35 @@ else:
 MIN_SHARE = 0.2
 """The lowest `speed_share`."""
 SOUND, WEAK = 0.85, 0.7
-"""Shares of the declared braking that the test tells apart."""
+"""Shares of the declared braking between which the test distinguishes."""
 ALARM = 14.0
-"""Evidence of an alarm: sound brakes raise it once in a million stops, e^14, or less often."""
+"""The sum of the test at which it alarms: sound brakes do so once in a million stops (e^14)."""
 
-_MOST_OF_ONE = 5.0  # evidence of one stop: three are needed at least
+_MOST_OF_ONE = 5.0  # the most that one stop adds to the sum: an alarm needs three stops
 _SHARES = np.array((*np.geomspace(0.15, 0.63, 11), WEAK, 0.77, SOUND, 0.92, 1.0, 1.1))
 _WEAK, _SOUND = (int(np.flatnonzero(share == _SHARES)[0]) for share in (WEAK, SOUND))
 _LONGEST_DELAY = 0.6  # s from the command to the stamp at which the base responds
 _DELAYS = np.linspace(0.0, _LONGEST_DELAY, 13)
 _NEAR_DELAYS = np.linspace(-0.04, 0.04, 9)
-_PARTS = np.array((0.25, 0.75))  # of each period, whose mean speeds are its way
-_SLIP, _SLIP_FREEDOM = 0.05, 20.0  # noise of odometry before any stop, and the readings it counts
-_MAX_FREEDOM = 400.0  # readings after which older ones fade
-_WORST = 9.0  # times its variance: what a stop that odometry does not explain adds to it at most
-_STILL = 0.2  # share of the speed before a stop of which each reading has the noise at least
+_PARTS = np.array((0.25, 0.75))  # of each period: the mean of the speeds there gives its distance
+# Noise of odometry as a share of a reading before any stop, and how many readings it counts for.
+_SLIP, _SLIP_FREEDOM = 0.05, 20.0
+_MAX_FREEDOM = 400.0  # readings that count for the noise at most, so that older ones fade
+_WORST = 9.0  # times the variance: the most that one stop may add to the estimate of the variance
+# Share of the speed before a stop: a slower reading has the noise of that speed.
+_STILL = 0.2
 
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
-_MIN_DROP_TIME = 0.1  # s of declared braking that it takes at least
+_MIN_DROP_TIME = 0.1  # s that the fall takes at the declared braking, at least
 # Share of the speed: noise of odometry grows with the speed.
 _MIN_DROP_SHARE = cython.declare(cython.double, 0.5)
 # Share of the command by which the speed may differ from the command before a stop.
 _FOLLOWED = cython.declare(cython.double, 0.15)
-# Readings before a stop that tell its speed, and the least of them.
+# Readings before a stop that give its speed: the most and the least.
 _CRUISE = cython.declare(cython.Py_ssize_t, 6)
 _MIN_CRUISE = cython.declare(cython.Py_ssize_t, 2)
 _MIN_STEPS = 3  # readings of a stop
-_ENDS = cython.declare(cython.double, 0.1)  # share of the fall that is left when a stop is over
+_ENDS = cython.declare(cython.double, 0.1)  # share of the fall that remains when a stop ends
 # Share of the speed by which noise may raise the speed during a stop.
 _RISE = cython.declare(cython.double, 0.3)
 _MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
@@ -90,26 +94,27 @@ _MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
 # Share of the command before a stop by which the command may rise again.
 _RISES = cython.declare(cython.double, 0.2)
 # Share of the fall of a stop by which the speed on the other axis may change: brakes that both
-# share leave 0.96 for the stop.
+# axes share then leave 0.96 of the braking for the stop.
 _BESIDE = cython.declare(cython.double, 0.3)
 _MAX_COMMANDS = cython.declare(cython.Py_ssize_t, 40)
 _MAX_WAYS = cython.declare(cython.Py_ssize_t, 64)
 
 _NEAR = cython.declare(cython.double, 1.5)  # m within which an approach counts
-_APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans that tell a speed
+_APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans from which a speed is measured: most and least
 _MIN_SCANS = 4  # in that time: a lidar of 5 Hz sees a pedestrian in no more
-_MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between scans
-_FASTER = 1.15  # times others_speed: what clearly is faster
+_MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between two scans of one approach
+_FASTER = 1.15  # times others_speed: an approach that is clearly faster
 _RANGE_NOISE = 0.01  # m of the nearest range, at least
-# m, and share of the way, by which a scan may be off an even approach: things appear, and are lost.
+# m, plus a share of the distance, by which a scan may differ from an even approach: if an object
+# appears or is lost, the nearest return jumps.
 _STEADY, _STEADY_SHARE = 0.03, 0.05
-_CERTAIN = 3.0  # deviations by which an approach must be too fast
-_APART, _TOGETHER = 5.0, 600.0  # s between two approaches that are a violation
+_CERTAIN = 3.0  # standard deviations by which an approach must be too fast
+_APART, _TOGETHER = 5.0, 600.0  # s between two approaches that together are a violation
 
 RESPONSE = 0.05
-"""s after a command in which the base responds, as mode `barrier` assumes."""
-_RESPONSES = 9  # stops in a row: all but one must be late
-_LATER = 0.05  # s by which they must be: a reading shows a command late by up to a period
+"""s after a command within which the base responds, as mode `barrier` assumes."""
+_RESPONSES = 9  # the last stops: the base is late if it responded late in all but one
+_LATER = 0.05  # s beyond RESPONSE that are late: a reading shows a command up to a period late
 
 _BRAKED = "braked at"
 _LATE_WHY = "commands, base or odometry are slow"
@@ -122,7 +127,7 @@ _inf = cython.declare(cython.double, math.inf)
 
 
 def _last(count: int, most: int) -> range:
-    """The numbers of the last of `count` things, of which `most` are kept."""
+    """The indices of the last `most` of `count` items."""
     return range(max(count - most, 0), count)
 
 
@@ -138,16 +143,16 @@ def axis_of(finding: str) -> str | None:
 @cython.final
 @cython.cclass
 class _Stop:
-    """A fall of the command in direction `sign`, and what odometry shows from it on.
+    """A fall of the command of one axis, and the motion by odometry before and after.
 
-    `begin` and `least`: the speeds commanded before it and since at least, `at` its stamp. Rows of
-    `cruise` and `steps`, before and after it: begin and end by stamps, m or rad moved between.
+    Speeds are relative to `sign`, so they are positive before the stop.
     """
 
-    sign: cython.double
-    begin: cython.double
-    least: cython.double
-    at: cython.double
+    sign: cython.double  # 1 or -1: the direction of the motion before the stop
+    begin: cython.double  # speed commanded before the stop
+    least: cython.double  # lowest speed commanded since
+    at: cython.double  # stamp of odometry at which the command fell
+    # Periods of odometry before and after the fall: stamp at begin, stamp at end, m or rad moved.
     cruise: list
     steps: list
 
@@ -159,31 +164,29 @@ class _Stop:
 @cython.final
 @cython.cclass
 class _Brake:
-    """Judges the stops of one axis with a `declared` braking in m/s2 or rad/s2.
+    """Judges the stops of one axis (ahead, turning or sideways)."""
 
-    `min_drop` in m/s or rad/s is the least fall of the command that begins a stop. `braking`: as
-    declared, or measured and weaker. `evidence`: how it was measured; empty without a violation.
-    `late`: how late the base responds; empty if it is not too late.
-    """
-
-    declared: cython.double
-    braking: cython.double
-    evidence: object
-    late: object
+    declared: cython.double  # m/s2 or rad/s2, the declared braking
+    braking: cython.double  # m/s2 or rad/s2, as declared, or measured and weaker
+    evidence: object  # text on how the weaker braking was measured; empty without a violation
+    late: object  # text on how late the base responds; empty if it is not too late
     _unit: object
     _delays: object
-    _min_drop: cython.double
-    _stop: _Stop
-    _command: cython.double  # the last one
-    # The last commands, their number, and the stamps since which they hold; then the steps in which
-    # the base followed: begins, ends and ways. The k-th is at k modulo the length.
+    _min_drop: cython.double  # m/s or rad/s, the least fall of the command that begins a stop
+    _stop: _Stop  # the stop under way; None without one
+    _command: cython.double  # the last command
+    # Ring buffers (item k is at k modulo the length). The commands: how many were given, the stamp
+    # since which each holds, its speed.
     _given: cython.Py_ssize_t
     _stamps: cython.double[40]
     _levels: cython.double[40]
+    # The periods of odometry in which the base followed a constant command: how many, and of each
+    # the stamp at begin, the stamp at end, and m or rad moved.
     _cruised: cython.Py_ssize_t
     _cruise: cython.double[18]
-    _variance: cython.double
-    _freedom: cython.double
+    _variance: cython.double  # of the noise of odometry, as a share of a reading
+    _freedom: cython.double  # degrees of freedom of this estimate
+    # The CUSUM test: the sum, the stops since it was zero, and the summed misfits by share.
     _sum: cython.double
     _stops: cython.Py_ssize_t
     _misfits: object
@@ -202,12 +205,12 @@ class _Brake:
             raise ValueError(f"{self._given} commands and {self._cruised} steps of a brake")
 
     def forget(self) -> None:
-        """Measure anew: the braking counts as declared."""
+        """Trust the declared braking again, and begin the test anew."""
         self.braking, self.evidence = self.declared, ""
         self._begin()
 
     def interrupt(self) -> None:
-        """Drop the stop under way: the clock of odometry was set, or its pose has jumped."""
+        """Drop the stop under way, as after a jump of the clock or the pose of odometry."""
         self._stop = None
         self._cruised = self._given = 0
         self._note(-math.inf, self._command)
@@ -216,7 +219,8 @@ class _Brake:
     def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double):
         """Drop the stop under way if the speed on another `axis` changes, too.
 
-        That `speed` was measured last, at `stamp`; it follows commands of up to _LONGEST_DELAY ago.
+        `speed` is the last measured speed on that axis, at `stamp`. It may follow any command of
+        the last _LONGEST_DELAY s, so all these commands are compared.
         """
         stop: _Stop = self._stop
         if stop is None:
@@ -245,7 +249,11 @@ class _Brake:
     def on_command(
         self, command: cython.double, speed: cython.double, stamp: cython.double
     ) -> cython.bint:
-        """The command changes; `speed` was measured last, at `stamp`. True: a violation."""
+        """Take in a command; `speed` is the last measured speed, at `stamp`. True: a violation.
+
+        A command that falls clearly begins a stop, if the base moved as commanded before. A command
+        that rises ends the stop under way, which is then judged.
+        """
         before: cython.double = self._command
         level: cython.double
         if command == before:
@@ -273,7 +281,11 @@ class _Brake:
 
     @cython.ccall
     def on_step(self, begin: cython.double, end: cython.double, way: cython.double) -> cython.bint:
-        """The base moved by `way` between two stamps. True: a violation."""
+        """Take in the m or rad `way` that the base moved between two stamps. True: a violation.
+
+        Without a stop under way, collects the periods in which the base follows the command.
+        During a stop, collects its periods, and judges the stop once it is over.
+        """
         stop: _Stop = self._stop
         period: cython.double = end - begin
         if stop is None:
@@ -295,7 +307,7 @@ class _Brake:
 
     @cython.cfunc
     def _end(self) -> cython.bint:
-        """Judge the stop, which is over."""
+        """End the stop and judge it: update noise and test. True: a violation."""
         stop: _Stop = self._stop
         self._stop = None
         self._cruised = 0
@@ -305,13 +317,16 @@ class _Brake:
         commands = [(self._stamps[k], self._levels[k]) for k in kept]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
         self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.at) / len(stop.steps))
+        # Pool the variance of the best fit with the estimate so far.
         least = float(misfits.min())
-        own = least / freedom
-        total = self._variance * self._freedom + min(own, _WORST * self._variance) * freedom
+        own_variance = least / freedom
+        bounded = min(own_variance, _WORST * self._variance)
+        total = self._variance * self._freedom + bounded * freedom
         self._freedom += freedom
         self._variance = total / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
-        misfits = (misfits - least) / max(self._variance, own)
+        # Add the logarithm of the likelihood ratio of WEAK and SOUND.
+        misfits = (misfits - least) / max(self._variance, own_variance)
         gained = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
         self._sum += min(gained, _MOST_OF_ONE)
         if self._sum <= 0.0:
@@ -322,7 +337,10 @@ class _Brake:
         return self._sum >= ALARM and self._conclude()
 
     def _respond(self, delay: float, period: float) -> None:
-        """Judge how late the base responded to the last stops, `period` s between readings."""
+        """Note the `delay` in s of the response in a stop, and set `late`.
+
+        A reading shows a command up to `period` s late, the time between two readings.
+        """
         delays = self._delays
         delays.append(delay - period)
         is_late = len(delays) == _RESPONSES and sorted(delays)[1] > RESPONSE + _LATER
@@ -334,7 +352,11 @@ class _Brake:
             )
 
     def _conclude(self) -> bool:
-        """Measure the braking by the stops that were summed up; always True."""
+        """Set `braking` and `evidence` by the stops of the test; always True.
+
+        The measured braking is the minimum of a parabola through the misfits of three neighbouring
+        shares. The curvature of the parabola gives the standard deviation.
+        """
         best = int(self._misfits.argmin())
         slowness = 1.0 / _SHARES
         i = min(max(best, 1), len(_SHARES) - 2)
@@ -357,11 +379,15 @@ class _Brake:
 
 
 def _misfits(stop: _Stop, commands: list, declared: float):
-    """What each share of the declared braking leaves unexplained, the degrees of freedom, a delay.
+    """Fit a base to the readings of a stop, for each share of the declared braking.
 
-    (s,) sums of squares over the squared ways, for the best delay and scale of the speeds that the
-    `commands` name. The base rises with its command, and brakes evenly. The delay in s is that of
-    the best share.
+    The base rises with its command at once, and brakes evenly. Delay and scale of its speeds are
+    free. `commands` are (stamp, speed) pairs.
+
+    Returns:
+        (s,) sums of squared residuals, each relative to the squared distance of its period.
+        The degrees of freedom.
+        The delay in s of the share that fits best.
     """
     rows = np.array((*stop.cruise, *stop.steps))
     periods, ways = rows[:, 1] - rows[:, 0], stop.sign * rows[:, 2]
@@ -400,9 +426,16 @@ def _left(
     rates: cython.double[::1],
     total: cython.double,
 ):
-    """(2, s) sums of squares that bases which brake at `rates` (s,) leave, and their best delays.
+    """(2, s) the weighted sums of squared residuals for each braking of `rates` (s,), and delays.
 
-    `rows` (n, 4): begins, periods, ways times their weights, and weights.
+    The delay is the best of a coarse grid, then of a fine grid around the best coarse delay.
+
+    Args:
+        rows: (n, 4), of each period: begin, duration, weight times distance, weight.
+        stamps: since when each command holds.
+        levels: the speed of each command.
+        rates: braking in units of the command.
+        total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -456,8 +489,8 @@ def _left(
 class AssumptionMonitor:
     """Watches braking and the speed of others for one robot.
 
-    Its methods return the text of an event for the robot's log, else an empty one. `speed_share` in
-    [MIN_SHARE, 1]: the share of the safe command that the base may get.
+    The methods that take inputs return the text of an event for the robot's log, or an empty text.
+    `speed_share` in [MIN_SHARE, 1] is the share of the safe command that the base may get.
     """
 
     speed_share = cython.declare(cython.double, visibility="readonly")
@@ -476,17 +509,17 @@ class AssumptionMonitor:
     _rate: cython.double
     _aside: cython.double
     _moved: cython.double  # m that any corner may have moved so far
-    # The last stamps of odometry, and `_moved` at each: from the first of interest to the end. The
-    # k-th is at k modulo the length.
+    # A ring buffer of the last stamps of odometry, and of `_moved` at each. Item k is at k modulo
+    # the length; items from `_way_first` to before `_way_end` are in use.
     _way_at: cython.double[64]
     _way: cython.double[64]
     _way_first: cython.Py_ssize_t
     _way_end: cython.Py_ssize_t
-    # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
+    # The last scans: stamp, gap, `_moved` when the oldest ray was measured, `_moved` on arrival.
     _scans: object
-    _others: object
-    _others_share: cython.double
-    _approaches: object  # stamps, m/s and deviations
+    _others: object  # text on others that are too fast; empty without a violation
+    _others_share: cython.double  # of `speed_share`
+    _approaches: object  # the approaches that were too fast: stamp, m/s, standard deviation
 
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
@@ -530,7 +563,7 @@ class AssumptionMonitor:
         return both if self._lateral is None else (*both, self._lateral)
 
     def forget(self, findings: Collection[str]) -> None:
-        """End these of the findings: what they name counts as declared, and is watched anew."""
+        """End these findings: the declared values count again, and are watched anew."""
         brake: _Brake
         for brake in self._brakes():
             if brake.evidence in findings:
@@ -541,7 +574,7 @@ class AssumptionMonitor:
         self._reduce()
 
     def on_command(self, command: Twist) -> str:
-        """The safe command that the driver gets."""
+        """Take in the safe command that the driver gets."""
         if command is self._command:
             return ""
         self._command = command
@@ -557,7 +590,10 @@ class AssumptionMonitor:
         return self._braked(is_linear, is_angular, is_lateral)
 
     def on_odometry(self, odometry: Odometry) -> str:
-        """A reading arrived."""
+        """Take in a reading: the motion since the reading before is a step of each axis.
+
+        A jump of the clock or the pose drops the stops under way and the scans.
+        """
         pose, twist = odometry.pose, odometry.twist
         begin: cython.double = self._stamp
         end: cython.double = odometry.stamp
@@ -598,9 +634,10 @@ class AssumptionMonitor:
         return self._braked(is_linear, is_angular, is_lateral)
 
     def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
-        """A scan arrived, with its own stamp in s and the gap to its nearest return in m.
+        """Take in a scan with its stamp in s and the gap in m to its nearest return.
 
-        `delay` in s: how old its rays may be. What the robot moved meanwhile counts as its own.
+        `delay` in s is the greatest age of its rays. All that the robot moved since then counts as
+        its own motion towards the return. None as gap: no return.
         """
         scans, seen = self._scans, self._approaches
         is_late = scans and not 0.0 < stamp - scans[len(scans) - 1][0] < _MAX_GAP_TIME
@@ -616,7 +653,7 @@ class AssumptionMonitor:
             return ""
         assumed = self._settings.others_speed
         if (scans[0][1] - gap) < _FASTER * assumed * (stamp - scans[0][0]):
-            return ""  # as mostly: it need not be judged
+            return ""  # the usual case, without a fit
         speed, spread = self._approach()
         if speed - _CERTAIN * spread < _FASTER * assumed:
             return ""
@@ -633,9 +670,10 @@ class AssumptionMonitor:
         return self._reduced(self._others)
 
     def _approach(self) -> tuple[float, float]:
-        """The speed in m/s of what comes near, and its deviation; (0, 0) if that is not even.
+        """The speed in m/s of the object that approaches, and its standard deviation.
 
-        Least squares of the gap over time, less all that the robot moved since the first scan.
+        The slope of the gap over time by least squares, less all that the robot moved since the
+        first scan. (0, 0) if the approach is not even.
         """
         times, gaps, begun, moved = np.array(self._scans).T
         times -= times.mean()
@@ -650,7 +688,7 @@ class AssumptionMonitor:
         return -slope - own, noise / math.sqrt(float(times @ times))
 
     def _moved_until(self, at: float) -> float:
-        """m that any corner may have moved until a stamp of odometry."""
+        """`_moved` in m at a stamp of odometry."""
         self._way_first = max(self._way_first, self._way_end - _MAX_WAYS)
         while (
             self._way_first + 1 < self._way_end
@@ -661,13 +699,14 @@ class AssumptionMonitor:
         return self._way[self._way_first % _MAX_WAYS] if has_way else self._moved
 
     def _braked(self, is_linear: bool, is_angular: bool, is_lateral: bool) -> str:
-        """The event of the axes that have just violated their braking."""
+        """The event of the axes whose braking is now found too weak; sets `speed_share`."""
         evidence = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
         if is_lateral:
             evidence.append(self._lateral.evidence)
         return self._reduced("; ".join(evidence))
 
     def _reduce(self) -> None:
+        """Set `speed_share` by all violations."""
         brake: _Brake
         share: cython.double = self._others_share
         for brake in self._brakes():

@@ -1,16 +1,20 @@
 """Avoidance: passes moving robots before protection must stop for them.
 
-Avoidance chooses a command near the requested one before recovery and the mode judge it, so that it
-cannot weaken protection. Each track forbids the velocities that lead into it within a time (optimal
-reciprocal collision avoidance: van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision
-avoidance", ISRR 2009); the velocity is the nearest one outside of all, by a linear programme in two
-variables (de Berg et al., "Computational geometry", chapter 4).
+Avoidance replaces the requested command by a command near it. Recovery and the protection mode then
+judge the replacement like any request, so avoidance cannot weaken protection.
 
-A differential base has no sideways velocity. A point ahead of its axle has one, which is linear in
-the command (feedback linearisation; Snape et al., "Smooth and collision-free navigation for
-multiple robots under differential-drive constraints", IROS 2010, have such an effective centre). At
-the distance at which the limit of turns moves the point at the limit of the base, its velocities
-fill a square, and a pattern's request that turns towards a goal points there.
+The method is optimal reciprocal collision avoidance (ORCA: van den Berg, Guy, Lin and Manocha,
+"Reciprocal n-body collision avoidance", ISRR 2009). Each track (a moving object) forbids the
+velocities that lead into the object within `_HORIZON` s. The chosen velocity is the permitted one
+nearest to the request. A linear programme in two variables finds it (de Berg et al., "Computational
+geometry", chapter 4).
+
+A differential base cannot move sideways, but a point ahead of its axle can. The velocity of this
+point is linear in the command (feedback linearisation; Snape et al., "Smooth and collision-free
+navigation for multiple robots under differential-drive constraints", IROS 2010, call such a point
+the effective centre). The distance of the point is chosen so that the angular limit moves the point
+as fast as the linear limit moves the base. Then the possible velocities of the point fill a square,
+and a request that turns towards a goal points towards the goal.
 """
 
 from __future__ import annotations
@@ -40,26 +44,29 @@ else:
 _HORIZON = 1.8  # s within which a track is met
 _WALL_HORIZON = 0.8  # s, for walls: protection slows the robot beside them anyway
 _WALL_SLACK = 0.06  # m less than the clearance of a corridor, so that a robot drives along a wall
-_SHARE = 0.5  # of the change, for an object that avoids, too
-_STANDS = 0.04  # m/s: a slower object changes nothing, so that the robot takes the whole change
-_SIDE = 0.35  # rad to the right by which the request is turned where something is in its way
+_SHARE = 0.5  # of the change of velocity that the robot makes, if the object avoids, too
+_STANDS = 0.04  # m/s: a slower object does not avoid, so the robot makes the whole change
+_SIDE = 0.35  # rad to the right by which the request is turned if a track is in its way
 _WAIT = 1.0  # s for which a robot that is held up waits for others to pass
-_PATIENCE = 0.25  # rad/s by which the angle then grows
-_MOST_SIDE = 1.4  # rad
-_HELD_UP = 0.3  # of the requested speed: with less it is held up
+_PATIENCE = 0.25  # rad/s by which the angle to the right then grows
+_MOST_SIDE = 1.4  # rad, the greatest angle to the right
+_LONGEST_PERIOD, _MOST_HELD = 0.2, 10.0  # s between two calls, and s of being held up, that count
+_RECOVERS = 2.0  # s of free motion make up for twice as many s of being held up
+_HELD_UP = 0.3  # of the requested speed: with less the robot is held up
 _LEAST_SHARE = 0.1  # of the limit: a slower request is no request to drive
-_COMFORT = 0.1  # m beyond the clearance of a corridor, as an object that moves needs more room
-_PASSAGE_REACH = (-0.2, 0.35)  # m before the axle at which walls on both sides are a passage
-_PASSAGE_WIDTHS = 1.4  # times the clearance to each side, at most
-_LEAD = (0.05, 0.3)  # m, of the point ahead of the axle
-_NEAR = 1.0  # m: others beyond that do not explain that the robot is blocked
+_COMFORT = 0.1  # m beyond the clearance of a corridor: a moving object needs more room than a wall
+_PASSAGE_REACH = (-0.2, 0.35)  # m ahead of the axle: walls there on both sides are a passage
+_PASSAGE_WIDTHS = 1.4  # times the clearance to each side: a wider passage is no passage
+_LEAD = (0.05, 0.3)  # m, the bounds of the distance of the point ahead of the axle
+_NEAR = 1.0  # m: farther tracks do not explain that the robot is blocked
 
 
 class Avoidance:
-    """Chooses a command that leads past the tracks.
+    """Chooses a command that leads past the tracks. Times are in s and come with each call.
 
-    `avoiding`: the track that the last request would have met first; None if it passed. `are_near`:
-    whether there are tracks near the robot. Times are in s and come with each call.
+    Attributes:
+        avoiding: the track that forbids the last request most; None if no track forbids it.
+        are_near: True if a track is within `_NEAR` m, and the robot is not in a passage.
     """
 
     def __init__(self, clearance: Clearance, limits: Limits) -> None:
@@ -78,9 +85,9 @@ class Avoidance:
         self._side, self._held, self.avoiding = _SIDE, 0.0, None
 
     def command(self, requested: Twist, safe: Twist, now: float, around: Surroundings) -> Twist:
-        """The command to ask for; `requested` itself if nothing is in its way.
+        """The command that replaces `requested`; `requested` itself if no object is in its way.
 
-        `safe` is the present command.
+        `safe` is the safe command in force, `around` has the tracks and walls.
         """
         self.avoiding = None
         self.are_near = any(math.hypot(track.x, track.y) < _NEAR for track in around.tracks)
@@ -91,9 +98,9 @@ class Avoidance:
             self.are_near = False
             return requested
         x, y = self._velocity(requested)
-        # Without its turn: others see the axle, and a turn that ends goes nowhere.
+        # Without the turn: other robots track the axle, which a turn does not move.
         own = safe.linear, safe.lateral
-        # A farther wall allows any speed of the base.
+        # A wall beyond `reach` forbids no velocity within the limits.
         beside = self._radius - _WALL_SLACK
         reach = beside + _WALL_HORIZON * self._limits.linear
         lines = wall_lines(around.walls, self._lead, *own, beside, reach, _WALL_HORIZON)
@@ -104,6 +111,7 @@ class Avoidance:
         if most_violated(lines, 0, x, y) < 0:
             self._held_up(now, 1.0)
             return requested
+        # Some line forbids the request: turn the request to the right if it is that of a track.
         met = most_violated(lines, walls, x, y)
         self.avoiding = around.tracks[met - walls] if met >= 0 else None
         side = self._side if self.avoiding is not None else self._side - _SIDE
@@ -119,12 +127,14 @@ class Avoidance:
         return self._body < width < 2.0 * widest
 
     def _held_up(self, now: float, share: float) -> None:
-        """Note that the robot may move at this share of the requested speed."""
-        passed = min(max(now - self._at, 0.0), 0.2)
+        """Update `_held`, the s for which the robot has been held up, and the angle `_side`.
+
+        `share` is the share of the requested speed at which the robot may move.
+        """
+        seconds = min(max(now - self._at, 0.0), _LONGEST_PERIOD)
         self._at = now
-        self._held = min(
-            max(self._held + (passed if share < _HELD_UP else -2.0 * passed), 0.0), 10.0
-        )
+        change = seconds if share < _HELD_UP else -_RECOVERS * seconds
+        self._held = min(max(self._held + change, 0.0), _MOST_HELD)
         self._side = min(_SIDE + _PATIENCE * max(self._held - _WAIT, 0.0), _MOST_SIDE)
 
     def _velocity(self, twist: Twist) -> tuple[float, float]:

@@ -1,11 +1,12 @@
 """Mode `barrier`: the command nearest to the requested one from which the robot can still stop.
 
-The speed at which the outline closes on a near return is linear in the twist. It must not exceed a
-cap from which the robot can still stop before the two touch, while the obstacle approaches at its
-assumed speed. The command is the one within these half-planes that is nearest to the requested one,
-reduced if the outline would not stay clear while the robot brakes. The zero command always
-satisfies the constraints, moving away is free except for a creep speed in contact, and far from
-obstacles a requested command passes bit by bit.
+The speed at which the outline closes on a near return is linear in the twist. A constraint keeps
+this speed at or below a cap. From the cap the robot can still stop before robot and obstacle touch,
+while the obstacle approaches at its assumed speed. Each constraint is a half-plane of permitted
+twists. The command is the permitted twist nearest to the requested command. The command is reduced
+further if the outline would not stay clear while the robot brakes. The zero command satisfies all
+constraints. Moving away from an obstacle is free, except that a robot in contact moves at creep
+speed. Far from obstacles a requested command passes unchanged, bit by bit.
 
 Sources: control barrier functions as command filters (Ames, Xu, Grizzle and Tabuada, IEEE TAC
 2017); for swarms Wang, Ames and Egerstedt, IEEE T-RO 2017; "passive safety", no own fault at
@@ -13,8 +14,8 @@ contact: Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017. Unlike theirs, all
 the robot's own lidar and odometry. docs/safety.md states what holds and under which assumptions.
 
 Cython compiles this file with its parts as one library, and CPython runs the files where they are
-not compiled (core/kernels.py). A NaN counts as the greatest and as the smallest number, so that a
-constraint that is not known forbids motion.
+not compiled (core/kernels.py). Each comparison is written so that a NaN makes a constraint
+stricter: an unknown constraint forbids motion.
 """
 
 from __future__ import annotations
@@ -68,11 +69,11 @@ else:
     from swarmd.core.cython_shadow import fabs, hypot
 
 SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
-"""m/s: a robot that is asked for more does not creep towards an obstacle."""
+"""m/s: a robot with a faster request does not creep towards an obstacle."""
 CREEP_GAIN = cython.declare(cython.double, 1e-6)
-"""By which creeping must be nearer to the requested command, in speeds over their limits."""
+"""How much nearer to the request creeping must come; the distance is that of the projection."""
 
-_decided = cython.declare(object, ModeDecision)  # a name of C is looked up once
+_decided = cython.declare(object, ModeDecision)  # a C name, so no lookup in each decision
 
 
 @cython.final
@@ -139,9 +140,10 @@ class Barrier:
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
 
-        The time of a scan is that of its newest ray. A scan that lacks a sector has the age of what
-        the conditioner remembers of that sector. A scan that is not newer than the last one by this
-        age is ignored: the last one is dead-reckoned, the remembered sector is not.
+        The time of a scan is the time of its newest ray. In a scan without a measured sector,
+        conditioning fills the sector with remembered rays, whose age counts. A scan whose newest
+        ray is not newer than that of the scan before is ignored: protection dead-reckons the scan
+        before, but not a remembered sector.
         """
         motion: ScanMotion = self._feasible.motion
         near: NearObstacles = self._feasible.near
@@ -168,10 +170,10 @@ class Barrier:
         self._feasible.situation.is_known = False
 
     def _newest_age(self, scan):
-        """How old the newest ray of a scan was on arrival in s, by the platform's latency.
+        """The age in s of the newest ray of a scan when the scan arrived.
 
-        Rays of the scan before, which fill a sector that a turn left unmeasured, change the mean of
-        the ages, but not this age; so conditioning states it.
+        Conditioning states this age (`newest_age`) where it filled a sector with rays of the scan
+        before. Otherwise the age follows from the platform's latency and the mean age of the rays.
         """
         if scan.newest_age is not None:
             return scan.newest_age
@@ -219,7 +221,7 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _judge(self, speed: cython.double, angular: cython.double) -> cython.int:
-        """1 if a request must be limited, to `_speeds`."""
+        """1 if a request must be limited; sets `_speeds` to the limited speeds."""
         axes: SpeedAxes = self._feasible.constraints.axes
         rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
@@ -241,7 +243,10 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _creep(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
-        """Take the command of a robot that creeps, if it is nearer to the requested command."""
+        """Set `_speeds` to the creeping command, if it is nearer to the requested command.
+
+        Creeping raises the caps, and lowers the envelope to CREEP_SPEED (envelope.py).
+        """
         axes: SpeedAxes = self._feasible.constraints.axes
         rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
@@ -264,5 +269,5 @@ class Barrier:
 
 
 def _rays_and_ranges(bearings: Array, nearest: Array) -> Array:
-    """(n, 3) unit vectors to hidden obstacles, and the m that each may be from the lidar."""
+    """(n, 3) unit vectors to hidden obstacles, and the least m of each from the lidar."""
     return np.column_stack((unit_vectors(bearings), nearest))

@@ -20,9 +20,10 @@ else:
     from swarmd.core import cython_shadow as cython
 
 SIDE_RESERVE = 0.3
-"""Share of `others_speed` by which a corner passes an obstacle more slowly, if none is given.
+"""Default of `side_reserve`, as a share of `others_speed`.
 
-With 0.25 an attacker met a Waffle Pi at 2.6 cm/s at a corner that slid past it, with 0.29 at 1.1.
+`side_reserve` in m/s lowers the speed at which a corner passes an obstacle. With a share of 0.25 an
+attacking robot touched a corner of a Waffle Pi that slid past at 2.6 cm/s, with 0.29 at 1.1 cm/s.
 """
 REACTION = cython.declare(cython.double, REACTION_TIME)
 """s from a decision to the first response of the base."""
@@ -69,7 +70,7 @@ class Assumptions:
         reserve = settings.side_reserve
         reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
         self.side_reserve = reserve if is_passive else 0.0
-        # Where a disc may touch the robot is not known well enough to creep past it.
+        # A range ring gives discs: where a disc may touch the robot is too uncertain to creep past.
         self.may_creep = platform.ranges is None and settings.keep_out is None and is_passive
 
     @cython.cfunc
@@ -83,7 +84,7 @@ class Assumptions:
     @cython.inline
     @cython.exceptval(check=False)
     def binding_range(self, age: cython.double) -> cython.double:
-        """The gap in m beyond which nothing binds; see BindingRange.for_scan_age."""
+        """The gap in m beyond which no return binds the robot; see BindingRange.for_scan_age."""
         gap: cython.double = self.fresh + (self.others + self.fastest) * age
         if not self.has_keep_out():
             return gap

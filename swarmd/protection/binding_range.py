@@ -16,13 +16,16 @@ REACTION_TIME = 0.05
 class BindingRange:
     """Gaps in m beyond which no obstacle constrains the robot; farther returns are ignored.
 
-    `own` m/s is the highest speed of the base in any direction, `fastest` m/s that of the robot's
-    surface, `fresh` m the gap for it at age 0. `surface` m/s is the highest speed of the surface
-    near obstacles. A command takes effect at most `stale` s after the middle of its scan.
+    Attributes:
+        own: m/s, the highest speed of the base in any direction.
+        surface: m/s, the highest speed of any place of the robot's surface near obstacles.
+        fastest: m/s, the highest speed of any place of the robot's surface anywhere.
+        fresh: m, the gap for a scan of age 0.
+        stale: s, the longest time from the middle of a scan until a command from it takes effect.
     """
 
     def __init__(self, platform: Platform, settings: BarrierSettings, tick: float) -> None:
-        """The next decision comes after `tick` s."""
+        """`tick`: s between two decisions."""
         self._limits, self._settings, self._tick = platform.limits, settings, tick
         self._scan, self._footprint = platform.scan, platform.footprint
         self._outer = float(np.hypot(*platform.footprint.T).max())
@@ -43,11 +46,11 @@ class BindingRange:
         return gap + settings.margin + settings.unseen_extent
 
     def for_age(self, age: float) -> float:
-        """The gap for an obstacle of that age in s: it and the robot may have approached since."""
+        """The gap for an obstacle seen `age` s ago: since then, both may have approached."""
         return self.fresh + (self._settings.others_speed + self.fastest) * age
 
     def for_scan_age(self, age: float) -> float:
-        """As `for_age`, for returns of a scan: they must stay out of the keep_out circle, too."""
+        """As `for_age`, for returns of a scan; they must also stay out of the keep_out circle."""
         settings, speed = self._settings, self.fastest
         gap = self.for_age(age)
         if settings.keep_out is None:

@@ -1,22 +1,27 @@
 """Memory of obstacles in the blind zone of a sensor that reports nothing closer than range_min.
 
-Such a sensor gives no return for an obstacle inside its blind zone. So a ray with a return proves
-its part of the zone empty; a ray without one may be hidden or see nothing. `BlindZoneMemory` works
-by these rules:
+The blind zone is the circle of range_min around the sensor; its border is the rim. A ray with a
+return proves that the part of the ray inside the zone is free. An empty ray (without a return) may
+end at an obstacle inside the zone, or see nothing. An empty sector is a run of empty rays.
+`BlindZoneMemory` works by these rules:
 
-- An obstacle becomes hidden when it was near the rim, may have crossed it, no return lies near its
-  place any more, and the rays there are empty. It then approaches unseen at the assumed speed.
-- An obstacle too wide to vanish continues inside where returns show it crossing the rim: at one
-  end of an empty sector, the part seen there last becomes hidden; at both ends, the obstacle fills
-  the sector, no nearer than a square corner between the ends.
-- A hidden obstacle moves with its empty sector and fills it unless the sector is too wide.
-- It is forgotten once returns show its place to be empty, once it reappears, or once the robot has
-  moved away by its own commands: what pushes a robot moves with it. Without these exits a memory
-  would hold the robot for ever. It does not expire by time, since a robot may be held in contact
-  for minutes.
-- It has reappeared once more of an obstacle came into view beside the rim than noise shows. In the
-  open, rays without return cannot show that the rest has left: what this obstacle may have been,
-  too, and what only continued a face, expires then.
+1. An obstacle becomes hidden if it was near the rim, may have crossed it since, has no return near
+   its place any more, and the rays there are empty. A hidden obstacle then approaches at the
+   assumed speed.
+2. An obstacle too wide to vanish may cross the rim, which returns at the end of an empty sector
+   show. If it crosses at one end, the part seen there last becomes hidden. If obstacles cross at
+   both ends, they count as one obstacle that fills the sector, and is no nearer than a square
+   corner between the ends.
+3. A hidden obstacle moves with its empty sector, and fills the sector unless that is too wide.
+4. A hidden obstacle is forgotten once returns show its place free, once it reappears, or once the
+   robot has moved away by its own commands. Motion without commands does not count, since an
+   obstacle that pushes the robot moves with it. Without these exits the memory would hold the robot
+   for ever. There is no expiry by time (except by rule 5, and in a sector too narrow for a robot),
+   since a robot may be held in contact for minutes.
+5. An obstacle has reappeared once more of it came into view beside the rim than noise can show. The
+   hidden obstacles near that place are forgotten. Hidden obstacles farther away, which may have
+   been the same obstacle, become doubtful, as do obstacles that only continue a face. In the open,
+   empty rays cannot show that a doubtful obstacle has left, so it expires there by time.
 """
 
 from __future__ import annotations
@@ -60,7 +65,7 @@ else:
 
 # s for which an empty sector too narrow for a robot, and a doubtful obstacle, are remembered
 _NARROW_MEMORY = cython.declare(cython.double, 2.0)
-# s: the age with which a doubtful obstacle begins to age
+# s: the age of an obstacle that becomes doubtful; in the open, only ages above 0 grow
 _DOUBTFUL = cython.declare(cython.double, 1e-3)
 # of range_min: a robot that moved this far has left hidden obstacles behind
 _FORGET_DISTANCE = cython.declare(cython.double, 2.0)
@@ -69,9 +74,9 @@ _RANGE_NOISE = cython.declare(cython.double, 0.03)  # m
 _MIN_HIDDEN_RANGE = cython.declare(cython.double, 0.6)
 # m by which the visible part of an obstacle may change beside its motion
 _SHAPE_CHANGE = cython.declare(cython.double, 0.05)
-# near returns compared: they lie within 1 cm of one another then
+# near returns that are compared at most: with so many, neighbours lie within 1 cm
 _MAX_POINTS = cython.declare(cython.Py_ssize_t, 720)
-# rays side by side without a return; fewer are drop-outs
+# empty rays side by side that are an empty sector; fewer are drop-outs
 _MIN_EMPTY_RUN = cython.declare(cython.Py_ssize_t, 4)
 _MIN_WIDTH = cython.declare(cython.double, 0.07)  # m: no robot that a lidar sees is narrower
 # m of an obstacle that come into view as it leaves the zone: noise at a rim shows 1 cm in and out
@@ -80,7 +85,7 @@ _MIN_EMERGED = cython.declare(cython.double, 0.035)
 _MAX_SECTOR = cython.declare(cython.double, math.radians(120.0))
 # a near face hides less of the horizon than this
 _MAX_FACE = cython.declare(cython.double, math.pi)
-# beside an empty sector, at most, from which a face is extrapolated
+# rays beside an empty sector, at most, from which a face is extrapolated
 _EDGE_RAYS = cython.declare(cython.Py_ssize_t, 8)
 # m by which a face approaches over these rays, more than noise does
 _MIN_APPROACH = cython.declare(cython.double, 0.02)
@@ -121,7 +126,7 @@ def _apart(angle: cython.double, direction: cython.double) -> cython.double:
 @cython.inline
 @cython.exceptval(check=False)
 def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """i modulo n, for i below 2 n: to divide is slow."""
+    """i modulo n, for i below 2 n, without a slow division."""
     return i - n if i >= n else i
 
 
@@ -129,7 +134,7 @@ def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
 def _nearest(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
 ) -> cython.Py_ssize_t:
-    """The place of the nearest of n > 0 rising angles."""
+    """The index of the angle nearest to `wanted`, of n > 0 rising angles."""
     angle: cython.double = _mod(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
@@ -149,7 +154,7 @@ def _nearest(
 
 @cython.cfunc
 def _has_near(ranges: cython.const[cython.double][::1], limit: cython.double) -> cython.bint:
-    """True if a ray has a return up to a limit."""
+    """True if a ray has a return with a range up to `limit` m."""
     i: cython.Py_ssize_t
     for i in range(ranges.shape[0] if cython.compiled else len(ranges)):
         if -INFINITY < ranges[i] <= limit:
@@ -161,11 +166,12 @@ _NOTHING = np.empty(0)
 
 
 def _zeros(n, kind=np.float64):
-    """A buffer of n numbers; of numbers of Python in CPython."""
+    """A buffer of n zeros; in CPython a list."""
     return np.zeros(n, kind) if cython.compiled else np.zeros(n, kind).tolist()
 
 
 def _grown(old, n):
+    """A buffer of n numbers that begins with those of `old`."""
     new = _zeros(n)
     new[: len(old)] = old
     return new
@@ -173,9 +179,10 @@ def _grown(old, n):
 
 @cython.cclass
 class BlindZoneMemory:
-    """Hidden obstacles by their `bearings` (n,), in rad in the base frame of the last scan.
+    """The hidden obstacles of one sensor, in the base frame of the last scan.
 
-    `nearest` (n,) m from the sensor: no hidden obstacle along the bearings is nearer.
+    `bearings` (n,) in rad: a hidden obstacle may lie along each. `nearest` (n,) in m from the
+    sensor: the obstacle along the bearing is no nearer.
     """
 
     bearings = cython.declare(object, visibility="readonly")
@@ -198,7 +205,8 @@ class BlindZoneMemory:
     _nearest_of: cython.double[::1]
     _face_of: cython.uchar[::1]
     _exact: cython.double[::1]
-    # Empty sectors: the first ray, the number of rays, and what `_EmptySector` has.
+    # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
+    # crosses the rim, and m to the square corner of rule 2.
     _sectors: cython.Py_ssize_t
     _first: cython.Py_ssize_t[::1]
     _width: cython.Py_ssize_t[::1]
@@ -214,7 +222,7 @@ class BlindZoneMemory:
     _were_empty: cython.Py_ssize_t
     _empty_bearing: cython.double[::1]
     _turned: cython.double[::1]
-    # Angles that rise, to search in, and the rays to which they belong.
+    # `_found` rising angles, in which `_nearest` searches, and the rays to which they belong.
     _found: cython.Py_ssize_t
     _angle: cython.double[::1]
     _ray: cython.Py_ssize_t[::1]
@@ -235,7 +243,11 @@ class BlindZoneMemory:
     _vanished: cython.double
 
     def __init__(self, range_min: float, speed: float, period: float) -> None:
-        """Blind within `range_min` m; obstacles approach at up to `speed` m/s; `period` s."""
+        """Begin without hidden obstacles.
+
+        `range_min` in m is the radius of the blind zone, `speed` in m/s the highest speed at which
+        obstacles approach, `period` in s the time between two scans.
+        """
         self._blind, self._speed, self._period = range_min, speed, period
         # rad: the narrowest sector in which a robot may be hidden
         self._narrow = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
@@ -255,10 +267,10 @@ class BlindZoneMemory:
     def update(
         self, scan: Scan, geometry: ScanGeometry, moved: Pose, driven: Pose, seconds: float
     ) -> None:
-        """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then.
+        """Take in a scan, taken `seconds` after the scan before.
 
-        `driven` is the part of it that the robot's own commands explain: only that counts as moving
-        away from hidden obstacles. What pushes a robot moves with it.
+        `moved` is the motion since the scan before. `driven` is the part of this motion that the
+        robot's own commands explain; only this part counts as moving away (rule 4).
         """
         table = np.ascontiguousarray(scan.ranges, np.float64)
         given: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
@@ -268,7 +280,7 @@ class BlindZoneMemory:
         self._y, self._old_y = self._old_y, self._y
         self._old_points, self._points = self._points, 0
         if not (self._old_points or self._hidden or _has_near(given, limit)):
-            return  # as mostly; what was not seen in this scan matters to hidden obstacles alone
+            return  # the usual case: no obstacle is near, was near or is hidden
         if scan.bearings is not self._given:
             self._set_bearings(scan.bearings)
         n: cython.Py_ssize_t = self._n
@@ -295,7 +307,7 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _set_bearings(self, bearings):
-        """Take the rays of other bearings; those of a robot that moves differ with each scan."""
+        """Take new bearings of the rays, and sort the rays by them."""
         table = np.ascontiguousarray(bearings, np.float64)
         values: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
         n: cython.Py_ssize_t = len(values)
@@ -314,9 +326,10 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
-        """Order the rays by rising angles, equal ones as they are; false: too disordered for this.
+        """Order the rays by rising angles with a stable insertion sort; False if this is too slow.
 
-        From the lowest one on most sensors' angles rise, or fall, but for a few: an insertion sort.
+        The angles of most sensors rise or fall from the lowest angle on, with few exceptions, so an
+        insertion sort from there is fast.
         """
         n: cython.Py_ssize_t = self._n
         first: cython.Py_ssize_t = 0
@@ -346,7 +359,7 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _reserve(self, size: cython.Py_ssize_t):
-        """Room for so many rays; keeps what is remembered."""
+        """Make room for `size` rays; the hidden obstacles and the near points are kept."""
         self._reserved = size
         self._order = _zeros(size, np.int64)
         self._bearing, self._rising = _zeros(size), _zeros(size)
@@ -360,7 +373,7 @@ class BlindZoneMemory:
         self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
         self._empty_bearing = _grown(self._empty_bearing, size)
         self._angle, self._turned = _zeros(size), _zeros(size)
-        # As many vanish as there were near points, beside as many hidden ones as there were rays.
+        # Candidates: at most a hidden obstacle for each ray, and one for each earlier near point.
         self._bearings = self._hidden_at = _grown(self._hidden_at, 2 * size)
         self._ranges = self._near = _grown(self._near, 2 * size)
         self._age, self._is_face = _grown(self._age, 2 * size), _grown(self._is_face, 2 * size)
@@ -370,7 +383,7 @@ class BlindZoneMemory:
     def _leave(
         self, driven_x: cython.double, driven_y: cython.double, turned: cython.double
     ) -> cython.int:
-        """Move the place at which the last obstacle became hidden, as seen from the robot."""
+        """Update the place at which the last obstacle became hidden, in the base frame."""
         c: cython.double = cos(turned)
         s: cython.double = sin(turned)
         x: cython.double = self._entered_x - driven_x
@@ -389,7 +402,7 @@ class BlindZoneMemory:
         seconds: cython.double,
         step: cython.double,
     ):
-        """Find the obstacles that are hidden now; `step` is the m one can move per scan."""
+        """Find the obstacles that are hidden now; `step` in m is their motion between two scans."""
         n: cython.Py_ssize_t = self._n
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -399,6 +412,7 @@ class BlindZoneMemory:
         if not self._sectors:
             self._keep(0)
             return
+        # Mark the rays of sectors that an obstacle enters across the rim.
         is_entered: cython.bint = False
         for i in range(n):
             self._inside[i] = False
@@ -407,6 +421,7 @@ class BlindZoneMemory:
                 is_entered = True
                 for i in range(self._first[k], self._first[k] + self._width[k]):
                     self._inside[_wrapped(i, n)] = True
+        # Let the hidden obstacles approach, and add those that have vanished.
         for i in range(self._hidden):
             self._hidden_at[i] -= turned
             self._near[i] = max(self._near[i] - self._speed * seconds, 0.0)
@@ -419,6 +434,7 @@ class BlindZoneMemory:
             return
         if self._candidates > self._hidden or is_entered:
             self._entered_x = self._entered_y = 0.0
+        # Give each candidate a ray, extend the obstacles over their sectors, and keep the rays.
         self._place(turned, step)
         self._fill(seconds)
         k = 0
@@ -431,6 +447,7 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _keep(self, count: cython.Py_ssize_t):
+        """Keep the first `count` hidden obstacles, and publish them in `bearings`, `nearest`."""
         self._hidden = count
         if not count:
             self._emerged = self._vanished = 0.0
@@ -439,7 +456,7 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _find_sectors(self) -> cython.int:
-        """Find the runs of rays without return, `_MIN_EMPTY_RUN` at least."""
+        """Find the empty sectors: runs of at least `_MIN_EMPTY_RUN` empty rays."""
         n: cython.Py_ssize_t = self._n
         i: cython.Py_ssize_t
         first: cython.Py_ssize_t = 0
@@ -453,7 +470,7 @@ class BlindZoneMemory:
             if n >= _MIN_EMPTY_RUN:
                 self._add_sector(0, n)
             return 0
-        # Behind a ray with a return, so that no run spans the end of the arrays.
+        # Begin at a ray with a return, so that no run spans the end of the arrays.
         last: cython.Py_ssize_t = first + n
         i = first
         while i < last:
@@ -488,7 +505,12 @@ class BlindZoneMemory:
     def _crosses_rim(
         self, ray: cython.Py_ssize_t, direction: cython.Py_ssize_t, is_flat: cython.bint
     ) -> cython.bint:
-        """True if the face seen beside an empty sector lies within the rim one ray further in."""
+        """True if an obstacle beside an empty sector crosses the rim into the sector.
+
+        `ray` is the ray beside the sector, `direction` (1 or -1) leads away from the sector. In a
+        narrow sector (`is_flat`) the range at the ray must be near the rim. In a wide sector the
+        ranges must fall towards the sector, so that the face lies within the rim one ray further.
+        """
         n: cython.Py_ssize_t = self._n
         if is_flat:
             return self._range[ray] <= self._blind + _MAX_SLOPE
@@ -524,11 +546,15 @@ class BlindZoneMemory:
         step: cython.double,
         is_entered: cython.bint,
     ) -> cython.int:
-        """Add the earlier returns that may have crossed the rim and are not seen any more."""
+        """Add the near returns of the scan before that may have crossed the rim as candidates.
+
+        A return is a candidate if no return lies near its place any more, or if an obstacle enters
+        its sector. Also updates `_emerged` and `_vanished`, in m of obstacle beside the rim.
+        """
         stride: cython.Py_ssize_t = 1 + self._points // _MAX_POINTS
         limit: cython.double = step + _SHAPE_CHANGE
         is_gone: cython.bint
-        start: cython.Py_ssize_t = 0  # neighbours are seen again beside one another
+        start: cython.Py_ssize_t = 0  # search from the last match: neighbours lie side by side
         count: cython.Py_ssize_t = (self._points + stride - 1) // stride
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
@@ -568,7 +594,10 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _place(self, turned: cython.double, step: cython.double) -> cython.int:
-        """Give each candidate that is still hidden its ray."""
+        """Give each candidate that is still hidden its ray, by rules 3 to 5.
+
+        Sets age, distance and kind of the obstacle of each ray; an age of inf: no obstacle.
+        """
         n: cython.Py_ssize_t = self._n
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -615,7 +644,10 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _find_reappeared(self, turned: cython.double, step: cython.double) -> cython.int:
-        """Find the returns near the rim whose rays were empty in the last scan."""
+        """Find the returns near the rim whose rays were empty in the scan before.
+
+        Sets `_angle` to their angles, `_found` to their number, and adds to `_emerged`.
+        """
         n: cython.Py_ssize_t = self._n
         count: cython.Py_ssize_t = self._were_empty
         i: cython.Py_ssize_t
@@ -638,7 +670,7 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _turn_empty(self, turned: cython.double) -> cython.int:
-        """Keep the bearings of rays that were empty as rising angles, in the present frame."""
+        """Set `_turned` to the rising angles of the rays that were empty, in the present frame."""
         count: cython.Py_ssize_t = self._were_empty
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
@@ -658,7 +690,11 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
-        """Extend each hidden obstacle over its empty sector."""
+        """Extend each hidden obstacle over its empty sector, and let doubtful ones grow older.
+
+        Four kinds of sectors, in order: obstacles cross the rim at both ends; a hidden obstacle in
+        a sector that is not too wide; no crossing; else the rays stay as they are.
+        """
         n: cython.Py_ssize_t = self._n
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t

@@ -1,7 +1,7 @@
-"""Buffers of numbers of the kernel `barrier`, and comparisons that NaN decides.
+"""Buffers of numbers of the kernel `barrier`, and comparisons with defined results for NaN.
 
-Part of the library of barrier.py. A loop reads a buffer by the pointer that `checked` gives: one
-check of the length before the loop, and not one at each number.
+Part of the library of barrier.py. A loop reads a buffer by the pointer that `checked` gives. So the
+length is checked once before the loop, and not at each number.
 """
 
 from __future__ import annotations

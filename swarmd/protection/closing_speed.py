@@ -1,4 +1,4 @@
-"""The speed at which the outline may close on an obstacle: caps of mode `barrier`.
+"""The highest speed at which the outline may close on an obstacle: the caps of mode `barrier`.
 
 Part of the library of barrier.py. Units: m, s, rad.
 """
@@ -22,12 +22,12 @@ else:
 DECISION_PERIOD = cython.declare(cython.double, TICK)
 """s between two decisions, for which a command stands."""
 CREEP_SPEED = cython.declare(cython.double, 0.015)
-"""m/s: the fastest corner in contact, where part of the obstacle may be unseen.
+"""m/s: the highest speed of any corner in contact, where part of the obstacle may be unseen.
 
-Also that of a robot that creeps towards an obstacle which stops any faster robot.
+A robot may also creep at this speed towards an obstacle that stops any faster robot.
 """
 MIN_BRAKING = cython.declare(cython.double, 0.02)
-"""m/s2, for constraints that hardly any motion closes."""
+"""m/s2: the least braking assumed, for places that hardly close on an obstacle at any speed."""
 
 
 @cython.cfunc
@@ -40,13 +40,14 @@ def closing_cap(
     others: cython.double,
     is_passive: cython.bint,
 ) -> cython.double:
-    """The cap in m/s on the closing speed, for an obstacle that approaches at `others` m/s.
+    """The highest closing speed s in m/s from which the robot can stop in time.
 
-    From the cap the robot can still stop before robot and obstacle use up `room` m, the gap less
-    what stays free. `braking` m/s2 is the rate at which the closing speed can fall, `unseen` s the
-    time since the obstacle was seen. Solves
-    s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with moving
-    obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
+    Robot and obstacle together use at most `room` m: the gap less the distance that must stay free.
+    `braking` in m/s2 is the rate b at which the closing speed can fall. `unseen` in s is the time
+    since the obstacle was seen. `others` in m/s is the speed V at which the obstacle approaches.
+    Solves s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with
+    moving obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
+    If not `is_passive`, the result is that of `reciprocal_cap`.
     """
     if not is_passive:
         return reciprocal_cap(room, braking, unseen)
@@ -62,10 +63,11 @@ def closing_cap(
 def reciprocal_cap(
     room: cython.double, braking: cython.double, unseen: cython.double
 ) -> cython.double:
-    """The cap in m/s towards robots with the same rule: each may use half of the room.
+    """The highest closing speed in m/s towards a robot that keeps the same rule.
 
-    As `closing_cap`, with others at rest and a reaction of two ticks plus the time unseen. After
-    barrier certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
+    Each of the two robots may use half of the room. The equation is that of `closing_cap` with
+    V = 0, half of the room, and a reaction time of two ticks plus `unseen`. After barrier
+    certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
     """
     half: cython.double = 0.5 * maximum(room, 0.0)
     first: cython.double = braking * (2.0 * DECISION_PERIOD + unseen)
@@ -78,9 +80,10 @@ def reciprocal_cap(
 def closing_deceleration(
     linear: cython.double, lever: cython.double, slowing: cython.double, turning: cython.double
 ) -> cython.double:
-    """m/s2: the rate at which the closing speed of a constraint can fall.
+    """The rate in m/s2 at which the closing speed of a place of the outline can fall.
 
-    `slowing` m/s2 and `turning` rad/s2 are the rates at which the two speeds can fall.
+    `linear` and `lever` are as in `Constraints._add`. `slowing` in m/s2 and `turning` in rad/s2 are
+    the rates at which the linear and the angular speed can fall.
     """
     braking: cython.double = fabs(linear) * slowing
     braking += fabs(lever) * turning

@@ -1,7 +1,8 @@
-"""Whether a robot sees a peer and is prepared for its speed. Pure.
+"""Whether a robot's lidar sees a peer, and whether protection assumes the peer's speed. Pure.
 
-Protection avoids what the scan shows, and computes with `others_speed`. A peer below or above the
-scan plane is not in the scan; a peer with a higher `surface_speed` comes nearer than computed.
+Protection avoids what the scan shows, and assumes that others move at most at `others_speed`. A
+peer below or above the scan plane is not in the scan. A peer with a higher `surface_speed` comes
+nearer than protection computes.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ ACCEPTS_NONE = Accepts()
 
 
 def body_of(platform: Platform) -> Body:
-    """What a robot of this platform tells of its body."""
+    """The `Body` that a robot of this platform sends to its peers."""
     barrier, speed = barrier_settings(platform), fastest_corner(platform)
     if barrier is not None:
         reach, within = BindingRange(platform, barrier, TICK), barrier.envelope_within
-        # Another robot that comes nearer than it may bind this one meets it at any speed.
+        # If the envelope holds wherever a constraint may bind, `surface_speed` is kept near others.
         if within is None or within >= reach.for_envelope():
             speed = reach.surface
     heights = platform.heights
@@ -72,14 +73,14 @@ def fastest_corner(platform: Platform) -> float:
 
 
 def sees(own: Body, peer: Body) -> bool | None:
-    """Whether the own scan plane meets the peer; None if a height is not known."""
+    """True if the own scan plane cuts the peer's body; None if a height is not known."""
     if own.scan_plane is None or peer.lowest is None or peer.highest is None:
         return None
     return peer.lowest <= own.scan_plane <= peer.highest
 
 
 def assumed_speed(platform: Platform) -> float | None:
-    """The speed of others in m/s that protection computes with; None: its mode assumes none."""
+    """The speed of others in m/s that protection assumes; None except in mode `barrier`."""
     barrier = barrier_settings(platform)
     return None if barrier is None else barrier.others_speed
 
@@ -94,9 +95,10 @@ def barrier_settings(platform: Platform) -> BarrierSettings | None:
 def findings(
     own: Body, others_speed: float | None, robot: str, peer: Body | None, accepts: Accepts
 ) -> Iterator[PeerFinding]:
-    """What stands between a robot and its peer `robot`; nothing if both fit.
+    """Reasons why this robot does not fit its peer `robot`; none if both fit.
 
-    `peer` None: it tells nothing of its body. `others_speed`: what the own protection assumes.
+    `peer` is the body that the peer sent; None: the peer sent none. `others_speed` in m/s is what
+    the own protection assumes.
     """
     if peer is None:
         text = "tells nothing of its body, as an older version: whether it is seen is not known"
@@ -138,7 +140,10 @@ def faster_text(peer: Body, others_speed: float) -> str:
 def _granted(
     robot: str, kind: Literal["unseen", "faster"], text: str, reason: str | None
 ) -> PeerFinding:
-    """A finding that holds the robot unless it is accepted: `reason` is then not None."""
+    """A finding that holds the robot unless the configuration accepts the peer.
+
+    `reason` is that of the acceptance, perhaps empty; None: not accepted.
+    """
     if reason is None:
         text += f"; see accepts_{kind}"
     else:

@@ -1,7 +1,10 @@
 """The constraints of mode `barrier` in the plane of the two speeds, and the points behind them.
 
-Part of the library of barrier.py. A row is a constraint a x + b y <= cap on the two speeds, each
-over its limit. Units: m, s, rad, in the predicted base frame.
+Part of the library of barrier.py. A constraint is an inequality a x + b y <= cap. x and y are the
+linear and the angular speed of the command, each divided by its limit; the cap in m/s is the
+highest speed at which a place of the outline may close on a point. `ConstraintRows` holds one
+constraint a row, so names in the code say row for constraint. Units: m, s, rad, in the predicted
+base frame.
 """
 
 from __future__ import annotations
@@ -42,9 +45,9 @@ else:
 SIDE_ANGLE = math.radians(60.0)
 """rad between a return and its two side constraints."""
 ROWS_OF_A_POINT = cython.declare(cython.Py_ssize_t, 6)
-"""Rows that a point has at most, beside those of the corners."""
+"""Constraints that a point has at most, beside those of the corners."""
 ENVELOPE_ROWS = cython.declare(cython.Py_ssize_t, 48)
-"""Rows of the envelope of speeds."""
+"""Constraints of the envelope of speeds."""
 
 _SLACK = cython.declare(cython.double, 1e-6)  # far beyond BINDING_TOLERANCE
 _NEAREST = cython.declare(cython.double, 1e-9)  # m: a point at a corner or at the lidar
@@ -74,11 +77,11 @@ def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
 @cython.final
 @cython.cclass
 class ConstraintRows:
-    """Rows of constraints: those with a point first, then those of the envelope."""
+    """A table of constraints: first those with a point, then those of the envelope."""
 
-    count: cython.Py_ssize_t  # without the envelope
-    all: cython.Py_ssize_t  # with it
-    # a, b and cap of a x + b y <= cap; for reports the gap in m, and the index of the point.
+    count: cython.Py_ssize_t  # constraints without the envelope
+    all: cython.Py_ssize_t  # constraints with the envelope
+    # a, b and cap of a x + b y <= cap; for reports the gap in m, and the index of the placed point.
     x: cython.double[::1]
     y: cython.double[::1]
     cap: cython.double[::1]
@@ -91,7 +94,7 @@ class ConstraintRows:
     @cython.cfunc
     @cython.exceptval(-1)
     def reserve(self, room: cython.Py_ssize_t) -> cython.int:
-        """Make the arrays as long; what they hold is lost where they are not."""
+        """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) < room:
             self._allocate(room + room // 2)
         return 0
@@ -112,7 +115,7 @@ class ConstraintRows:
         gap: cython.double,
         source: cython.Py_ssize_t,
     ) -> cython.int:
-        """Add a row; there must be room."""
+        """Add a constraint; `reserve` must have made room."""
         at: cython.Py_ssize_t = self.count
         self.x[at], self.y[at] = x, y
         self.cap[at], self.gap[at] = cap, gap
@@ -124,11 +127,14 @@ class ConstraintRows:
 @cython.final
 @cython.cclass
 class PlacedPoints:
-    """The points of one decision in the predicted base frame: seen ones, then told discs."""
+    """The points of one decision in the predicted base frame.
 
-    seen: cython.Py_ssize_t
-    contacts: cython.Py_ssize_t  # the first of the seen points
-    discs: cython.Py_ssize_t
+    The returns of the scan come first, then the centres of discs (see `ToldDiscs`).
+    """
+
+    seen: cython.Py_ssize_t  # number of returns
+    contacts: cython.Py_ssize_t  # how many returns, the first ones, are in contact
+    discs: cython.Py_ssize_t  # number of discs
     x: cython.double[::1]
     y: cython.double[::1]
     gap: cython.double[::1]  # m from the outline
@@ -139,7 +145,7 @@ class PlacedPoints:
     radius: cython.double[::1]  # m, of a disc
     normal_x: cython.double[::1]  # the unit vector from the outline
     normal_y: cython.double[::1]
-    first_row: cython.longlong[::1]
+    first_row: cython.longlong[::1]  # the index of the first constraint of each point
     in_touch_zone: cython.longlong[::1]  # 1 for a seen point that the robot may touch
 
     def __init__(self) -> None:
@@ -148,9 +154,9 @@ class PlacedPoints:
     @cython.cfunc
     @cython.exceptval(-1)
     def reserve(self, room: cython.Py_ssize_t) -> cython.int:
-        """Make the arrays as long; what they hold is lost where they are not."""
+        """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) < room:
-            self._allocate(room + room // 2)  # or they would be made anew with each point more
+            self._allocate(room + room // 2)  # else each further point would make new arrays
         return 0
 
     def _allocate(self, room):
@@ -166,7 +172,7 @@ class PlacedPoints:
 @cython.final
 @cython.cclass
 class Constraints:
-    """The rows of one decision, made of the placed points."""
+    """The constraints of one decision, made of the placed points."""
 
     rows: ConstraintRows
     placed: PlacedPoints
@@ -198,7 +204,10 @@ class Constraints:
     def begin(
         self, near: NearObstacles, discs: cython.Py_ssize_t, furthest: cython.double
     ) -> cython.int:
-        """Drop all rows; make room for those of near points within `furthest` m, and of discs."""
+        """Drop all constraints, and make room for the points and constraints of a decision.
+
+        The points are those of `near` with a gap below `furthest` m, and `discs` discs.
+        """
         points: Points = near.points
         count: cython.Py_ssize_t = 0
         while count < points.count and not (points.gap[count] >= furthest):
@@ -222,10 +231,11 @@ class Constraints:
         age: cython.double,
         free: cython.double,
     ) -> cython.int:
-        """Add the rows of near obstacles, whose scan was taken at `frame` in the base frame.
+        """Place the points that `begin` counted, and add their constraints.
 
-        `age` in s: of the newest ray when the command takes effect; `free` m stay free around each
-        point. The points of `begin` are placed; those that cannot bind are left out.
+        `frame` is the pose at which the scan was taken, in the predicted base frame. `age` in s is
+        that of the newest ray when the command takes effect. `free` m stay free around each point.
+        Points too far away to constrain any command within the limits are left out.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
@@ -243,7 +253,7 @@ class Constraints:
         while point < count:
             i = 0
             while point < count and i < CHUNK:
-                # A later ray leaves an obstacle less time to come near: a tenth drops out.
+                # A younger ray leaves an obstacle less time to come near: a tenth drops out.
                 if not (gaps[point] >= assumptions.binding_range(age + ages[point])):
                     x: cython.double = xs[point]
                     y: cython.double = ys[point]
@@ -269,7 +279,11 @@ class Constraints:
     def _add_contacts(
         self, rays: Points, cos_yaw: cython.double, sin_yaw: cython.double
     ) -> cython.int:
-        """Stop all motion towards contacts, and along the rays that do not measure them."""
+        """Forbid all motion towards contacts (returns too close to measure), and along their rays.
+
+        Sets the cap of the first constraint of each contact to 0, and adds a constraint with cap 0
+        in the direction of its ray.
+        """
         i: cython.Py_ssize_t
         axes: SpeedAxes = self.axes
         placed: PlacedPoints = self.placed
@@ -292,11 +306,12 @@ class Constraints:
         age: cython.double,
         moved: cython.double,
     ) -> cython.int:
-        """Add the rows of a disc around a place in the base frame, as the placed point `point`.
+        """Add the constraints of a disc around a place in the base frame, as placed point `point`.
 
-        The gap to a disc is that to its centre less its radius, along the same line. So its radius
-        adds to what must stay free around the centre, as that of unseen parts does for returns.
-        `age` in s: of the place; `moved` m: what the outline may have moved beside its odometry.
+        The gap to a disc is the gap to its centre less its radius. So the radius is added to the
+        distance that must stay free around the centre, as the extent of unseen parts is for
+        returns. `age` in s is that of the place. `moved` in m is how far the outline may have moved
+        since the newest odometry.
         """
         chunk: Chunk = self._chunk
         least: cython.double = self._assumptions.margin + radius
@@ -310,7 +325,12 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
-        """Place the points of the chunk, which become those from `first` on, and add their rows."""
+        """Place the points of the chunk, and add their constraints.
+
+        The points become the placed points from `first` on. First comes one constraint for each
+        point, that of the nearest place of the outline; then come the constraints for obstacles
+        that are passed sideways or approach from the side.
+        """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
@@ -357,7 +377,10 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _place_chunk(self, first: cython.Py_ssize_t) -> cython.int:
-        """Keep the points of the chunk as those from `first` on; their rows come next."""
+        """Copy the points of the chunk to the placed points from `first` on.
+
+        Sets the indices of their first constraints, which the caller adds next.
+        """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
@@ -405,7 +428,11 @@ class Constraints:
         gap: cython.double,
         source: cython.Py_ssize_t,
     ) -> cython.int:
-        """Add the row of a place that moves at `linear` shares of the speed and has a lever."""
+        """Add the constraint of a place of the outline in one direction.
+
+        `linear` is the share of the linear speed in this direction. `lever` in m is the speed of
+        the place in this direction, for each rad/s of the angular speed.
+        """
         axes: SpeedAxes = self.axes
         self.rows.add(linear * axes.limit, lever * axes.angular_limit, cap, gap, source)
         return 0
@@ -413,14 +440,14 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_sides(self, first: cython.Py_ssize_t) -> cython.int:
-        """Two rows for each point of the chunk whose cap is 0: obstacles that are passed sideways.
+        """Add two side constraints for each point of the chunk whose cap is 0.
 
-        A robot that slides along a face does not close on it, as long as the face stands still. Two
-        robots that slide towards the same place each pass what they saw there last, until their
-        corners meet: a moving obstacle may no longer be where it was seen. So the corners that are
-        foremost 60 degrees to either side of the obstacle may approach only so fast that two such
-        robots do not touch before both have a new scan. The creep speed is always allowed. Moving
-        away stays free.
+        The cap of a point is 0 where the obstacle is so near that the robot must not close on it.
+        The robot may still pass the obstacle sideways. But a moving obstacle may no longer be where
+        the scan showed it: two robots may slide past each other's last place until their corners
+        meet. So the two corners that are foremost 60 degrees to either side of the direction to the
+        point get a speed limit in these directions. Under the limit, two such robots do not touch
+        before both have a new scan. CREEP_SPEED is always allowed, and moving away stays free.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -459,7 +486,10 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_side(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
-        """The rows of one side: of the foremost corner in the directions `edge_x`, `edge_y`."""
+        """Add the side constraints of one side, for the points whose cap is 0.
+
+        The corner that is foremost in the direction `edge_x`, `edge_y` of a point is constrained.
+        """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
@@ -491,13 +521,18 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_approaching(self, first: cython.Py_ssize_t) -> cython.int:
-        """At most one row for each way along the motion: obstacles that come from the side.
+        """Limit the linear speed early, for obstacles that may approach from the side.
 
-        No motion closes on an obstacle beside the robot, until it slides to a corner. Its side
-        rows begin when its cap is 0: too late to brake, a Waffle Pi was still at 0.09 m/s then. So
-        the robot brakes before, to the speed that these rows then allow. The time until the cap is
-        0 leaves a tick, for which the command stands. A turn is not braked for here: its brake
-        takes nothing off a speed ahead, and the stop check regards what swings outwards.
+        The side constraints of an obstacle beside the robot begin to hold once its cap is 0. To
+        brake only then is too late: a Waffle Pi still moved at 0.09 m/s. So this function assumes
+        that the obstacle approaches at `others_speed`, and limits the linear speed now to
+
+            the speed that the side constraints will allow once the cap is 0
+            + the speed that the brake can take off until then.
+
+        Only the strictest limit ahead and the strictest limit back are added, so at most two
+        constraints. The angular speed is not limited here: braking a turn does not reduce the speed
+        ahead, and the stop check (stopping.py) covers corners that swing outwards.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -508,7 +543,8 @@ class Constraints:
             return 0
         others: cython.double = self._assumptions.others
         slowing: cython.double = self._assumptions.braking_linear
-        early: cython.double = others * axes.limit / slowing  # m it moves while the robot brakes
+        # m that an obstacle moves while the robot brakes from its highest speed
+        early: cython.double = others * axes.limit / slowing
         ahead_cap: cython.double = axes.limit
         back_cap: cython.double = axes.limit
         ahead_point: cython.Py_ssize_t = -1
@@ -517,14 +553,18 @@ class Constraints:
             nx: cython.double = chunk.normal_x[j]
             ny: cython.double = chunk.normal_y[j]
             age: cython.double = chunk.age[j] + DECISION_PERIOD
+            # m that the obstacle may still approach until its cap is 0
             left: cython.double = chunk.gap[j] - chunk.free[j] - others * age
             if not 0.0 < left < early:
                 continue
             if touch.is_granted and touch.holds(nx, ny):
                 continue
+            # m/s that the side constraints will then allow in their directions (see `_add_side`)
             rest: cython.double = 0.5 * (others - chunk.hidden[j] / age)
             rest = maximum(rest - reserve, CREEP_SPEED)
+            # m/s that the brake takes off until then
             shed: cython.double = slowing * left / others
+            # Shares of the linear speed in the two side directions: aside + along, aside - along.
             along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
             aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
             if aside + along > 0.0 and rest / (aside + along) + shed < ahead_cap:
@@ -542,11 +582,12 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_corners(self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
-        """A row of each own corner for each near point, which extends beyond its visible part.
+        """Add a constraint for each pair of a near point and a corner of the outline.
 
-        Then the nearest place of the outline is not the only one that can touch the obstacle: a
-        corner that swings past it can, too. The points are those of the chunk from `begin` on; the
-        first point of the chunk is point `first`.
+        An obstacle may extend beyond the part that the scan shows (`unseen_extent`). Then a corner
+        that swings past the point can touch the obstacle, not only the place of the outline nearest
+        to the point. The points are those of the chunk from `begin` on. The first point of the
+        chunk is placed point `first`.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -599,7 +640,7 @@ class Constraints:
     def _add_corner(
         self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t, end: cython.Py_ssize_t
     ) -> cython.int:
-        """Add the rows of one corner that some twist within the limits violates."""
+        """Add the constraints of one corner that some twist within the limits violates."""
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
@@ -625,9 +666,10 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_keep_out(self, first: cython.Py_ssize_t) -> cython.int:
-        """A second row for each point of the chunk: the circle around a sensor with a blind zone.
+        """Add a constraint for each point of the chunk that keeps a circle around the lidar free.
 
-        The circle stays free: each of two robots keeps out of it by half of the distance.
+        The circle of `keep_out` m covers the blind zone of the lidar. Two robots that both use this
+        constraint each use at most half of the distance to the circle.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -653,11 +695,12 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def allow_touch(self) -> cython.int:
-        """Raise the caps in a granted touch zone, and limit any motion in its directions.
+        """Raise the caps in a granted touch zone to its speed, and limit all motion in the zone.
 
-        The direction from the outline decides, not the bearing from the axle: seen from the axle a
-        pushed box is wider than any sector. No corner may move faster in the zone's directions,
-        since a pushed object is not always seen.
+        A point is in the zone if the direction from the outline to the point is in the zone. The
+        bearing from the axle is not used: seen from the axle, a pushed box is wider than any zone.
+        No corner may move faster than the zone's speed in the directions of the zone, also without
+        a return there, since the lidar may not see a pushed object.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self.rows

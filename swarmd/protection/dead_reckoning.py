@@ -52,7 +52,7 @@ class PlanarPose:
     @cython.cfunc
     @cython.exceptval(-1)
     def set_relative(self, pose: PlanarPose, base: PlanarPose) -> cython.int:
-        """Take the value of `pose` in the frame of `base`, with the difference of the yaws."""
+        """Set this pose to `pose` in the frame of `base`; the yaw is the plain difference."""
         dx: cython.double = pose.x - base.x
         dy: cython.double = pose.y - base.y
         c: cython.double = cos(base.yaw)
@@ -84,7 +84,7 @@ class DeadReckoning:
     version: cython.Py_ssize_t  # rises with each reading
     resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
-    # A ring of readings, each stamp, x, y, yaw and three speeds; the last one is at `_last`.
+    # A ring buffer of readings (stamp, x, y, yaw and three speeds); the newest is at `_last`.
     _readings: cython.double[::1]
     _last: cython.Py_ssize_t
     _known: cython.Py_ssize_t
@@ -139,9 +139,11 @@ class DeadReckoning:
     def find_pose(
         self, odometry_age: cython.double, ago: cython.double, into: PlanarPose
     ) -> cython.int:
-        """Put into `into` the pose `ago` s before a decision, between two readings or beyond them.
+        """Set `into` to the pose `ago` s before a decision.
 
-        `odometry_age` in s: of the last reading at the decision. Without a reading the pose is 0.
+        The pose is interpolated between two readings, or extrapolated beyond the first or the last.
+        `odometry_age` in s is that of the last reading at the decision. Without a reading the pose
+        is (0, 0, 0).
         """
         r: cython.double[::1] = self._readings
         if self._known == 0:
@@ -180,9 +182,10 @@ class DeadReckoning:
         lateral: cython.double,
         into: PlanarPose,
     ) -> cython.int:
-        """Put into `into` the pose at which the next command takes effect.
+        """Set `into` to the pose at which the next command takes effect.
 
-        From the last reading on the robot approaches the present command at its lowest rates.
+        From the last reading on, each speed changes towards the command in force, at the assumed
+        braking. Without a reading the pose is (0, 0, 0).
         """
         r: cython.double[::1] = self._readings
         if self._known == 0:
@@ -214,7 +217,10 @@ class DeadReckoning:
         seconds: cython.double,
         into: PlanarPose,
     ) -> cython.int:
-        """The pose of a reading after `seconds` at a constant twist, along the chord of its arc."""
+        """Set `into` to the pose `seconds` after the reading at `at`, at a constant twist.
+
+        The robot moves along the chord of the arc; `linear` and `lateral` give its length.
+        """
         r: cython.double[::1] = self._readings
         turn: cython.double = angular * seconds
         yaw: cython.double = r[at + 3] + 0.5 * turn
@@ -230,10 +236,10 @@ class DeadReckoning:
 @cython.final
 @cython.cclass
 class CommandRange:
-    """The least and the greatest command along one direction, 0 included, in m/s.
+    """The range of the commands along one direction, in m/s; the range includes 0.
 
-    The base responds late, so the commands since the last scan and those before it explain the
-    motion between two scans.
+    The base responds late. So the motion between two scans is explained by the commands between
+    these scans, and by those between the two scans before.
     """
 
     _least: cython.double
@@ -252,7 +258,10 @@ class CommandRange:
     @cython.cfunc
     @cython.exceptval(check=False)
     def explained(self, moved: cython.double, seconds: cython.double) -> cython.double:
-        """The m of a motion between two scans that the commands explain; then they begin anew."""
+        """The part in m of a motion between two scans that the commands explain.
+
+        The call also ends the interval: later commands belong to the next two scans.
+        """
         least: cython.double = min(self._least, self._least_before)
         most: cython.double = maximum(self._most, self._most_before)
         self._least_before, self._least = self._least, 0.0
@@ -300,11 +309,17 @@ class ScanMotion:
         odometry_age: cython.double,
         ages: cython.const[cython.double][::1],
     ):
-        """False if a scan is not newer than the last one; else take its time and pose.
+        """Take time and pose of a scan, and the motion since the scan before.
 
-        All in s. `age`: since the arrival of the scan. `newest_age`: how old its newest ray was on
-        arrival by the platform's latency, and `delay`: how much later than that it arrives. `ages`
-        (n,) of its rays; empty: all are 0.
+        False if the scan is not newer than the scan before; then nothing changes. All in s:
+
+        Args:
+            now: the time of the call.
+            age: since the arrival of the scan.
+            newest_age: of the newest ray on arrival, by the platform's latency.
+            delay: by which the scan arrives later than the platform's latency says.
+            odometry_age: of the newest odometry.
+            ages: (n,) of the rays against the newest ray; empty: all are 0.
         """
         i: cython.Py_ssize_t
         oldest: cython.double = 0.0
@@ -318,7 +333,7 @@ class ScanMotion:
         self.oldest, self.late = oldest, delay + oldest
         self.seconds = maximum(taken - self.taken, 0.0)
         reckoning: DeadReckoning = self._reckoning
-        if self.resets != reckoning.resets:  # the motion since the last scan by the speed alone
+        if self.resets != reckoning.resets:  # find the pose of the last scan by the speed alone
             stale: cython.double = self._assumptions.stale
             reckoning.find_pose(odometry_age, latency + min(self.seconds, stale), self.pose)
         reckoning.find_pose(odometry_age, latency, self._now)
@@ -330,13 +345,16 @@ class ScanMotion:
 
     @cython.cfunc
     def driven(self):
-        """The part of the motion between the last two scans that the robot's commands explain."""
-        half: cython.double = 0.5 * self.moved.yaw  # along the chord of its arc
+        """The part of the motion between the last two scans that the robot's commands explain.
+
+        A pose in the frame of the scan before. The turn is the measured turn.
+        """
+        half: cython.double = 0.5 * self.moved.yaw  # rad, the direction of the chord of the arc
         c: cython.double = cos(half)
         s: cython.double = sin(half)
         x: cython.double = self.moved.x
         y: cython.double = self.moved.y
-        seconds: cython.double = min(self.seconds, self._assumptions.stale)  # then it is held
+        seconds: cython.double = min(self.seconds, self._assumptions.stale)  # a hold follows
         ahead: cython.double = self.ahead.explained(c * x + s * y, seconds)
         left: cython.double = self.left.explained(c * y - s * x, seconds)
         return Pose(c * ahead - s * left, s * ahead + c * left, self.moved.yaw)

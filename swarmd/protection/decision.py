@@ -13,33 +13,38 @@ from swarmd.core.values import Array, Odometry, TouchZone, Twist
 
 
 class ToldObstacle(Struct, frozen=True, array_like=True, gc=False):
-    """A disc beside those of the lidar scan: a told place of a peer, or a return of the range ring.
+    """A disc in which an obstacle is, known from another source than the lidar scan.
 
-    Its centre `x`, `y` in m in the base frame `age` s before the decision, when its place was
-    measured; `radius` in m, the error of the place included.
+    The source is a peer that shared its place, or a return of the ring of range sensors.
     """
 
     x: float
+    """m, the centre in the base frame at the time at which the place was measured"""
     y: float
+    """m, as `x`"""
     radius: float
+    """m, the error of the place included"""
     age: float
+    """s from the measurement to the decision"""
 
 
 class DecisionContext(Struct, frozen=True, gc=False):
-    """The time of a decision in s on the robot's clock, and the age of its inputs at that time.
-
-    `scan_age` and `odometry_age` in s since arrival; None: none has arrived. `scan_delay` in s: how
-    much later than the platform's `latency` scans arrive, as measured. `told`: obstacles that
-    others tell of. `near`: returns of the platform's ring of range sensors.
-    """
+    """The time of a decision, and the inputs of protection with their ages at that time."""
 
     now: float
+    """s on the robot's clock"""
     scan_age: float | None = None
+    """s since the newest scan arrived; None: no scan has arrived"""
     odometry: Odometry | None = None
+    """the newest reading"""
     odometry_age: float | None = None
+    """s since this reading arrived; None: no reading has arrived"""
     scan_delay: float = 0.0
+    """s by which scans arrive later than the platform's `latency`, as measured"""
     told: tuple[ToldObstacle, ...] = ()
+    """places that peers shared"""
     near: tuple[ToldObstacle, ...] = ()
+    """returns of the platform's ring of range sensors"""
 
     @property
     def near_points(self) -> Array:
@@ -48,17 +53,17 @@ class DecisionContext(Struct, frozen=True, gc=False):
 
 
 class Permit(Struct, frozen=True):
-    """What the running pattern permits: recovery when it is blocked, and contact in `touch`.
-
-    `scan_delay`: s beyond the platform's latency up to which late scans are no hold. Protection
-    counts the delay, as it does below the platform's own bound. `avoids`: whether avoidance leads
-    the robot; None: as the platform says.
-    """
+    """What the running pattern permits protection to do and to allow."""
 
     may_recover: bool = False
+    """recovery may move a blocked robot"""
     touch: TouchZone | None = None
+    """directions in which the robot may touch obstacles"""
     scan_delay: float = 0.0
+    """s beyond the platform's latency by which scans may be late before the robot is held.
+    Protection adds the measured delay to the age of scans."""
     avoids: bool | None = None
+    """avoidance may change the command; None: as the platform says"""
 
 
 NO_PERMIT = Permit()
@@ -117,27 +122,30 @@ class Avoided(Struct, frozen=True):
 
 
 class Decision(Struct, frozen=True, gc=False):
-    """The safe command with its reasons.
-
-    `requested` is clipped to the platform's limits; the driver gets `safe`. `reason` is the hold
-    that zeroed the command, or why a running robot does not move; None while it moves and outside
-    `running`. `rows` are the constraints that bind the command, the tightest first. `min_gap` in m
-    from the footprint to the nearest return (None: no return), `scan_age` in s (None: no scan yet),
-    `scan_seq` -1 without a scan. `is_recovering`: recovery replaced the requested command before
-    the mode judged it. `speed_share`: of the command that the mode allows, after a violated
-    assumption. `avoided`: avoidance or right of way changed the command to get past it; None if
-    neither did.
-    """
+    """The safe command with its reasons."""
 
     mode: str
+    """the protection mode"""
     requested: Twist
+    """the command of the pattern, clipped to the platform's limits"""
     safe: Twist
+    """the command that the driver gets"""
     reason: Reason | None
+    """the hold that zeroed the command, or why a running robot does not move; None while the robot
+    moves, and outside `running`"""
     is_active: bool
+    """the mode changed the command"""
     rows: tuple[LimitingObstacle, ...]
+    """the obstacles whose constraints limit the command, the tightest first"""
     min_gap: float | None
+    """m from the footprint to the nearest return; None without a return"""
     scan_age: float | None
+    """s; None without a scan"""
     scan_seq: int
+    """number of the scan; -1 without a scan"""
     is_recovering: bool = False
+    """recovery replaced the requested command before the mode judged the command"""
     speed_share: float = 1.0
+    """the share of the mode's command that the driver gets; below 1 after a violated assumption"""
     avoided: Avoided | None = None
+    """why avoidance or right of way changed the command; None if neither did"""

@@ -1,6 +1,6 @@
-"""The envelope of speeds near obstacles in mode `barrier`, and the higher caps while creeping.
+"""The speed limit of all corners near obstacles in mode `barrier` (the envelope), and creeping.
 
-Part of the library of barrier.py. Units: m, s, rad.
+Part of the library of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
@@ -42,11 +42,12 @@ _BOX_DIRECTIONS = view(_box_directions())
 @cython.final
 @cython.cclass
 class Envelope:
-    """The rows within which no corner of the robot exceeds a speed.
+    """The constraints within which no corner of the robot moves faster than `speed`.
 
-    Every robot assumes that no surface around it moves faster than `others_speed`; the envelope
-    makes that true of this robot, corners in a turn included. The polygon is an inner
-    approximation of a convex set; its vertices are exact.
+    Every robot assumes that no surface around it moves faster than `others_speed`. The envelope
+    makes this true of this robot, corners in a turn included. In the plane of the two speeds the
+    permitted set is convex. The constraints are the sides of a polygon inside this set, whose
+    vertices lie on its border.
     """
 
     speed: cython.double  # m/s
@@ -56,7 +57,7 @@ class Envelope:
     row_y: cython.double[::1]
     row_cap: cython.double[::1]
     _outline: Outline
-    # The direction of the linear speed for which the rows are; (0, 0): none yet.
+    # The direction of the linear speed for which `find_rows` was called; (0, 0): none yet.
     _along_x: cython.double
     _along_y: cython.double
 
@@ -75,7 +76,7 @@ class Envelope:
     @cython.cfunc
     @cython.exceptval(-1)
     def put(self, rows: ConstraintRows, axes: SpeedAxes) -> cython.int:
-        """Put the rows of the envelope behind all others."""
+        """Put the constraints of the envelope behind all others in `rows`."""
         i: cython.Py_ssize_t
         if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
             self.find_rows(axes)
@@ -96,7 +97,7 @@ class Envelope:
     @cython.cfunc
     @cython.exceptval(-1)
     def find_rows(self, axes: SpeedAxes) -> cython.int:
-        """Find the vertices and the rows for a direction of the linear speed."""
+        """Find the vertices and the constraints for a direction of the linear speed."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         after: cython.Py_ssize_t
@@ -128,12 +129,12 @@ class Envelope:
 @cython.final
 @cython.cclass
 class Creeping:
-    """Caps up to which a slow robot may creep towards an obstacle that stops any faster one."""
+    """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot."""
 
     cap: cython.double  # m/s; 0 where the robot must not creep
     is_active: cython.bint
-    _kept_cap: cython.double[::1]  # of all rows, before they were raised
-    # The envelope while the robot creeps or touches, and the one beside obstacles.
+    _kept_cap: cython.double[::1]  # the caps of all constraints before `begin` raised them
+    # The envelope while the robot creeps or touches, and the usual envelope near obstacles.
     slow: Envelope
     usual: Envelope
 
@@ -145,7 +146,10 @@ class Creeping:
     @cython.cfunc
     @cython.exceptval(-1)
     def allow(self, placed: PlacedPoints) -> cython.int:
-        """Set the cap: the creep speed, less where an obstacle could touch the robot meanwhile."""
+        """Set the cap: CREEP_SPEED, or less where an obstacle could touch the robot before a scan.
+
+        Robot and obstacle each use half of the gap.
+        """
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED
         for i in range(placed.seen):

@@ -1,6 +1,7 @@
-"""The feasible set of mode `barrier`: all that constrains the next command, found once a situation.
+"""The feasible set of mode `barrier`: all constraints on the next command.
 
-Part of the library of barrier.py. Units: m, s, rad.
+A situation (time, scan, odometry, ...) has one feasible set, which all requests in it share. Part
+of the library of barrier.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
@@ -37,7 +38,10 @@ _NO_ODOMETRY = cython.declare(cython.Py_ssize_t, -1)
 @cython.final
 @cython.cclass
 class Situation:
-    """What the constraints of a decision depend on, beside the scan, the zone and the discs."""
+    """The inputs of a decision that determine the constraints.
+
+    A new scan, touch zone or set of discs sets `is_known` to False instead.
+    """
 
     is_known: cython.bint
     now: cython.double
@@ -58,7 +62,7 @@ class Situation:
         along_x: cython.double,
         along_y: cython.double,
     ) -> cython.int:
-        """1 if the situation is the known one; else take the new situation as not yet known."""
+        """1 if all values equal the kept ones; else keep the new values, set `is_known` False."""
         if (
             self.is_known
             and self.now == now
@@ -118,7 +122,7 @@ class FeasibleSet:
     @cython.cfunc
     @cython.exceptval(-1)
     def take_context(self, context, command, touch) -> cython.int:
-        """Take what a decision is given: odometry, told obstacles, the command in force, a zone."""
+        """Take the inputs of a decision: odometry, discs, the touch zone, the command in force."""
         odometry = context.odometry
         if odometry is not None and odometry is not self.reckoning.odometry:
             self.reckoning.record(odometry)
@@ -150,7 +154,7 @@ class FeasibleSet:
         along_y: cython.double,
         limit: cython.double,
     ) -> cython.int:
-        """1 if the constraints of the last decision hold again; else find them anew.
+        """1 if the constraints of the last decision still hold; else 0, and build them anew.
 
         The linear speed has the direction `along_x`, `along_y` and the limit `limit` m/s.
         """
@@ -176,7 +180,7 @@ class FeasibleSet:
     def _build(
         self, linear: cython.double, angular: cython.double, lateral: cython.double
     ) -> cython.int:
-        """Find all constraints of the situation; the arguments are the present command."""
+        """Build all constraints of the situation; the arguments are the command in force."""
         near: NearObstacles = self.near
         assumptions: Assumptions = self.assumptions
         constraints: Constraints = self.constraints
@@ -211,9 +215,9 @@ class FeasibleSet:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_told(self, odometry_age: cython.double, late: cython.double) -> cython.int:
-        """Add the rows of the discs that the robot is told of, where they are by its odometry.
+        """Add the constraints of the discs, moved to where odometry now places them.
 
-        `late` s: for which odometry is not extrapolated.
+        `late` in s: the part of the age of odometry that is not extrapolated.
         """
         k: cython.Py_ssize_t
         told: ToldDiscs = self.told
@@ -242,10 +246,10 @@ class FeasibleSet:
     @cython.cfunc
     @cython.exceptval(-1)
     def _is_touching(self) -> cython.int:
-        """1 if an obstacle may touch the robot; contact with a seen one lasts until the next scan.
+        """1 if an obstacle may touch the robot.
 
-        By odometry a robot that is pushed leaves the obstacle that follows it: at 0.3 m/s by 4.6 cm
-        within 0.15 s.
+        Contact with a return of the scan lasts until the next scan: an obstacle that pushes the
+        robot follows it, but by odometry the robot moves away, at 0.3 m/s by 4.6 cm within 0.15 s.
         """
         i: cython.Py_ssize_t
         near: NearObstacles = self.near

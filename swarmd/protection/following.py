@@ -1,12 +1,13 @@
 """Compares the motion of a base with its commands, which a base may refuse or change. Pure.
 
-Two models bound the speed of a base that follows its commands: a fast base has the speed of any
-command of the last WINDOW, and a slow base responds DELAY late with a quarter of the declared
-braking. A base does not follow its commands if its speed is outside these bounds for MIN_DURATION,
-by more than SLIP times the commanded speed.
+Two models bound the speed of a base that follows its commands. A fast base has the speed of any
+command of the last WINDOW s. A slow base responds DELAY s late, with a quarter of the declared
+braking. A base does not follow its commands if its speed is outside these bounds for MIN_DURATION
+s, by more than SLIP times the commanded speed.
 
-The comparison changes no motion: a reflex, a stuck wheel and another node that drives look alike.
-A kernel (see `core/kernels.py`): each reading of odometry and each command pass it.
+The result is a text and changes no motion, since a reflex of the base, a stuck wheel and another
+node that drives look alike. A kernel (see `core/kernels.py`), since each reading of odometry and
+each command pass it.
 """
 
 from __future__ import annotations
@@ -62,24 +63,24 @@ def _doubles(count):
 @cython.final
 @cython.cclass
 class _Axis:
-    """Commands and motion of one axis; times are stamps of odometry in s."""
+    """Compares the commands and the motion of one axis; times are stamps of odometry in s."""
 
-    text = cython.declare(object, visibility="readonly")
-    _least: cython.double
-    _acceleration: cython.double
+    text = cython.declare(object, visibility="readonly")  # empty while the base follows
+    _least: cython.double  # the slowest command that counts
+    _acceleration: cython.double  # of the slow base
     _unit: object
-    # Speeds, and the stamps since which they hold: from `_first` on those until where the slow base
-    # is, the last of which is at `_held`, and then later ones.
+    # The commands from `_first` to before `_end`: the stamp since which each holds, its speed. The
+    # slow base moves towards the command at `_held`.
     _stamps: cython.double[::1]
     _speeds: cython.double[::1]
     _first: cython.Py_ssize_t
     _held: cython.Py_ssize_t
     _end: cython.Py_ssize_t
-    _slow: cython.double
-    _command: cython.double
-    _begun: cython.double
-    _off_since: cython.double
-    _readings: cython.Py_ssize_t
+    _slow: cython.double  # the speed of the slow base
+    _command: cython.double  # the last command
+    _begun: cython.double  # when the comparison began
+    _off_since: cython.double  # since when the speed is outside the bounds; inf: it is not
+    _readings: cython.Py_ssize_t  # outside the bounds
 
     def __init__(self, least: float, acceleration: float, unit: str) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
@@ -94,7 +95,7 @@ class _Axis:
 
     @cython.ccall
     def reset(self, command: cython.double, stamp: cython.double):
-        """Begin again; for WINDOW, the base may be at any speed."""
+        """Begin again; for WINDOW s, the base may have any speed."""
         self._first = self._held = self._end = 0
         self._slow = self._command = command
         self._add(command, stamp)
@@ -103,14 +104,17 @@ class _Axis:
 
     @cython.ccall
     def on_command(self, command: cython.double, stamp: cython.double):
-        """The command changes after the reading at `stamp`."""
+        """Take in a command, which holds from the reading at `stamp` on."""
         if command != self._command:
             self._command = command
             self._add(command, stamp)
 
     @cython.cfunc
     def _add(self, command: cython.double, stamp: cython.double):
-        """Append a command; where there is no room, the commands move to the begin of a buffer."""
+        """Append a command; if the buffer is full, first move the commands to its begin.
+
+        If the commands fill more than half of the buffer, a larger buffer is made.
+        """
         i: cython.Py_ssize_t
         first: cython.Py_ssize_t = self._first
         count: cython.Py_ssize_t = self._end - first
@@ -127,7 +131,7 @@ class _Axis:
 
     @cython.cfunc
     def _follow(self):
-        """The base follows its commands, as far as a reading shows."""
+        """Note that the speed is within the bounds: `text` becomes empty."""
         self._off_since, self._readings, self.text = _inf, 0, ""
 
     @cython.ccall
@@ -138,9 +142,14 @@ class _Axis:
         by_twist: cython.double,
         by_pose: cython.double,
     ):
-        """The base moved at one of two speeds, by its twist and by its pose, for `period` s."""
+        """Compare the speed of the last `period` s with the bounds; sets `text`.
+
+        The speed is known twice: `by_twist`, and `by_pose` from the change of the pose. The base
+        follows if either is within the bounds.
+        """
         i: cython.Py_ssize_t
-        # Commands have the stamp of the reading before, and hold from the end of a period on.
+        # Move the slow base on. Commands have the stamp of the reading before, so a command may
+        # hold up to a period later.
         begin: cython.double = stamp - DELAY - 2.0 * period
         while self._held + 1 < self._end and self._stamps[self._held + 1] <= begin:
             self._held += 1
@@ -151,7 +160,7 @@ class _Axis:
         step: cython.double = self._acceleration * period
         off: cython.double = self._speeds[self._held] - self._slow
         self._slow += -step if off < -step else step if off > step else off
-        # Mostly the speed is near the last command and the slow base: the bounds are no narrower.
+        # The usual case, decided fast: the speed is between the last command and the slow base.
         low: cython.double = self._slow
         high: cython.double = self._command
         least: cython.double = self._least
@@ -160,6 +169,7 @@ class _Axis:
         if low - least <= by_twist <= high + least or low - least <= by_pose <= high + least:
             self._follow()
             return
+        # The bounds: the slow base, and all commands of the last WINDOW.
         low = high = self._slow
         for i in range(self._first, self._end):
             low, high = min(self._speeds[i], low), max(self._speeds[i], high)
@@ -217,12 +227,12 @@ class FollowingMonitor:
         self._command, self.text = ZERO, ""
 
     def reset(self) -> None:
-        """Drop the last command and reading, as for a robot that does not run."""
+        """Drop the last command and reading, as when the robot stops running."""
         if self._has_last:
             self._has_last, self._command, self.text = False, ZERO, ""
 
     def on_command(self, command: Twist) -> None:
-        """The safe command that the driver gets."""
+        """Take in the safe command that the driver gets."""
         if command is self._command:
             return
         self._command = command
@@ -233,7 +243,10 @@ class FollowingMonitor:
                 self._lateral.on_command(command.lateral, self._stamp)
 
     def on_odometry(self, odometry: Odometry) -> None:
-        """A reading arrived."""
+        """Take in a reading: compare the motion since the reading before; sets `text`.
+
+        A gap in the readings or a jump of the pose begins the comparison again.
+        """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
         x: cython.double = pose.x

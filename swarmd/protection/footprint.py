@@ -35,8 +35,11 @@ class ScanGeometry:
 class Footprint:
     """A convex polygon (k, 2), counter-clockwise, in the base frame in m.
 
-    `axes` (2k, 2) are the directions of its edges and then their outward normals, `origins` (2k,)
-    the coordinates of the start of each edge along them, `lengths` (k,) those of the edges in m.
+    Attributes:
+        corners: (k, 2), m.
+        lengths: (k,), m, of the edges.
+        axes: (2k, 2), unit vectors: the directions of the edges, then their outward normals.
+        origins: (2k,), m, the coordinates of the start of each edge along its two axes.
     """
 
     def __init__(self, corners: Array) -> None:
@@ -74,7 +77,7 @@ class Footprint:
         return placed[: len(self.lengths)], placed[len(self.lengths) :]
 
     def along_rays(self, place: tuple[float, float], directions: Array) -> Array:
-        """(n,) m from an inner point to the outline along `directions` (n, 2); 0 from outside."""
+        """(n,) m from a point inside to the outline along `directions` (n, 2); 0 from outside."""
         nx, ny = self._outward.T
         heights = self.origins[len(nx) :] - (nx * place[0] + ny * place[1])
         approach = directions[:, :1] * nx + directions[:, 1:] * ny
@@ -112,9 +115,10 @@ class Footprint:
         return None if nearest is None else nearest[0]
 
     def circles(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Radii of the largest circle within the outline and the smallest around it, about a place.
+        """Radii in m of two circles around a place: the largest within the outline, the smallest
+        that contains the outline.
 
-        The first is negative for a place outside.
+        For a place outside, the first is minus the distance to the outline.
         """
         if place not in self._known:
             at = np.array(place)

@@ -1,6 +1,6 @@
 """The obstacles that limit a command of mode `barrier`, for a report.
 
-Part of the library of barrier.py. Units: m, s, rad.
+Part of the library of barrier.py. "Rows" are constraints, see constraints.py. Units: m, s, rad.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ else:
     from swarmd.core.cython_shadow import INFINITY, atan2, hypot
 
 BINDING_TOLERANCE = cython.declare(cython.double, 1e-9)
-"""How near a constraint that counts as tight is to the point."""
+"""A constraint a x + b y <= cap counts as tight if both sides differ by less than this."""
 MAX_REPORTED = cython.declare(cython.Py_ssize_t, 4)
 """Constraints that a decision reports."""
 
@@ -33,7 +33,7 @@ _AT_AXLE = cython.declare(cython.double, 1e-9)
 @cython.final
 @cython.cclass
 class LimitingRows:
-    """Rows that bind a command, ranked by rising caps, then by rising gaps."""
+    """The constraints that limit a command, ranked by rising caps, then by rising gaps."""
 
     count: cython.Py_ssize_t
     row: cython.Py_ssize_t[4]
@@ -50,11 +50,12 @@ class LimitingRows:
 
     @cython.cfunc
     def report(self, x: cython.double, y: cython.double) -> tuple:
-        """The obstacles of the rows that are tight at a point, those with the lowest caps first.
+        """The obstacles whose constraints are tight at the speeds x, y; the lowest caps first.
 
-        The gap of a row is measured from the outline, also where the row is that of one corner.
-        Rows of the envelope and of a touch zone, which have no return, are not reported. The
-        bearing of a place at the axle is 0.
+        If no constraint is tight, the stop check alone limits the command: then the nearest
+        obstacle is reported. The gap is measured from the outline, also for a constraint of one
+        corner. Constraints of the envelope and of a touch zone have no obstacle, and are not
+        reported. The bearing of a place at the axle is 0.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self._constraints.rows
@@ -86,7 +87,7 @@ class LimitingRows:
 
     @cython.cfunc
     def _obstacle(self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t):
-        """The obstacle of a row."""
+        """The report of the obstacle of a constraint."""
         point: cython.Py_ssize_t = rows.source[row]
         radius: cython.double = placed.radius[point]
         x: cython.double = placed.x[point] - radius * placed.normal_x[point]
@@ -97,7 +98,7 @@ class LimitingRows:
     @cython.cfunc
     @cython.exceptval(-1)
     def _rank(self, rows: ConstraintRows, row: cython.Py_ssize_t) -> cython.int:
-        """Insert a row into the ranked rows; the last of too many is dropped."""
+        """Insert a constraint into the ranking; beyond MAX_REPORTED the last is dropped."""
         cap: cython.double = rows.cap[row]
         gap: cython.double = rows.gap[row]
         if not gap < INFINITY:

@@ -1,6 +1,6 @@
 """The protection modes. `potential_field`, `stop_zone` and `off` are implemented here.
 
-Mode `barrier`, the default, is in barrier.py. Holds of old scans are found in robot/input_ages.py.
+Mode `barrier`, the default, is in barrier.py. robot/input_ages.py decides on holds of old scans.
 """
 
 from __future__ import annotations
@@ -42,11 +42,15 @@ class Arbiter(Protocol):
     def decide(
         self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The safe command for a requested one within the limits; the context has a scan age.
+        """The safe command for a requested command.
 
-        Asked again for the same command in the same context, a mode decides the same.
+        For the same command in the same context, a mode always decides the same.
 
-        `command` is the present safe command, `touch` the zone in which contact is granted.
+        Args:
+            requested: within the limits.
+            context: has a scan age.
+            command: the safe command in force.
+            touch: the zone in which contact is granted; None: no contact.
         """
 
 

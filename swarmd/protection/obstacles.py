@@ -33,7 +33,7 @@ _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
 @cython.final
 @cython.cclass
 class Points:
-    """Places, gaps to the outline in m and ages in s of points; the first `count` are in use."""
+    """Points: places, gaps to the outline in m, and ages in s. The first `count` are in use."""
 
     count: cython.Py_ssize_t
     x: cython.double[::1]
@@ -48,10 +48,10 @@ class Points:
     @cython.cfunc
     @cython.exceptval(-1)
     def reserve(self, room: cython.Py_ssize_t) -> cython.int:
-        """Make the arrays as long; what they hold is lost where they are not."""
+        """Make the arrays at least `room` long; arrays that were shorter lose their numbers."""
         if len(self.x) >= room:
             return 0
-        room += room // 2  # or the arrays would be made anew with each point more
+        room += room // 2  # else each further point would make new arrays
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
         return 0
@@ -61,7 +61,7 @@ class Points:
     def add(
         self, x: cython.double, y: cython.double, gap: cython.double, age: cython.double
     ) -> cython.int:
-        """Add a point; there must be room."""
+        """Add a point; `reserve` must have made room."""
         at: cython.Py_ssize_t = self.count
         self.x[at], self.y[at], self.gap[at], self.age[at] = x, y, gap, age
         self.count = at + 1
@@ -73,14 +73,14 @@ class Points:
 class NearObstacles:
     """The returns of the last scan that are near enough to constrain the robot.
 
-    Contacts come first: returns too close to measure, whose rays are kept. The others follow by
-    rising gaps.
+    First come the contacts: returns too close to measure. For these the directions of the rays are
+    kept, too. The other returns follow by rising gaps.
     """
 
     points: Points
     contacts: cython.Py_ssize_t  # the first points
     rays: Points  # unit vectors of the rays of contacts, in `x` and `y`
-    is_near: cython.bint  # an obstacle is so near that the envelope holds
+    is_near: cython.bint  # an obstacle is so near that the envelope (envelope.py) holds
     has_contact: cython.bint  # a decision since the last scan found the robot in contact
     min_gap: object  # m to the nearest return; None without a return
     bearings: object  # of the rays, as the scan has them
@@ -129,7 +129,7 @@ class NearObstacles:
 
     @cython.cfunc
     def find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
-        """Set the m to the nearest return of a scan whose obstacles are not taken."""
+        """Set `min_gap` by a scan whose obstacles are not taken."""
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         nearest: cython.double = _least_of(ranges)
@@ -149,7 +149,7 @@ class NearObstacles:
     @cython.cfunc
     @cython.exceptval(-1)
     def _set_min_gap(self, nearest: cython.double, smallest: cython.double) -> cython.int:
-        """Set the gap of the nearest return, by the least range and the least gap."""
+        """Set `min_gap` by the least range of the scan and the smallest gap of its returns."""
         if nearest == INFINITY:
             self.min_gap = None
         else:
@@ -164,11 +164,12 @@ class NearObstacles:
         ages: cython.const[cython.double][::1],
         hidden: cython.double[:, ::1],
     ):
-        """Find the near obstacles of a scan, and among `hidden` (m, 3): rays, and m from the lidar.
+        """Take the near obstacles of a scan, and the near hidden obstacles.
 
-        `ages` (n,) of the rays; empty: all are 0.
-        A hidden obstacle that may touch the robot counts as a return too close to measure. A scan
-        that is refused leaves the obstacles of the last scan.
+        `ages` (n,) in s are those of the rays; empty: all are 0. `hidden` (m, 3) has the ray (unit
+        vector) to a hidden obstacle, and its least distance in m from the lidar. A hidden obstacle
+        that may touch the robot counts as a contact. IndexError if the lengths do not match; then
+        the obstacles of the last scan stay.
         """
         count: cython.Py_ssize_t = len(ranges)
         room: cython.Py_ssize_t = count + len(hidden)
@@ -205,9 +206,9 @@ class NearObstacles:
         outermost: cython.double,
         furthest: cython.double,
     ) -> cython.double:
-        """Add the returns up to `furthest` m from the outline; the least gap of the near returns.
+        """Add the returns up to `furthest` m from the outline, and set `min_gap`.
 
-        Returns up to `outermost` m from the lidar are near. The nearest of all sets `min_gap`.
+        The result is the least gap in m among the returns up to `outermost` m from the lidar.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
@@ -255,7 +256,10 @@ class NearObstacles:
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
     def _take_hidden(self, hidden: cython.double[:, ::1], furthest: cython.double) -> cython.double:
-        """Add hidden obstacles up to `furthest` m from the outline, and contacts; the least gap."""
+        """Add the hidden obstacles that are contacts, or up to `furthest` m from the outline.
+
+        The result is the least gap in m of those that are no contacts.
+        """
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         age: cython.double = self._motion.oldest
@@ -278,7 +282,10 @@ class NearObstacles:
     @cython.cfunc
     @cython.exceptval(-1)
     def _sort_points(self) -> cython.int:
-        """Fill `points`: contacts where their rays leave the outline, then the others by gaps."""
+        """Fill `points`: contacts at the place where the ray leaves the outline, then the others.
+
+        The others have rising gaps.
+        """
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         points: Points = self.points
@@ -353,12 +360,12 @@ def _least_of(ranges: cython.const[cython.double][::1]) -> cython.double:
 @cython.final
 @cython.cclass
 class ToldDiscs:
-    """Discs that the robot is told of, as ToldObstacle: of these, which can bind the robot."""
+    """Discs in which an obstacle is (see `ToldObstacle`), and which of them can bind the robot."""
 
     obstacles: tuple  # as they were given
-    table: cython.double[:, ::1]  # rows of x, y, radius, age
-    count: cython.Py_ssize_t  # of the rows that can bind
-    row: cython.longlong[::1]  # their indices
+    table: cython.double[:, ::1]  # (n, 4) x, y, radius, age
+    count: cython.Py_ssize_t  # number of discs that can bind
+    row: cython.longlong[::1]  # the places of these discs in `table`
 
     def __init__(self) -> None:
         self.obstacles, self.table = (), NO_ROWS

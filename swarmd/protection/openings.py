@@ -1,10 +1,10 @@
 """Openings: the gaps in walls that the scans of one robot show, such as doors. Pure.
 
-An opening is the gap from the end of a wall to the nearest return beyond it (after Mujahed, Fischer
-and Mertsching, "Safe gap based (SG) reactive navigation", ECMR 2013). Its place is kept in the
-frame of the odometry.
+An opening is the gap from the end of a wall (a post) to the nearest other return of a wall (after
+Mujahed, Fischer and Mertsching, "Safe gap based (SG) reactive navigation", ECMR 2013). The place of
+an opening is kept in the frame of the odometry.
 
-A kernel (see `core/kernels.py`): each scan passes it. right_of_way.py calls it.
+A kernel (see `core/kernels.py`), since each scan passes it. right_of_way.py calls it.
 """
 
 from __future__ import annotations
@@ -45,27 +45,29 @@ else:
 
 _REACH = cython.declare(cython.double, 2.5)  # m from the lidar within which openings are seen
 _JUMP = cython.declare(cython.double, 0.25)  # m between neighbouring ranges at the end of a wall
-_NARROWEST, _WIDEST = 1.5, 1.0  # bodies, m: in a wider opening two robots pass each other
-_LEAST_RETURNS = 10  # of a scan in which openings are looked for
+# Widths of the robot, and m: through a wider opening two robots pass side by side.
+_NARROWEST, _WIDEST = 1.5, 1.0
+_LEAST_RETURNS = 10  # a scan with fewer returns shows no opening
 _LEAST_RAYS = cython.declare(cython.int, 3)  # between the posts of an opening
 # m by which a return between the posts may be nearer than the farther post
 _BETWEEN = cython.declare(cython.double, 0.02)
-_CLEAR = cython.declare(cython.double, 0.9)  # of the returns between the posts are farther
+# Share of the returns between the posts that must be farther.
+_CLEAR = cython.declare(cython.double, 0.9)
 _WALL = cython.declare(cython.double, 0.2)  # m of wall to each side of an opening at least
-_FACE = cython.declare(cython.double, 0.8)  # m of it which give its direction
-_LEAST_FACE = cython.declare(cython.int, 6)  # returns of it
+_FACE = cython.declare(cython.double, 0.8)  # m of this wall whose returns give its direction
+_LEAST_FACE = cython.declare(cython.int, 6)  # of these returns at least
 # m from the line of a wall within which a return belongs to it
 _ALONG = cython.declare(cython.double, 0.1)
 _HOLE = cython.declare(cython.double, 0.22)  # m between neighbouring returns of a wall at most
 # m from the outline of a track within which a return is no wall
 _AT_TRACK = cython.declare(cython.double, 0.12)
-# m, m, m, rad
+# Two sightings with differences below these are the same opening: m, m, m, rad.
 _SAME_AXIS = cython.declare(cython.double, 0.14)
 _SAME_HALF = cython.declare(cython.double, 0.08)
 _SAME_SPAN = cython.declare(cython.double, 0.2)
 _SAME_ANGLE = cython.declare(cython.double, 0.4)
 SIGHTINGS = 2
-"""Of an opening before it counts."""
+"""Sightings of an opening before right of way uses it."""
 _FORGET_ONE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
 _MOST = 8  # openings
 _MOST_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or a fence
@@ -75,7 +77,7 @@ _half_turn = cython.declare(cython.double, math.pi)
 
 @cython.cfunc
 def _view(values):
-    """What a view of an array is made of; CPython indexes memory faster than arrays."""
+    """An array as the kernel reads it: in CPython a memoryview, which is faster to index."""
     return values if cython.compiled else memoryview(values)
 
 
@@ -87,7 +89,7 @@ def _doubles(n: cython.Py_ssize_t) -> cython.double[::1]:
 
 @cython.cfunc
 def _reach(places: cython.double[::1], count: cython.Py_ssize_t) -> cython.double:
-    """How far the first `count` places reach from 0 without a hole."""
+    """How far in m the first `count` places reach from 0 without a gap of more than _HOLE."""
     i: cython.Py_ssize_t
     reach: cython.double = 0.0
     before: cython.double = -1.0
@@ -101,7 +103,7 @@ def _reach(places: cython.double[::1], count: cython.Py_ssize_t) -> cython.doubl
 
 @cython.cfunc
 def _grown(old: cython.double, new: cython.double, is_more: cython.bint) -> cython.double:
-    """A length that grows faster than it shrinks: what is hidden is not gone."""
+    """A filtered length; it grows faster than it shrinks, since a part may be hidden."""
     return old + (0.4 if is_more else 0.03) * (new - old)
 
 
@@ -109,17 +111,14 @@ def _grown(old: cython.double, new: cython.double, is_more: cython.bint) -> cyth
 @cython.auto_pickle(False)
 @cython.cclass
 class _Sight:
-    """The returns of one scan in order of bearing: ranges, and places in the frame of the odometry.
-
-    `is_wall`: near, and no part of a track. `along` and `side`: of the `count` returns of walls, in
-    the frame of an opening. `places` has room for a number for each. All in m.
-    """
+    """The returns of one scan in order of bearing, in the frame of the odometry. All in m."""
 
     ranges: cython.double[::1]
     x: cython.double[::1]
     y: cython.double[::1]
-    tracks: cython.double[:, ::1]
-    is_wall: cython.uchar[::1]
+    tracks: cython.double[:, ::1]  # (k, 3) x, y, radius of moving objects
+    is_wall: cython.uchar[::1]  # the return is near, and no part of a track
+    # The `count` returns of walls in the frame of one opening, and room for a number for each.
     count: cython.Py_ssize_t
     along: cython.double[::1]
     side: cython.double[::1]
@@ -127,7 +126,10 @@ class _Sight:
 
     @cython.cfunc
     def ends(self) -> list:
-        """The near ends of surfaces: range, order, row, and the way to what lies behind."""
+        """The ends of surfaces where the range jumps, as (range, order, return, direction).
+
+        The direction is 1 or -1: the step in index towards the farther neighbour.
+        """
         n: cython.Py_ssize_t = len(self.ranges)
         i: cython.Py_ssize_t
         ends: list = []
@@ -154,7 +156,7 @@ class _Sight:
 
     @cython.cfunc
     def mark_walls(self) -> cython.int:
-        """Note which returns are of walls."""
+        """Set `is_wall` of each return."""
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t
         self.is_wall = memoryview(np.empty(n, np.uint8))
@@ -167,7 +169,11 @@ class _Sight:
     def partner(
         self, post: cython.Py_ssize_t, way: cython.int, narrowest: cython.double
     ) -> cython.Py_ssize_t:
-        """The row of the return of a wall nearest to the end of a wall; -1: there is no opening."""
+        """The index of the return of a wall nearest to the end `post` of a wall: the other post.
+
+        `way` is 1 or -1, the direction of the gap. -1 if there is no opening: the gap is narrower
+        than `narrowest` m, wider than _WIDEST, or too few returns in it are farther than the posts.
+        """
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t = post + way
         step: cython.Py_ssize_t
@@ -199,14 +205,14 @@ class _Sight:
     @cython.cfunc
     @cython.inline
     def beside(self, row: cython.Py_ssize_t, way: cython.int) -> cython.Py_ssize_t:
-        """The next row, to either side."""
+        """The index of the next return, to the left (`way` 1) or to the right (-1)."""
         row += way
         n: cython.Py_ssize_t = len(self.ranges)
         return row + n if row < 0 else row - n if row >= n else row
 
     @cython.cfunc
     def turn_into(self, opening: Opening) -> cython.int:
-        """Take the places of walls along an opening and to its left."""
+        """Set `along` and `side`: the returns of walls in the frame of an opening."""
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t = 0
         c: cython.double = cos(opening.angle)
@@ -225,22 +231,20 @@ class _Sight:
 @cython.final
 @cython.cclass
 class Opening:
-    """An opening in a wall: its middle in the frame of the odometry, and the direction through it.
+    """An opening in a wall, in the frame of the odometry; m and rad."""
 
-    `half` of its width; `first` and `last`, where it begins and ends along the direction; `left`
-    and `right`, how far the wall reaches to these sides of the middle; all in m.
-    """
-
-    x = cython.declare(cython.double, visibility="readonly")
+    x = cython.declare(cython.double, visibility="readonly")  # the middle
     y = cython.declare(cython.double, visibility="readonly")
-    angle = cython.declare(cython.double, visibility="readonly")
-    half = cython.declare(cython.double, visibility="readonly")
+    angle = cython.declare(cython.double, visibility="readonly")  # direction through the opening
+    half = cython.declare(cython.double, visibility="readonly")  # of the width
+    # Where the opening begins and ends along `angle`, from the middle.
     first = cython.declare(cython.double, visibility="readonly")
     last = cython.declare(cython.double, visibility="readonly")
+    # How far the wall reaches to the left and to the right of the middle.
     left = cython.declare(cython.double, visibility="readonly")
     right = cython.declare(cython.double, visibility="readonly")
-    hits = cython.declare(cython.longlong, visibility="readonly")
-    seen_at = cython.declare(cython.double, visibility="readonly")
+    hits = cython.declare(cython.longlong, visibility="readonly")  # number of sightings
+    seen_at = cython.declare(cython.double, visibility="readonly")  # s, of the last sighting
 
     @property
     def walls(self) -> tuple[float, float]:
@@ -248,7 +252,10 @@ class Opening:
         return self.left, self.right
 
     def to_local(self, x: cython.double, y: cython.double, sign: cython.double) -> tuple:
-        """Place along the way through, and to its left; `sign` -1 for the opposite way."""
+        """A place in the frame of the opening: m along the way through, and m to its left.
+
+        `sign` is 1 for the way through along `angle`, -1 for the opposite way.
+        """
         c: cython.double = sign * cos(self.angle)
         s: cython.double = sign * sin(self.angle)
         dx: cython.double = x - self.x
@@ -256,12 +263,12 @@ class Opening:
         return c * dx + s * dy, c * dy - s * dx
 
     def ends(self, sign: cython.double) -> tuple:
-        """Where the opening begins and ends for one way through."""
+        """Where the opening begins and ends in m, along the way through by `sign`."""
         return (self.first, self.last) if sign > 0.0 else (-self.last, -self.first)
 
     @cython.cfunc
     def measure(self, sight: _Sight) -> cython.int:
-        """Take direction, span and the lengths of the walls from the returns of walls."""
+        """Measure direction, begin, end and the lengths of the walls by the returns of walls."""
         sight.turn_into(self)
         if self.align(sight):
             sight.turn_into(self)
@@ -273,9 +280,10 @@ class Opening:
 
     @cython.cfunc
     def align(self, sight: _Sight) -> cython.bint:
-        """Turn into the normal of the walls; False with too few returns.
+        """Set `angle` to the normal of the walls beside the opening, by least squares.
 
-        Walls are longer than the gap, so they give the better angle.
+        False with too few returns. Walls are longer than the gap, so their angle is more exact than
+        that of the line between the posts.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
@@ -298,13 +306,13 @@ class Opening:
 
     @cython.cfunc
     def is_face(self, sight: _Sight, i: cython.Py_ssize_t) -> cython.bint:
-        """True for a return of the faces beside the opening."""
+        """True if return `i` belongs to the face of the wall beside the opening."""
         off: cython.double = fabs(sight.side[i])
         return fabs(sight.along[i]) < _ALONG and self.half < off < self.half + _FACE
 
     @cython.cfunc
     def reach_along(self, sight: _Sight, way: cython.double) -> cython.double:
-        """How far the sides of the opening reach in one direction along it."""
+        """How far in m the sides of the opening reach along it; `way` (1 or -1): the direction."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         for i in range(sight.count):
@@ -315,7 +323,7 @@ class Opening:
 
     @cython.cfunc
     def reach_beside(self, sight: _Sight, way: cython.double) -> cython.double:
-        """How far the faces of the wall reach beyond one side of the opening."""
+        """How far in m the wall reaches beyond one side of the opening (`way` 1 left, -1 right)."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
         for i in range(sight.count):
@@ -341,7 +349,7 @@ class Opening:
 
     @cython.cfunc
     def update(self, seen: Opening) -> cython.int:
-        """Take in another sighting."""
+        """Take in another sighting: a weighted mean of place, angle and lengths."""
         share: cython.double = 1.0 / min(self.hits + 1, 10)
         turn: cython.double = seen.angle - self.angle
         c: cython.double = cos(self.angle)
@@ -390,7 +398,7 @@ class Openings:
         self._known = []
 
     def forget(self, opening: object) -> cython.bint:
-        """Forget one opening; whether it was remembered."""
+        """Forget one opening; False if it was not remembered."""
         before = len(self._known)
         self._known = [known for known in self._known if known is not opening]
         return len(self._known) < before
@@ -428,7 +436,7 @@ class Openings:
 
     @cython.cfunc
     def _found(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
-        """The openings that a scan shows."""
+        """The openings in a scan: measured, and each once."""
         opening: Opening
         before: Opening
         post: cython.Py_ssize_t

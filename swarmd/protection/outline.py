@@ -33,9 +33,9 @@ _ALONG_EDGE = cython.declare(cython.double, 1e-12)  # approach of a ray that nev
 @cython.final
 @cython.cclass
 class Chunk:
-    """Points beside the outline, of which the first `count` count.
+    """Up to CHUNK points near the outline, and what is computed for each; `count` are in use.
 
-    Its loops run over arrays of C of a fixed length, which a compiler vectorises.
+    The arrays of C have a fixed length, so that the compiler vectorises the loops over them.
     """
 
     count: cython.Py_ssize_t
@@ -54,7 +54,7 @@ class Chunk:
     hidden: cython.double[64]
     # The cap in m/s on the speed at which the nearest place closes on each point.
     cap: cython.double[64]
-    # Of loops over edges and corners: the best value so far, and what belongs to it.
+    # Results so far in loops over edges and corners; see `_find_nearest_edges`.
     least: cython.double[64]
     highest: cython.double[64]
     far: cython.double[64]
@@ -63,7 +63,7 @@ class Chunk:
     edge_y: cython.double[64]
     foot_x: cython.double[64]
     foot_y: cython.double[64]
-    # A row of each point, before the rows that bind are chosen.
+    # A constraint of each point, before those that bind are chosen.
     row_x: cython.double[64]
     row_y: cython.double[64]
     row_cap: cython.double[64]
@@ -157,12 +157,11 @@ class Outline:
     @cython.cfunc
     @cython.exceptval(-1)
     def separate(self, chunk: Chunk, blind: cython.double) -> cython.int:
-        """Gap, direction, lever and hidden gap of the points of a chunk.
+        """Set gap, direction, lever and hidden gap of the points of a chunk.
 
-        The hidden gap is how far a blind zone of radius `blind` m reaches beyond the outline
-        towards the point. An obstacle that is seen at the point continues unseen only within that
-        circle around the lidar. The obstacle is beyond the circle from this gap on, along the
-        shortest line from the outline to the point.
+        The hidden gap is how far the blind zone, a circle of `blind` m around the lidar, reaches
+        beyond the outline on the shortest line from the outline to the point. An obstacle with a
+        return at the point may extend unseen into the blind zone, but not beyond it.
         """
         self._find_nearest_edges(chunk)
         j: cython.Py_ssize_t
@@ -209,10 +208,11 @@ class Outline:
     @cython.cfunc
     @cython.exceptval(-1)
     def _find_nearest_edges(self, chunk: Chunk) -> cython.int:
-        """The nearest place of the outline to each point, on the line of its edge.
+        """Find the place of the outline nearest to each point of a chunk (`foot_x`, `foot_y`).
 
-        `least` is the square of the distance, `far` and `high` its parts along and above the edge,
-        `highest` the height above any edge.
+        `least` is the square of the distance. `far` and `high` are the components of the distance
+        along and perpendicular to the nearest edge. `highest` is the greatest signed distance from
+        the line of any edge; a point inside the outline has none above 0.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -270,7 +270,7 @@ class Outline:
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
     def along_ray(self, ray_x: cython.double, ray_y: cython.double) -> cython.double:
-        """m from the lidar to the outline along a ray; 0 from outside."""
+        """m from the lidar to the outline along a ray; 0 if the lidar is outside the outline."""
         k: cython.Py_ssize_t
         least: cython.double = INFINITY
         for k in range(self.edges, 2 * self.edges):
@@ -286,9 +286,11 @@ class Outline:
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
     def nearest_within(self, nearest: cython.double, range_min: cython.double) -> cython.double:
-        """The range up to which a return may be the nearest to the outline, by the least range.
+        """The greatest range in m that the return nearest to the outline can have.
 
-        The outline lies between two circles around the lidar.
+        `nearest` in m is the least range of the scan. The outline lies between two circles around
+        the lidar, so the return of the least range need not be the nearest to the outline. -inf
+        without a measured return.
         """
         if nearest == INFINITY or nearest == -INFINITY:
             return -INFINITY

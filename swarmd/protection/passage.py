@@ -51,7 +51,7 @@ class Room:
         self._scan = scan
 
     def clearance(self, speed: float) -> Clearance:
-        """The clearance needed to drive at `speed`: ahead, and to each side."""
+        """The room in m that the robot needs to drive at `speed` m/s, ahead and to each side."""
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         corners = self._outline.corners
@@ -72,7 +72,10 @@ class Room:
     def _fastest_at(
         self, distance: cython.double, front: cython.double, age: cython.double
     ) -> cython.double:
-        """The speed ahead in m/s that an obstacle at a distance from the axle allows."""
+        """The highest speed ahead in m/s for an obstacle `distance` m ahead of the axle.
+
+        `front` in m is the front of the outline; `age` in s is that of the scan.
+        """
         assumptions: Assumptions = self._assumptions
         room: cython.double = distance - front - assumptions.margin - assumptions.unseen_extent
         braking: cython.double = assumptions.braking_linear
@@ -87,10 +90,15 @@ class Room:
     def narrowest_passage(self) -> NarrowestPassage:
         """The narrowest door, corridor and meeting that protection lets this robot through.
 
-        At a door, the corners pass posts that may approach while they are not seen, unless the
-        robot may creep. Along the sides of a corridor the gap also leaves the side constraints
-        `_CORRIDOR_SPEED`. Each gap is `_PASSAGE_SLACK` wider: the nearest of noisy returns is
-        nearer than the surface. A robot that is seen whole creeps past it even in contact.
+        Each width is that of the robot, plus gaps to the sides:
+
+        - Door: the posts of a door may approach while no scan shows them, so the gap covers this
+          motion. A robot that may creep needs less.
+        - Corridor: the gap is so wide that the side constraints allow `_CORRIDOR_SPEED`.
+        - Meeting: a corridor in which another robot of the same width passes.
+
+        Each gap is `_PASSAGE_SLACK` wider, since the nearest of noisy returns is nearer than the
+        surface. While creeping past obstacles without unseen parts, this slack is not needed.
         """
         assumptions: Assumptions = self._assumptions
         width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())

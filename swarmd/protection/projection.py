@@ -27,7 +27,7 @@ TOLERANCE = cython.declare(cython.double, 1e-12)
 @cython.final
 @cython.cclass
 class Projection:
-    """A polygon in the plane of speeds, and its point nearest to a requested one."""
+    """A polygon of feasible speeds, and its point nearest to a requested point."""
 
     x: cython.double  # the nearest point
     y: cython.double
@@ -51,11 +51,12 @@ class Projection:
     @cython.cfunc
     @cython.exceptval(-1)
     def project(self, rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
-        """Find the feasible point nearest to a requested one: exact, for two variables.
+        """Set `x`, `y` to the feasible point nearest to the requested point x, y. Exact.
 
-        The axes are the two speeds over their limits, so that "nearest" weighs them alike. The loop
-        adds the most violated row each time: a point that is nearest within some of the rows and
-        violates no other row is nearest within all. Each polygon contains the origin.
+        The axes are the two speeds over their limits, so both speeds weigh alike. The loop begins
+        with the box of the limits. Each round clips the polygon by the constraint (row) that the
+        nearest point violates most. Once the nearest point violates no constraint, it is the
+        nearest within all constraints. Each polygon contains the origin.
         """
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = rows.all
@@ -135,9 +136,9 @@ class Projection:
     @cython.cfunc
     @cython.exceptval(-1)
     def _find_nearest(self, x: cython.double, y: cython.double) -> cython.int:
-        """Find the point of the polygon nearest to a requested one.
+        """Set `x`, `y` to the point of the polygon nearest to a requested point.
 
-        A polygon that is a line or a point has no inside.
+        The polygon may have shrunk to a line or a point; then no requested point is inside.
         """
         i: cython.Py_ssize_t
         best_x: cython.double = 0.0
@@ -177,7 +178,7 @@ class Projection:
 @cython.cfunc
 @cython.exceptval(-1)
 def is_feasible(rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
-    """1 if a point violates no row."""
+    """1 if a point violates no constraint."""
     i: cython.Py_ssize_t
     row_x: cython.p_double = checked(rows.x, rows.all)
     row_y: cython.p_double = checked(rows.y, rows.all)

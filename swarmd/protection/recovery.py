@@ -1,17 +1,19 @@
 """Recovery: steers a blocked robot around an obstacle, before protection judges the command.
 
-Recovery replaces the requested command, and its own requests pass the same arbiter; so it cannot
-weaken protection. Without it, two robots that meet head on would block each other for good.
-Recovery looks for a free corridor of the robot's width near the robot's present heading and prefers
-the right side (after the vector field histogram, Borenstein and Koren 1991).
+Recovery replaces the requested command. The protection mode judges the replacement like any
+request, so recovery cannot weaken protection. Without recovery, two robots that meet head on would
+block each other for good.
 
-In a door or a narrow corridor it keeps the robot on the middle line (pure pursuit, Coulter 1992)
-and asks for little more speed than protection allows; otherwise protection would turn the robot
-aside, because a turn can leave it more speed. Where two meet and neither can pass, each backs off
-for a random time that grows (Metcalfe and Boggs 1976); a robot that has gained ground waits. A
-robot that can neither turn nor go on moves along the way that protection allows most.
+- In the open: recovery looks for a free corridor of the robot's width near the robot's heading, and
+  prefers the right side (after the vector field histogram, Borenstein and Koren 1991).
+- In a door or a narrow corridor: recovery keeps the robot on the middle line (pure pursuit, Coulter
+  1992), and requests little more speed than protection allows. Protection would turn a robot with a
+  faster request aside, because a turning robot may move faster.
+- Where two robots meet and neither can pass: each backs off for a random time that grows (random
+  backoff, Metcalfe and Boggs 1976). A robot that has come forward since it was last blocked waits.
+- A robot that can neither turn nor go on takes the fastest twist that protection allows.
 
-The creeping of a robot that touches something is in envelope.py (`Creeping`).
+A robot in contact creeps by envelope.py (`Creeping`).
 """
 
 from __future__ import annotations
@@ -28,31 +30,34 @@ from swarmd.protection.decision import DecisionContext
 
 _BLOCKED_SHARE = 0.5  # a robot with less than this share of the requested speed is blocked
 _MOVE_BLOCKED_TIME = 0.1  # s of blocked motion before recovery begins
-_TURN_BLOCKED_TIME = 1.0  # s of blocked turning before it backs off instead
+_TURN_BLOCKED_TIME = 1.0  # s of blocked turning before the robot backs off instead
 _MIN_SPEED_SHARE = 0.1  # of the limits: a slower requested command never counts as blocked
-_FOLLOW_TIME = 1.5  # s for which it follows a free corridor
-_BACK_OFF_TIME = 0.8  # s
-_MAX_RECOVERY_TIME = 8.0  # s after which it gives up
-_SIDE_HOLD_TIME = 10.0  # s for which it keeps the chosen side
+_FOLLOW_TIME = 1.5  # s for which the robot follows a free corridor
+_BACK_OFF_TIME = 0.8  # s, the shortest back-off
+_MAX_RECOVERY_TIME = 8.0  # s, in addition to the back-off, after which recovery ends
+_SIDE_HOLD_TIME = 10.0  # s for which the robot keeps the chosen side
 _SIDE_FLIP_PROBABILITY = 0.05  # of the left side, so that two robots do not mirror each other
 _HEADING_TOLERANCE = math.radians(15.0)
 _OTHER_SIDE_COST = math.radians(40.0)  # by which a corridor on the other side must be nearer
 _YIELD_TIME = 12.0  # s, the longest back-off
 _ROUND_TIME = 15.0  # s within which the next block belongs to the same meeting
-_MIN_GAIN = 0.05  # m of progress since the last block with which a robot lets the other yield
-_PATIENCE = (1.0, 3.0)  # s for which it then waits
-_LIMITED_SHARE = 0.9  # of the requested speed: with less it looks for a narrow passage
-_PASSAGE_WIDTHS = 1.4  # of a corridor: a passage up to this width is narrow
+_MIN_GAIN = 0.05  # m of progress since the last block after which a robot waits
+_PATIENCE = (1.0, 3.0)  # s for which it waits
+_LIMITED_SHARE = 0.9  # of the requested speed: with less the robot looks for a narrow passage
+_PASSAGE_WIDTHS = 1.4  # times the width of a corridor: a passage up to this width is narrow
 _PURSUIT_LENGTH = 0.2  # m ahead on the middle line
 _PASSAGE_GAIN, _PASSAGE_TURN_RATE = 3.0, 0.8  # 1/s, rad/s
-_PASSAGE_REACH = (-0.15, 0.35)  # m before the axle at which the sides of a passage count
-_SPEED_UP, _SPEED_STEP = 1.3, 0.1  # of the allowed speed, and of the limit in addition
-_STOPPED_TIME = 1.0  # s without motion in a passage after which it counts as blocked
-_STALL_TIME = 5.0  # s within which a robot must move or turn by these, or it counts as blocked
-_STALL_WAY, _STALL_TURN = 0.04, 1.0  # m, rad
+_PASSAGE_REACH = (-0.15, 0.35)  # m ahead of the axle: walls there are the sides of a passage
+# In a passage the request is at most this multiple of the allowed speed, plus this share of the
+# linear limit.
+_SPEED_UP, _SPEED_STEP = 1.3, 0.1
+_STOPPED_TIME = 1.0  # s without motion in a passage after which the robot counts as blocked
+# A robot that moves less than these m and turns less than these rad in these s counts as blocked.
+_STALL_TIME = 5.0
+_STALL_WAY, _STALL_TURN = 0.04, 1.0
 _CREEP_TIME = 4.0  # s, the longest back-off at a creep
 _ESCAPE_TURNS = (0.0, 1.0, -1.0)  # rad/s
-_CROWD_PATIENCE = 2.0  # s of blocked motion before a robot beside others recovers
+_CROWD_PATIENCE = 2.0  # s of blocked motion before recovery begins, if moving objects are near
 _AXIS_BEARINGS = np.array((0.0, np.pi))
 _BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0))
 
@@ -62,37 +67,36 @@ Allows: TypeAlias = Callable[[Twist], Twist]
 
 
 class Clearance(NamedTuple):
-    """Free room in m from the axle that a corridor needs: `ahead`, and `beside` per side.
-
-    `body` is the part of `beside` that the outline takes.
-    """
+    """Free room in m from the axle that a corridor needs."""
 
     ahead: float
-    beside: float
-    body: float = 0.0
+    beside: float  # to each side
+    body: float = 0.0  # the part of `beside` that the outline takes
 
 
 class Others(NamedTuple):
-    """What avoidance knows: whether moving objects are near, and whether one is led past.
+    """What avoidance and right of way know about other moving objects."""
 
-    `wanted` is the pattern's request if avoidance has replaced it. `is_settled`: the request gives
-    way at an opening, or passes one, and recovery adds nothing.
-    """
-
-    wanted: Twist | None = None
-    are_near: bool = False
-    are_avoided: bool = False
-    is_settled: bool = False
+    wanted: Twist | None = None  # the pattern's request, if avoidance has replaced it
+    are_near: bool = False  # moving objects are near
+    are_avoided: bool = False  # the request leads past a moving object
+    is_settled: bool = False  # the request gives way at an opening or passes it: recovery ends
 
 
 NO_OTHERS = Others()
 
 
 class Recovery:
-    """States: follow (inactive), pass (a narrow passage), back (off), turn and go (to a corridor).
+    """Replaces the requested command of a blocked robot. Times are in s and come with each call.
 
-    Times are in s and come with each call. `lookahead` is the length in m from the axle up to
-    which a corridor is checked.
+    States:
+        follow: inactive, the requested command passes.
+        pass: the robot keeps to the middle of a narrow passage.
+        back: the robot backs off.
+        turn: the robot turns towards a free corridor.
+        go: the robot drives along the corridor.
+
+    `lookahead` is the length in m from the axle up to which a corridor is checked.
     """
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
@@ -144,12 +148,18 @@ class Recovery:
         others: Others = NO_OTHERS,
         allows: Allows | None = None,
     ) -> Twist:
-        """The command to request instead; `requested` itself while nothing blocks it.
+        """The command that replaces `requested`; `requested` itself while the robot is not blocked.
 
-        `safe` is the last safe command, `points` returns the scan as points (k, 2) in the base
-        frame in m, `allows` the safe command for a requested one.
+        Args:
+            requested: the command of the pattern or of avoidance.
+            safe: the last safe command.
+            context: the time and the odometry.
+            points: gives the returns of the scan, (k, 2) in m in the base frame.
+            others: what avoidance knows.
+            allows: gives the safe command for a requested one; None: no escape is tried.
         """
         now, wanted = context.now, others.wanted or requested
+        # End a recovery that is not needed any more, or takes too long.
         is_idle = not (self._is_moving(wanted) or self._is_turning(wanted))
         since = now - self._began
         if (
@@ -159,6 +169,7 @@ class Recovery:
         ):
             self.reset()
             return requested
+        # Begin a recovery if the robot is blocked; in a passage only keep to its middle.
         patience = _CROWD_PATIENCE if others.are_near else self._patience
         is_blocked = self._is_blocked(safe, now, patience)
         if not self.has_taken_over:
@@ -173,12 +184,13 @@ class Recovery:
                 return self._request
             self._start(wanted, context, points())
             is_blocked = False
+        # Go on with the recovery.
         self._speed = max(self._speed, math.hypot(wanted.linear, wanted.lateral))
         self._request = self._recover(safe, context, points, is_blocked, allows)
         return self._request
 
     def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
-        """Back off if moving was blocked; plan at once if turning was."""
+        """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was."""
         self._began, self._speed = context.now, 0.5 * self._limits.linear
         self._moved = None
         if self._is_moving(requested):
@@ -187,10 +199,14 @@ class Recovery:
             self._plan(0.0, context, points)
 
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
-        """True once the safe command has been far below the last request for some time."""
+        """True once the safe command has been far below the last request for some time.
+
+        That time is `patience` s before a recovery, and shorter during one. A robot in a passage,
+        or that creeps, is blocked only if it does not move at all.
+        """
         request = self._request
         is_moving = self._is_moving(request)
-        share = 1.0
+        share = 1.0  # of the request that protection allows
         if self._state == "pass" or self._creeps(safe):
             share = 1.0 if abs(safe.linear) >= 0.25 * self._least_linear else 0.0
         elif is_moving or self._is_turning(request):
@@ -206,16 +222,16 @@ class Recovery:
         return now - self._blocked_since >= (least if is_moving else _TURN_BLOCKED_TIME)
 
     def _creeps(self, safe: Twist) -> bool:
-        """True if a robot that backs off may only creep, as it must until it is out of contact."""
+        """True if protection lets a robot that backs off only creep, as in contact."""
         asked = self._request.linear
         allowed = safe.linear if asked > 0.0 else -safe.linear
         return self._state == "back" and 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
 
     def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
-        """True if the robot has neither moved nor turned for some time, whatever was allowed.
+        """True if the robot has neither moved nor turned for `_STALL_TIME` s, by odometry.
 
-        It may rock to and fro, or get a request near zero from avoidance. A base that does not move
-        with nothing near is not blocked.
+        This finds robots that rock to and fro, or whose request avoidance reduces to nearly zero. A
+        robot without any return near is not blocked.
         """
         if context.odometry is None:
             return False
@@ -230,18 +246,21 @@ class Recovery:
         return False
 
     def _product(self, a: Twist, b: Twist) -> float:
-        """The inner product of two twists in m2/s2, with turns scaled by the ratio of the limits.
+        """The inner product of two twists in m2/s2; turns are scaled by the ratio of the limits.
 
-        So a robot that may make the turn of its request is not blocked, however slowly it moves.
+        With this scale, a robot that may make the turn of its request does not count as blocked,
+        even if it may hardly move.
         """
         scale = (self._limits.linear / self._limits.angular) ** 2
         return a.linear * b.linear + a.lateral * b.lateral + scale * a.angular * b.angular
 
     def _waits(self, context: DecisionContext, points: Array) -> bool:
-        """True if the robot should wait for the other one to yield; counts its own attempts.
+        """True if the robot should wait for another robot to back off.
 
-        Of two that meet, the one that has come forward since it was blocked last waits; the other
-        backs off for longer. In the open each drives around the other instead.
+        If two robots meet between walls, a robot that has come forward since it was blocked last
+        waits once. Otherwise the robot backs off, each time for longer: sets `_back_time`. In the
+        open, or at the first block of a meeting, the back-off is short, since the robots can drive
+        around each other.
         """
         now, pose = context.now, None if context.odometry is None else context.odometry.pose
         is_beside = np.abs(_BEARINGS) <= 0.5 * np.pi
@@ -262,7 +281,10 @@ class Recovery:
         return False
 
     def _through_passage(self, requested: Twist, safe: Twist, points: Points) -> Twist:
-        """The command that keeps to the middle of a narrow passage; `requested` outside of one."""
+        """The command that keeps to the middle of a narrow passage; else `requested`.
+
+        `requested` passes if the robot is not in a narrow passage, or protection does not limit it.
+        """
         share = safe.linear / requested.linear if requested.linear >= self._least_linear else 1.0
         is_limited = self._state == "pass" or (
             self._is_moving(self._request) and share < _LIMITED_SHARE
@@ -289,7 +311,7 @@ class Recovery:
         is_blocked: bool,
         allows: Allows | None,
     ) -> Twist:
-        """Change the state if necessary; the command of the present state."""
+        """The command of a recovery; changes the state first if necessary."""
         now = context.now
         back_time = _CREEP_TIME if self._creeps(safe) else self._back_time
         if self._state == "turn" and is_blocked:
@@ -311,7 +333,7 @@ class Recovery:
         return Twist(self._speed, max(min(2.0 * left, self._turn_rate), -self._turn_rate))
 
     def _backing(self, points: Points) -> Twist:
-        """The command that backs off, along the middle line of a narrow passage."""
+        """The command of state back; a long back-off follows the middle line of a passage."""
         speed = 0.5 * self._speed
         if self._escape is not None:
             return self._escape
@@ -338,9 +360,10 @@ class Recovery:
             self._enter("follow", self._since)
 
     def middle(self, points: Array) -> Array | None:
-        """(2,) a place ahead on the middle line of a narrow passage; None where there is none.
+        """(2,) a place in m ahead on the middle line of a narrow passage; None without a passage.
 
-        The passage is between the nearest pair of a return to the left and one to the right.
+        The sides of the passage are the two returns, one to the left and one to the right, that are
+        nearest to each other.
         """
         first, last = _PASSAGE_REACH
         widest = 2.0 * _PASSAGE_WIDTHS * self._half_width
@@ -378,7 +401,10 @@ class Recovery:
         return escape
 
     def _plan(self, heading: float, context: DecisionContext, points: Array) -> None:
-        """Choose the free corridor nearest to `heading`, a bearing in rad in the base frame."""
+        """Choose a free corridor near `heading` (bearing in rad), and enter the state turn.
+
+        A corridor that is not free up to `lookahead`, or on the other side, costs more.
+        """
         now = context.now
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0

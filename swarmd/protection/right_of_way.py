@@ -1,11 +1,14 @@
 """Right of way: robots pass a door or a corridor one direction at a time, without a message.
 
-A robot remembers the openings that its scans show (openings.py). A robot whose request leads into
-a wall drives to the opening in it. A robot waits aside while others come out; of two that meet
-within an opening the deeper one goes on, and the other one backs out. Chance decides between two
-that are as deep (Metcalfe and Boggs 1976).
+A robot remembers the openings in walls that its scans show (openings.py). If the command that the
+pattern requests leads into a wall, the robot drives to the nearest opening in that wall. The robot
+waits beside an opening while other robots come out of the opening. When two robots meet within an
+opening, the robot that is deeper in goes on and the other robot backs out. If both are equally
+deep, each draws at random whether to go on, and draws again after a random time (random backoff,
+Metcalfe and Boggs 1976).
 
-The result is a request, which avoidance, recovery and protection treat as one of the pattern.
+The result replaces the command that the pattern requested. Avoidance, recovery and protection
+treat the result as a requested command.
 """
 
 from __future__ import annotations
@@ -32,72 +35,83 @@ else:
     SIGHTINGS, Openings = _kernel.SIGHTINGS, _kernel.Openings
     pose_after = load_kernel("swarmd.protection.tracks").pose_after
 
-_TURNING = 0.6  # rad/s of a turn during which no scan is exact enough
+_TURNING = 0.6  # rad/s: scans during a faster turn are not exact enough to show openings
 
 # Which opening is on the way of a request.
 _AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
 _FAR = 2.0  # m before an opening beyond which the robot does not give way
 _AT_WALL = 0.5  # m before a wall at which a robot turns to its opening
 _ALONG_WALL = 0.2  # rad between a request and the wall within which the request leads along it
-_OTHER_WAY = -0.25  # cosine of the direction that leads away from an opening
+# Cosine of the angle between the request and the way through an opening: below it, the request
+# leads away from the opening.
+_LEADS_AWAY = -0.25
 _SIDEWAYS = 1.3  # rad: a request farther to the side is taken for a turn
 _REVERSED = 0.5  # rad from straight back within which a turn keeps the direction behind the robot
-_GIVE_UP = 240.0  # s for one opening
-_LEAD_TIME, _LEAD_TIMES = 0.1, (0.05, 0.3)  # s of a turn ahead: without a limit, and the bounds
+_GIVE_UP = 240.0  # s after which the robot ignores an opening that it has not passed
+# s of a requested turn that are looked ahead: for a base without an angular limit, and the bounds.
+_LEAD_TIME, _LEAD_TIMES = 0.1, (0.05, 0.3)
 
 # Where the robot is. Distances in m along the axis count from the begin of the opening.
-_IN = 0.25  # m before an opening at which an aligned robot is in it
-_IN_ANYHOW = 0.05  # m before an opening at which a robot is in it at any heading
-_IN_BESIDE = 0.05  # m beside an opening beyond which a robot is not in it
+_IN = 0.25  # m before an opening from which an aligned robot counts as in the opening
+_IN_ANYHOW = 0.05  # m before an opening from which a robot of any heading counts as in the opening
+_IN_BESIDE = 0.05  # m beside an opening beyond which a robot is not in the opening
 _ALIGNED, _ALIGNED_SHARE = 0.5, 0.25  # rad, and share of the half width, of an aligned robot
-_BEYOND = 0.35  # m beyond an opening at which it is passed
+_BEYOND = 0.35  # m beyond an opening at which the opening is passed
 _DEEP = 0.2  # m: a deeper opening is a corridor
 
-# What the tracks do.
+# What the tracks (other moving objects that the lidar shows) do.
 _PERSISTS = 1.0  # s after which a track is no part of a wall
 _OUT, _SEEN_BEYOND = 0.9, 0.5  # m before and beyond an opening within which tracks count
 _NARROWER, _WIDER = 0.06, 0.2  # m by which a track in and before an opening may be off its axis
 _THRESHOLD = 0.3  # m around an opening: a track there keeps the side from which it came
-_FIRST_SEEN_IN = -0.1  # m: a new track before it comes from the robot's side
-_BACKS_OUT = 0.1  # m that a track has come back: it comes out
-_MEETS = 0.8  # m, beside the depth, within which a track that comes is met
-_CLOSE = 0.15  # m within which two are as deep
-_FOLLOW, _FOLLOW_BEYOND = 0.27, 0.2  # m behind another robot that goes in, m beyond the opening
+# m along the axis: a new track before this place comes from the robot's side.
+_FIRST_SEEN_IN = -0.1
+_BACKS_OUT = 0.1  # m back from its farthest place: the track comes out again
+_MEETS = 0.8  # m, in addition to the depth, within which a track that comes is met
+_CLOSE = 0.15  # m within which two robots count as equally deep
+# m to another robot that goes in, and m beyond the opening, within which the robot waits behind it.
+_FOLLOW, _FOLLOW_BEYOND = 0.27, 0.2
 
 # How long the robot waits.
 _CLEAR = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 _HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
-_AFTER, _AGAIN = (6.0, 10.0), 120.0  # s for which a robot that has passed lets others pass
-_PATIENCE = (3.0, 6.0)  # s after which it is drawn anew which of two goes on
-_NO_PROGRESS, _MINE_SHARE = 2.0, 0.5  # s after which it is drawn, and the chance to go on
+# s for which a robot gives way again, if it has passed an opening within the last _AGAIN s.
+_AFTER, _AGAIN = (6.0, 10.0), 120.0
+_PATIENCE = (3.0, 6.0)  # s for which the drawn priority holds
+_NO_PROGRESS = 2.0  # s without progress after which the robot draws its priority
+_MINE_SHARE = 0.5  # the chance to draw priority
 _STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries the other way
-_HELD = 10.0  # s behind another that does not go on, after which a robot clears its way
+_HELD = 10.0  # s behind a robot that does not go on, after which the robot clears the way
 
 # How the robot drives.
 _LINE_UP = 0.5  # m before an opening, where a robot turns into its axis
 _NEARLY_LINED_UP = 0.1  # m before that place within which a robot is at it
 _AT_LINE_UP = 0.08  # m from that place within which a robot is lined up
-_ON_AXIS, _ON_AXIS_FAR = 0.04, 0.4  # m from the axis, so far before an opening: lined up, too
-_OFF_AXIS, _OFF_AXIS_NEAR = 0.12, 0.35  # m off the axis, so far before: no longer lined up
-_OFF_AXIS_SHARE = 0.25  # of the half width, nearer
-_PURSUIT = 0.15  # m ahead on the axis
-_LEAN = 0.1  # m/s: a robot in a corridor keeps away from the side whose rays are older by this
-_LEAN_FROM = 0.15  # m before a corridor at which that begins
+# A robot this near to the axis (m), farther than this before the opening (m), is lined up, too.
+_ON_AXIS, _ON_AXIS_FAR = 0.04, 0.4
+# A robot this far off the axis (m), farther than this before the opening (m), is lined up no more.
+_OFF_AXIS, _OFF_AXIS_NEAR = 0.12, 0.35
+_OFF_AXIS_SHARE = 0.25  # of the half width: the same bound nearer to the opening
+_PURSUIT = 0.15  # m ahead on the axis: the place to which a robot drives (pure pursuit)
+# m to the side for each s by which rays to the left are younger than rays to the right: a robot in
+# a corridor keeps away from the wall whose rays are older.
+_LEAN = 0.1
+_LEAN_FROM = 0.15  # m before a corridor from which the robot does so
 _ABEAM, _ABEAM_WIDTH = 1.0, 0.6  # rad: the bearing of the walls beside, and how far around it
 _BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
 _FARTHER_BESIDE = 0.15  # m beside that, to which the robot drives
 _ASIDE_FAR, _ASIDE_STEP = 0.4, 0.1  # m before an opening at least, and m back
 _KEEPS_SIDE, _HAS_SIDE = 0.15, 0.05  # m beside the axis: keeps, and chooses, the side to wait on
-_BACK_AIM = 0.4  # m behind, to which a robot backs out
-_BACK_TURN, _BACK_SHARE = 0.3, 0.5  # rad/s, and share of the speed
+_BACK_AIM = 0.4  # m behind the robot: the place on the axis to which a robot backs out
+_BACK_TURN, _BACK_SHARE = 0.3, 0.5  # rad/s at most, and share of the speed, while backing out
 _BACKS_TO = 2.0  # rad: a goal farther to the side is reached backwards
-_GAIN = 3.0  # 1/s of the heading
-_SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s, of which the last lets protection creep
-_TURN_COST = 0.15  # m/s for each rad/s that protection changes
+_GAIN = 3.0  # 1/s: rad/s for each rad that the heading is off
+_SPEEDS = (0.14, 0.1, 0.07, 0.04)  # m/s; protection lets a robot creep at the last
+_TURN_COST = 0.15  # m/s of speed that are worth a change of the turn by 1 rad/s
 _UNKNOWN_SPEED_SHARE = 0.5  # of the limit, before a request has shown a speed
 
 # The middle of the opening, as the returns of its posts show it.
-_WRONG = 0.1  # m by which the middle may be off; an opening farther off is looked for anew
+_WRONG = 0.1  # m: an opening whose middle is farther off is forgotten and looked for anew
 _NEW = 0.03  # weight of a new measurement of the axis
 _AT_POST, _SAME_WIDTH = 0.1, 0.08  # m within which returns are posts, and their gap is the opening
 _POSTS_BEHIND, _POSTS_AHEAD = 0.15, 0.2  # m around the robot within which returns are posts
@@ -105,31 +119,34 @@ _PAST_POSTS = 0.05  # m beyond an opening at which its posts are not measured
 
 
 class _Rule(Enum):
-    """Which rule of the state machine holds: the first of these, whatever the state before is.
+    """The rules of the state machine; at each step the first rule whose condition is true holds.
 
-    The rules have memory: `_is_backing` (rules 1 and 2), `_clear` and `_busy_at` (rules 3 and 4),
-    `_is_lined_up` (rule 5) and `_held` (rules 3, 4 and 6). Giving way ends the last two.
+    The step does not depend on the state before (`WayState`), but on these attributes of
+    `RightOfWay`: `_is_backing` (rules 1 and 2), `_busy_at` and `_keep_clear_for` (rules 3 and 4),
+    `_is_lined_up` (rule 5), `_held_since` and `_held_at_s` (rules 3, 4 and 6). When the robot
+    begins to give way, it counts as not lined up and not held.
     """
 
-    # 1. A robot in an opening backs out when it meets a robot that comes, until it is out of the
-    #    opening. A robot without progress for _STUCK tries the other way.
+    # 1. A robot in an opening that meets a robot coming towards it backs out until it has left the
+    #    opening. A robot that made no progress for _STUCK s reverses its direction.
     BACKS = 1
     # 2. A robot in an opening that does not back out passes the opening.
     IS_IN = 2
-    # 3. The robot must give way, and stands where others can pass. It must while a robot comes,
-    #    for a random time after that, while another robot is nearer, and for a time after it has
-    #    stood for _HELD behind a robot that does not go on.
+    # 3. The robot must give way, and stands where other robots can pass. The robot must give way
+    #    a) while a robot comes out, and for a random time after that;
+    #    b) while another robot that wants to pass is nearer to the opening;
+    #    c) for a time after it stood for _HELD s behind a robot that does not go on.
     MUST_GIVE_WAY_ASIDE = 3
-    # 4. The robot must give way, and stands where others want to pass.
+    # 4. The robot must give way, and stands where other robots want to pass.
     MUST_GIVE_WAY = 4
-    # 5. The robot is not lined up: it reaches the place before the opening, or the axis there, to
-    #    be lined up, and must stay near the axis.
+    # 5. The robot is not lined up. It becomes lined up at a place _LINE_UP m before the opening, or
+    #    on the axis farther away, and stays lined up while it is near the axis.
     IS_NOT_LINED_UP = 5
-    # 6. Another robot that goes in is close ahead.
+    # 6. The robot is lined up, and another robot that goes in is close ahead.
     FOLLOWS = 6
-    # 7. The robot is lined up, at the place before the opening or beyond.
+    # 7. The robot is lined up and has reached the place _LINE_UP m before the opening.
     IS_AT_LINE_UP = 7
-    # 8. The robot is lined up before that place.
+    # 8. The robot is lined up and has not reached that place.
     IS_BEFORE_LINE_UP = 8
 
 
@@ -143,18 +160,18 @@ _TRANSITIONS: Mapping[_Rule, WayState] = {
     _Rule.IS_AT_LINE_UP: WayState.LINE,
     _Rule.IS_BEFORE_LINE_UP: WayState.APPROACH,
 }
-"""The state that each rule leads to; `WayState.NONE` is without an opening on the way."""
+"""The state that each rule leads to. `WayState.NONE` holds while no opening is on the way."""
 _SETTLED = frozenset({WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE})
 
 
 class _Place(NamedTuple):
-    """The robot before an opening."""
+    """The pose of the robot in the frame of an opening, and the size of the opening."""
 
-    s: float  # m from the begin of the opening along its axis
+    s: float  # m from the begin of the opening along its axis; negative before the opening
     side: float  # m to the left of the axis
     heading: float  # rad from the axis
-    depth: float  # m of the opening
-    half: float  # m of its width
+    depth: float  # m of the opening along its axis
+    half: float  # m, half of the width of the opening
 
     @property
     def is_in(self) -> bool:
@@ -176,18 +193,26 @@ class _Place(NamedTuple):
         return math.hypot(self.s + _LINE_UP, self.side)
 
 
+class _PlacedTrack(NamedTuple):
+    """Another moving object in the frame of an opening."""
+
+    id: int
+    s: float  # m from the begin of the opening along its axis
+    side: float  # m to the left of the axis
+
+
 class _Traffic(NamedTuple):
-    """What the tracks before and in an opening do."""
+    """What the other robots before and in an opening do."""
 
     is_busy: bool = False  # a robot comes out
-    is_within: bool = False  # that robot is still in the opening
-    is_behind: bool = False  # another robot that wants to pass is nearer
-    is_met: bool = False  # a robot that is deeper in comes towards this robot in the opening
+    is_within: bool = False  # a robot that comes out is still in the opening
+    is_behind: bool = False  # another robot that wants to pass is nearer: this robot is behind
+    is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
 
 
 class RightOfWay:
-    """Chooses the request of a robot before an opening. Times are in s and come with each call."""
+    """Replaces the requested command of a robot before an opening. Times are in s, by argument."""
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
         """`seed` seeds the random choices."""
@@ -205,9 +230,8 @@ class RightOfWay:
 
     def reset(self) -> None:
         """Forget the request, and no opening that the robot knows."""
-        self._speed = (
-            _UNKNOWN_SPEED_SHARE * self._limits.linear
-        )  # or the fastest request, as in recovery
+        # m/s; the fastest speed requested so far, as in recovery
+        self._speed = _UNKNOWN_SPEED_SHARE * self._limits.linear
         self._release()
 
     def on_odometry(self, odometry: Odometry) -> None:
@@ -220,25 +244,36 @@ class RightOfWay:
     def _release(self) -> None:
         """Let requests pass until there is another opening on the way."""
         self._opening: Opening | None = None
-        self._sign, self._since, self._wish = 1.0, 0.0, 0.0
-        self._sides: dict[int, float] = {}  # by track: the side from which it came
+        self._sign = 1.0  # 1 or -1: the way through, along the angle of the opening or opposite
+        self._since = 0.0  # when the opening was chosen
+        self._wanted_yaw = 0.0  # rad, the direction of the request in the frame of the odometry
+        # By the id of a track: -1 if it came from this robot's side of the opening, else 1; the
+        # farthest m along the axis; since when it is seen.
+        self._sides: dict[int, float] = {}
         self._farthest: dict[int, float] = {}
         self._seen_since: dict[int, float] = {}
-        self._best, self._best_at, self._is_backing = -math.inf, -math.inf, False
-        self._busy_at, self._clear = -math.inf, 0.0
-        self._is_mine, self._drawn_until = True, -math.inf
-        self._aside, self._is_lined_up = 0.0, False
-        self._off: float | None = None  # m, the measured middle less that of the sightings
-        self._held = -math.inf, -math.inf  # when and where it began to wait for one ahead
+        self._progress_s = -math.inf  # m along the axis: where the robot last made progress
+        self._progress_at = -math.inf  # when
+        self._is_backing = False
+        self._busy_at = -math.inf  # when traffic last made the robot give way
+        self._keep_clear_for = 0.0  # s after `_busy_at` in which the robot still gives way
+        self._has_priority = True  # as drawn at random
+        self._drawn_until = -math.inf
+        self._waiting_side = 0.0  # 1 left or -1 right of the axis; 0: not chosen
+        self._is_lined_up = False
+        # m to the left: the middle measured between the posts less that of the sightings.
+        self._middle_offset: float | None = None
+        self._held_since = -math.inf  # when the robot began to wait for a robot ahead
+        self._held_at_s = -math.inf  # m along the axis, where it did
         self.state = WayState.NONE
 
     @property
     def is_settled(self) -> bool:
-        """True where neither avoidance nor recovery has anything to add."""
+        """True in the states in which avoidance and recovery leave the command as it is."""
         return self.state in _SETTLED
 
     def passed(self, context: DecisionContext) -> Avoided | None:
-        """The opening that changes the request of a robot; None without one."""
+        """The opening because of which the request is replaced; None while no opening is."""
         opening, odometry = self._opening, context.odometry
         if self.state is WayState.NONE or opening is None or odometry is None:
             return None
@@ -248,21 +283,23 @@ class RightOfWay:
         return Avoided(bearing, math.hypot(x, y), self.state)
 
     def observe(self, scan: Scan, offset: tuple[float, float], context: DecisionContext) -> None:
-        """Take in a conditioned scan; `offset` is the place of the sensor in the base frame."""
+        """Take in a conditioned scan; `offset` in m is the place of the sensor in the base frame.
+
+        Sets `_lean`, the m to the left of the axis at which the robot drives in a corridor.
+        """
         odometry = context.odometry
         ages = scan.ages if self._opening is not None else None
         if ages is not None and len(ages) == len(scan.bearings):
-            left, right = (
-                ages[np.abs(scan.bearings - way * _ABEAM) < _ABEAM_WIDTH] for way in (1.0, -1.0)
-            )
-            if len(left) and len(right):
-                self._lean = _LEAN * float(right.mean() - left.mean())
+            left_ages = ages[np.abs(scan.bearings - _ABEAM) < _ABEAM_WIDTH]
+            right_ages = ages[np.abs(scan.bearings + _ABEAM) < _ABEAM_WIDTH]
+            if len(left_ages) and len(right_ages):
+                self._lean = _LEAN * float(right_ages.mean() - left_ages.mean())
         if odometry is None or context.odometry_age is None:
             return
         if abs(odometry.twist.angular) > _TURNING:
             return
-        ago = (scan.newest_age or 0.0) + context.scan_delay
-        pose = pose_after(odometry, context.odometry_age - ago)
+        scan_age = (scan.newest_age or 0.0) + context.scan_delay
+        pose = pose_after(odometry, context.odometry_age - scan_age)
         self._openings.observe(scan, offset, pose, context.now, self._tracks, self._opening)
 
     def command(
@@ -273,7 +310,15 @@ class RightOfWay:
         allows: Allows,
         points: Points,
     ) -> Twist:
-        """The request to ask for; `requested` itself without an opening on the way."""
+        """The command that replaces `requested`; `requested` itself if no opening is on the way.
+
+        Args:
+            requested: the command of the pattern.
+            context: the time and the odometry.
+            around: the tracks in the base frame.
+            allows: gives the command that protection would make of a command.
+            points: gives the returns of the scan, (n, 2) in m in the base frame.
+        """
         odometry, now = context.odometry, context.now
         if odometry is None or context.odometry_age is None:
             return requested
@@ -290,7 +335,8 @@ class RightOfWay:
             self._release()
             return requested
         self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
-        self._wish = self._wished(requested, pose.yaw)
+        self._wanted_yaw = self._requested_yaw(requested, pose.yaw)
+        # Choose an opening, if none is chosen, and place the robot in its frame.
         if self._opening is None:
             self._choose(pose, now)
         opening = self._opening
@@ -301,14 +347,16 @@ class RightOfWay:
         turned = pose.yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
         heading = math.remainder(turned, 2.0 * math.pi)
         place = _Place(s - first, side, heading, last - first, opening.half)
+        # Drop the opening once it is passed, far away, not on the way, or not passed for too long.
         is_passed = place.s > place.depth + _BEYOND
         if is_passed and around.tracks:
             self._passed_at = now
-        wish = math.cos(self._wish - opening.angle) * self._sign
+        cos_to_request = math.cos(self._wanted_yaw - opening.angle) * self._sign
         is_over = now - self._since > _GIVE_UP
-        if is_passed or place.s < -_FAR or wish < _OTHER_WAY or is_over:
+        if is_passed or place.s < -_FAR or cos_to_request < _LEADS_AWAY or is_over:
             self._release()
             return requested
+        # Place the tracks that persist in the frame of the opening.
         self._seen_since = {
             track.id: self._seen_since.get(track.id, now) for track in around.tracks
         }
@@ -319,198 +367,226 @@ class RightOfWay:
         for track, x, y in placed:
             along, across = opening.to_local(x, y, self._sign)
             if now - self._seen_since[track.id] >= _PERSISTS:
-                others.append((track.id, along - first, across))
+                others.append(_PlacedTrack(track.id, along - first, across))
         return self._through(place, others, now, allows, points)
 
-    def _wished(self, requested: Twist, yaw: float) -> float:
-        """The direction of the request in the frame of the odometry.
+    def _requested_yaw(self, requested: Twist, yaw: float) -> float:
+        """The direction of the request in rad in the frame of the odometry.
 
-        A base that turns on the spot wants to go anywhere on that side.
+        A request to turn on the spot does not say how far the robot wants to turn. So the direction
+        before is kept if it lies on the side of the turn, or straight behind the robot.
         """
         ahead = max(requested.linear, 0.0)
-        off = math.atan2(requested.lateral + self._lead * requested.angular, ahead)
-        if abs(off) > _SIDEWAYS and requested.lateral == 0.0:
-            before = math.remainder(self._wish - yaw, 2.0 * math.pi)
-            if before * off > 0.0 and abs(before) > _SIDEWAYS:
-                off = before
-            elif math.pi - abs(before) < _REVERSED:
-                off = math.copysign(math.pi, off)
-        return yaw + off
+        bearing = math.atan2(requested.lateral + self._lead * requested.angular, ahead)
+        if abs(bearing) > _SIDEWAYS and requested.lateral == 0.0:
+            bearing_before = math.remainder(self._wanted_yaw - yaw, 2.0 * math.pi)
+            if bearing_before * bearing > 0.0 and abs(bearing_before) > _SIDEWAYS:
+                bearing = bearing_before
+            elif math.pi - abs(bearing_before) < _REVERSED:
+                bearing = math.copysign(math.pi, bearing)
+        return yaw + bearing
 
     def _choose(self, pose: Pose, now: float) -> None:
-        """Take the nearest opening that the wish leads through, or whose wall it leads into."""
+        """Choose the nearest opening through which the request leads, or into whose wall.
+
+        Sets `_opening` and `_sign`, and resets what is remembered of another opening. Nothing
+        changes if no opening is on the way.
+        """
         nearest, chosen = math.inf, None
         for opening in self._openings:
-            angle = math.remainder(self._wish - opening.angle, 2.0 * math.pi)
+            # Skip an opening that was seen too rarely, or whose wall the request leads along.
+            angle = math.remainder(self._wanted_yaw - opening.angle, 2.0 * math.pi)
             if opening.hits < SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < _ALONG_WALL:
                 continue
+            # Skip an opening that the robot has passed, or beside which the robot is.
             sign = 1.0 if abs(angle) < 0.5 * math.pi else -1.0
             s, side = opening.to_local(pose.x, pose.y, sign)
             first, last = opening.ends(sign)
             s -= first
             if s > last - first or (s > -_IN_ANYHOW and abs(side) > opening.half):
                 continue
-            at = side - min(s, 0.0) * math.tan(angle)
-            wall = opening.walls[0 if at * sign > 0.0 else 1]
-            leads_in = abs(at) < opening.half and s > -_AHEAD
-            leads_to_wall = s > -_AT_WALL and abs(at) < wall
-            away = math.hypot(min(s, 0.0), side)
-            if (leads_in or leads_to_wall) and away < nearest:
-                nearest, chosen = away, (opening, sign)
+            # m to the left of the axis at which the request meets the begin of the opening.
+            meets_at = side - min(s, 0.0) * math.tan(angle)
+            wall_length = opening.walls[0 if meets_at * sign > 0.0 else 1]
+            leads_in = abs(meets_at) < opening.half and s > -_AHEAD
+            leads_to_wall = s > -_AT_WALL and abs(meets_at) < wall_length
+            distance = math.hypot(min(s, 0.0), side)
+            if (leads_in or leads_to_wall) and distance < nearest:
+                nearest, chosen = distance, (opening, sign)
         if chosen is None:
             return
-        wish = self._wish
+        wanted_yaw = self._wanted_yaw
         self._release()
-        self._wish, self._since = wish, now
+        self._wanted_yaw, self._since = wanted_yaw, now
         self._opening, self._sign = chosen
         if now - self._passed_at < _AGAIN:
-            self._busy_at, self._clear = now, self._rng.uniform(*_AFTER)
+            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_AFTER)
 
-    def _traffic(self, at: _Place, others: list[tuple[int, float, float]]) -> _Traffic:
-        """What the tracks (id, m from the begin, m to the left of the axis) do."""
-        slack = _CLOSE if self._is_mine else -_CLOSE
+    def _traffic(self, place: _Place, others: list[_PlacedTrack]) -> _Traffic:
+        """What the other robots do; `place` is that of this robot.
+
+        Notes in `_sides` from which side each track came, and in `_farthest` how far each came.
+        """
+        slack = _CLOSE if self._has_priority else -_CLOSE
         is_busy = is_behind = is_met = is_within = is_close = False
-        for id, s, off in others:
-            side = self._sides.get(id)
-            if side is None or s < -_THRESHOLD or s > at.depth + _THRESHOLD:
-                least = _FIRST_SEEN_IN if side is None else 0.5 * at.depth
-                side = self._sides[id] = -1.0 if s < least else 1.0
-            wide = at.half - _NARROWER if s > 0.0 else at.half + _WIDER
-            if not -_OUT < s < at.depth + _SEEN_BEYOND or abs(off) > wide:
+        for id, s, side in others:
+            # The side from which the track came: -1 this robot's side, 1 the other side.
+            from_side = self._sides.get(id)
+            if from_side is None or s < -_THRESHOLD or s > place.depth + _THRESHOLD:
+                border = _FIRST_SEEN_IN if from_side is None else 0.5 * place.depth
+                from_side = self._sides[id] = -1.0 if s < border else 1.0
+            widest = place.half - _NARROWER if s > 0.0 else place.half + _WIDER
+            if not -_OUT < s < place.depth + _SEEN_BEYOND or abs(side) > widest:
                 continue
-            far = max(self._farthest.get(id, s) if s > -_LINE_UP else s, s)
-            self._farthest[id] = far
-            if side > 0.0 or (far > -_IN and s < far - _BACKS_OUT):
-                back, its = at.s + _IN, at.depth + _IN - s
-                if at.is_in and s > at.s:
-                    is_met |= s - at.s < _MEETS + at.depth and its > max(back + slack, 0.0)
-                elif s < at.depth + _IN or s - at.depth < -at.s + slack:
+            farthest = max(self._farthest.get(id, s) if s > -_LINE_UP else s, s)
+            self._farthest[id] = farthest
+            if from_side > 0.0 or (farthest > -_IN and s < farthest - _BACKS_OUT):
+                # The track comes out. Compare the m that each robot would have to back out.
+                own_m, other_m = place.s + _IN, place.depth + _IN - s
+                if place.is_in and s > place.s:
+                    is_met |= s - place.s < _MEETS + place.depth and other_m > max(
+                        own_m + slack, 0.0
+                    )
+                elif s < place.depth + _IN or s - place.depth < -place.s + slack:
                     is_busy = True
-                    is_within |= -_THRESHOLD < s < at.depth + _THRESHOLD
-            elif s > at.s and s > -_IN:
-                is_close |= s - at.s < _FOLLOW and s < at.depth + _FOLLOW_BEYOND
-            elif math.hypot(s + _LINE_UP, off) < at.to_line_up + slack:
+                    is_within |= -_THRESHOLD < s < place.depth + _THRESHOLD
+            elif s > place.s and s > -_IN:  # the track goes in ahead of the robot
+                is_close |= s - place.s < _FOLLOW and s < place.depth + _FOLLOW_BEYOND
+            elif math.hypot(s + _LINE_UP, side) < place.to_line_up + slack:
                 is_behind = True
         return _Traffic(is_busy, is_within, is_behind, is_met, is_close)
 
     def _through(
         self,
-        at: _Place,
-        others: list[tuple[int, float, float]],
+        place: _Place,
+        others: list[_PlacedTrack],
         now: float,
         allows: Allows,
         points: Points,
     ) -> Twist:
-        """The request at a place."""
-        if now > self._drawn_until and now - self._best_at > _NO_PROGRESS:
-            self._is_mine = self._rng.random() < _MINE_SHARE
+        """The command at a place before or in the chosen opening; sets `state`."""
+        # Draw the priority again if the robot makes no progress.
+        if now > self._drawn_until and now - self._progress_at > _NO_PROGRESS:
+            self._has_priority = self._rng.random() < _MINE_SHARE
             self._drawn_until = now + self._rng.uniform(*_PATIENCE)
-        self._find_middle(at, points)
-        left = self._off or 0.0
+        # Correct all places by the measured middle of the opening.
+        self._find_middle(place, points)
+        left = self._middle_offset or 0.0
         if abs(left) > _WRONG and self._openings.forget(self._opening):
             self._release()  # a robot was taken for a post
             return ZERO
-        at = at._replace(side=at.side - left)
-        traffic = self._traffic(at, [(id, s, off - left) for id, s, off in others])
-        self._note_progress(at, traffic, now)
+        place = place._replace(side=place.side - left)
+        others = [_PlacedTrack(id, s, side - left) for id, s, side in others]
+        # Judge the traffic, then the state.
+        traffic = self._traffic(place, others)
+        self._note_progress(place, traffic, now)
         if traffic.is_met or traffic.is_busy or self._is_backing:
             has_passed = now - self._passed_at < _AGAIN
             self._busy_at = now
-            self._clear = self._rng.uniform(*(_AFTER if has_passed else _CLEAR))
-            self._clear += _HIDDEN if traffic.is_within else 0.0
-        self.state = _TRANSITIONS[self._rule(at, traffic, now)]
-        return self._request(at, allows)
+            self._keep_clear_for = self._rng.uniform(*(_AFTER if has_passed else _CLEAR))
+            self._keep_clear_for += _HIDDEN if traffic.is_within else 0.0
+        self.state = _TRANSITIONS[self._rule(place, traffic, now)]
+        return self._request(place, allows)
 
-    def _note_progress(self, at: _Place, traffic: _Traffic, now: float) -> None:
-        """Decide whether a robot in an opening backs out."""
-        if not at.is_in:
-            self._is_backing, self._best, self._best_at = False, at.s, now
-        elif traffic.is_met or now - self._best_at > _STUCK:
+    def _note_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
+        """Set `_is_backing`, and note where and when the robot last made progress."""
+        if not place.is_in:
+            self._is_backing = False
+        elif traffic.is_met or now - self._progress_at > _STUCK:
             self._is_backing = traffic.is_met or not self._is_backing
-            self._best, self._best_at = at.s, now
-        elif abs(at.s - self._best) > _PROGRESS:
-            self._best, self._best_at = at.s, now
+        elif not abs(place.s - self._progress_s) > _PROGRESS:
+            return
+        self._progress_s, self._progress_at = place.s, now
 
-    def _rule(self, at: _Place, traffic: _Traffic, now: float) -> _Rule:
-        """The rule that holds at a place among traffic."""
+    def _rule(self, place: _Place, traffic: _Traffic, now: float) -> _Rule:
+        """The first rule of `_Rule` whose condition is true; updates what the rules remember."""
         if self._is_backing:
             return _Rule.BACKS
-        if at.is_in:
+        if place.is_in:
             return _Rule.IS_IN
-        if now - self._busy_at < self._clear or traffic.is_behind:
-            return self._giving_way(at)
-        is_on_axis = abs(at.side) < _ON_AXIS and at.s < -_ON_AXIS_FAR
-        self._is_lined_up |= at.to_line_up < _AT_LINE_UP or is_on_axis
-        most = _OFF_AXIS if at.s < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * at.half
-        self._is_lined_up &= abs(at.side) < most
+        if now - self._busy_at < self._keep_clear_for or traffic.is_behind:
+            return self._giving_way(place)
+        is_on_axis = abs(place.side) < _ON_AXIS and place.s < -_ON_AXIS_FAR
+        self._is_lined_up |= place.to_line_up < _AT_LINE_UP or is_on_axis
+        most_off_axis = _OFF_AXIS if place.s < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * place.half
+        self._is_lined_up &= abs(place.side) < most_off_axis
         if not self._is_lined_up:
             return _Rule.IS_NOT_LINED_UP
-        if not traffic.is_close or at.s > self._held[1] + _PROGRESS:
-            self._held = now, at.s
-        elif now - self._held[0] > _HELD:
-            self._busy_at, self._clear = now, self._rng.uniform(*_CLEAR) + _HIDDEN
-            return self._giving_way(at)
+        if not traffic.is_close or place.s > self._held_at_s + _PROGRESS:
+            self._held_since, self._held_at_s = now, place.s
+        elif now - self._held_since > _HELD:
+            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_CLEAR) + _HIDDEN
+            return self._giving_way(place)
         if traffic.is_close:
             return _Rule.FOLLOWS
-        is_at_line_up = at.s > -_LINE_UP - _NEARLY_LINED_UP
+        is_at_line_up = place.s > -_LINE_UP - _NEARLY_LINED_UP
         return _Rule.IS_AT_LINE_UP if is_at_line_up else _Rule.IS_BEFORE_LINE_UP
 
-    def _giving_way(self, at: _Place) -> _Rule:
-        self._is_lined_up, self._held = False, (-math.inf, -math.inf)
-        return _Rule.MUST_GIVE_WAY_ASIDE if at.leaves_free else _Rule.MUST_GIVE_WAY
+    def _giving_way(self, place: _Place) -> _Rule:
+        """Rule 3 or 4, by the place; the robot is not lined up and not held any more."""
+        self._is_lined_up = False
+        self._held_since = self._held_at_s = -math.inf
+        return _Rule.MUST_GIVE_WAY_ASIDE if place.leaves_free else _Rule.MUST_GIVE_WAY
 
-    def _request(self, at: _Place, allows: Allows) -> Twist:
-        """The request of the present state at a place."""
+    def _request(self, place: _Place, allows: Allows) -> Twist:
+        """The command of the present state at a place."""
         match self.state:
             case WayState.BACK:
-                behind = math.atan2(-at.side, -_BACK_AIM) + math.pi - at.heading
+                behind = math.atan2(-place.side, -_BACK_AIM) + math.pi - place.heading
                 turn = min(max(math.remainder(behind, 2.0 * math.pi), -_BACK_TURN), _BACK_TURN)
                 return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), allows)
             case WayState.IN:
-                is_in_corridor = at.depth > _DEEP and at.s > -_LEAN_FROM
+                is_in_corridor = place.depth > _DEEP and place.s > -_LEAN_FROM
                 lean = self._lean if is_in_corridor else 0.0
-                return self._fastest(self._drive(at.s + _PURSUIT, lean, at), allows)
+                return self._fastest(self._drive(place.s + _PURSUIT, lean, place), allows)
             case WayState.ASIDE:
-                if not self._aside or abs(at.side) > _KEEPS_SIDE:
-                    is_off = abs(at.side) > _HAS_SIDE
-                    self._aside = math.copysign(1.0, at.side) if is_off else self._aside or -1.0
-                side = self._aside * (at.half + _BESIDE + _FARTHER_BESIDE)
-                return self._drive(min(at.s, -_ASIDE_FAR) - _ASIDE_STEP, side, at)
+                if abs(place.side) > _HAS_SIDE and (
+                    not self._waiting_side or abs(place.side) > _KEEPS_SIDE
+                ):
+                    self._waiting_side = math.copysign(1.0, place.side)
+                elif not self._waiting_side:
+                    self._waiting_side = -1.0
+                side = self._waiting_side * (place.half + _BESIDE + _FARTHER_BESIDE)
+                return self._drive(min(place.s, -_ASIDE_FAR) - _ASIDE_STEP, side, place)
             case WayState.GO:
-                return self._drive(-_LINE_UP, 0.0, at)
+                return self._drive(-_LINE_UP, 0.0, place)
             case WayState.LINE:
-                return self._fastest(self._drive(at.s + _PURSUIT, 0.0, at), allows)
+                return self._fastest(self._drive(place.s + _PURSUIT, 0.0, place), allows)
             case WayState.APPROACH:
-                return self._drive(at.s + _PURSUIT, 0.0, at)
+                return self._drive(place.s + _PURSUIT, 0.0, place)
             case _:
                 return ZERO
 
-    def _find_middle(self, at: _Place, points: Points) -> None:
-        """Measure how far to the left of the axis the middle of the opening is.
+    def _find_middle(self, place: _Place, points: Points) -> None:
+        """Measure `_middle_offset`, the m to the left of the axis at which the middle is.
 
-        The axis of sightings from afar is off by 1 cm, and by more where a robot was taken for a
-        post. Between the posts 1 cm costs half of the speed.
+        The middle lies between two neighbouring returns whose gap is as wide as the opening. The
+        axis of sightings from afar is off by 1 cm, and by more where a robot was taken for a post.
+        Between the posts 1 cm costs half of the speed.
         """
-        if not -_LINE_UP - _NEARLY_LINED_UP < at.s < at.depth + _PAST_POSTS:
+        if not -_LINE_UP - _NEARLY_LINED_UP < place.s < place.depth + _PAST_POSTS:
             return
         x, y = points().T
-        cos, sin = math.cos(at.heading), math.sin(at.heading)
-        along, across = at.s + cos * x - sin * y, at.side + sin * x + cos * y
-        is_near = (along > max(at.s - _POSTS_BEHIND, -_AT_POST)) & (
-            along < max(at.s, 0.0) + _POSTS_AHEAD
+        cos, sin = math.cos(place.heading), math.sin(place.heading)
+        along, across = place.s + cos * x - sin * y, place.side + sin * x + cos * y
+        is_near = (along > max(place.s - _POSTS_BEHIND, -_AT_POST)) & (
+            along < max(place.s, 0.0) + _POSTS_AHEAD
         )
-        sides = np.sort(across[is_near & (along < at.depth + _AT_POST)])
+        sides = np.sort(across[is_near & (along < place.depth + _AT_POST)])
         middles = 0.5 * (sides[1:] + sides[:-1])
-        middles = middles[np.abs(np.diff(sides) - 2.0 * at.half) < _SAME_WIDTH]
-        middles = middles[np.abs(middles) < at.half + _AT_POST]
-        if len(middles):
-            seen = float(middles[np.abs(middles - (self._off or 0.0)).argmin()])
-            self._off = seen if self._off is None else self._off + _NEW * (seen - self._off)
+        middles = middles[np.abs(np.diff(sides) - 2.0 * place.half) < _SAME_WIDTH]
+        middles = middles[np.abs(middles) < place.half + _AT_POST]
+        if not len(middles):
+            return
+        offset = self._middle_offset
+        measured = float(middles[np.abs(middles - (offset or 0.0)).argmin()])
+        self._middle_offset = measured if offset is None else offset + _NEW * (measured - offset)
 
     def _fastest(self, twist: Twist, allows: Allows) -> Twist:
-        """The request along this way of which protection leaves most.
+        """Of the command `twist` at several speeds: the one of which protection leaves most speed.
 
-        Protection turns a robot aside that asks for much, and lets one creep that asks for little.
+        Protection turns a robot aside if the command is fast, and lets the robot creep if it is
+        slow.
         """
         most = abs(twist.linear)
         best_gain, best = -math.inf, twist
@@ -523,13 +599,17 @@ class RightOfWay:
                 best_gain, best = gain, asked
         return best
 
-    def _drive(self, s: float, side: float, at: _Place) -> Twist:
-        """Towards a place."""
+    def _drive(self, s: float, side: float, place: _Place) -> Twist:
+        """The command that drives from `place` to `s`, `side` in m in the frame of the opening.
+
+        A robot near or in the opening drives backwards to a goal behind it.
+        """
         limits = self._limits
-        off = math.remainder(math.atan2(side - at.side, s - at.s) - at.heading, 2.0 * math.pi)
-        if s < at.s > -_LINE_UP and abs(at.side) < at.half and abs(off) > _BACKS_TO:  # backs out
+        bearing = math.atan2(side - place.side, s - place.s) - place.heading
+        off = math.remainder(bearing, 2.0 * math.pi)
+        speed = self._speed
+        if s < place.s > -_LINE_UP and abs(place.side) < place.half and abs(off) > _BACKS_TO:
             off = math.remainder(off - math.pi, 2.0 * math.pi)
-            turn = min(max(_GAIN * off, -limits.angular), limits.angular)
-            return Twist(-self._speed * max(math.cos(off), 0.0) ** 2, turn)
+            speed = -speed
         turn = min(max(_GAIN * off, -limits.angular), limits.angular)
-        return Twist(self._speed * max(math.cos(off), 0.0) ** 2, turn)
+        return Twist(speed * max(math.cos(off), 0.0) ** 2, turn)

@@ -45,15 +45,15 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # m/s, fastest corner of this robot near an obstacle; None: `others_speed`. Higher than the
     # `others_speed` of another robot: breaks that robot's assumption. Lower: slower turns.
     surface_speed: Speed | None = None
-    # m/s by which a corner passes an obstacle more slowly, which may move to where the corner goes;
-    # None: 0.3 of `others_speed`. Higher: passes walls more slowly. Lower: a thing that homes in on
-    # the corner can be met. 0: the robot does not brake before such a thing is near. The brakes
-    # must take off what is left of half of `others_speed` while others come nearer by `margin`.
-    # Only for `passive`.
+    # m/s by which a corner passes an obstacle more slowly, since the obstacle may move to where the
+    # corner goes; None: 0.3 of `others_speed`. Higher: passes walls more slowly. Lower: an object
+    # that steers for the corner can hit it. 0: the robot does not brake before an object at its
+    # side is near. While an object approaches by `margin`, the brakes must be able to take off half
+    # of `others_speed` less this reserve. Only for `passive`.
     side_reserve: Reserve | None = None
     # m from the outline within which `surface_speed` applies; None: as far as a constraint can
-    # bind. Higher: slows down earlier. Lower: robots that assume less than the speed of its fastest
-    # corner are held when they hear of it.
+    # bind. Higher: slows down earlier. Lower: this robot tells peers the speed of its fastest
+    # corner at its limits, and peers that assume less (`others_speed`) are held.
     envelope_within: Length | None = None
     # passive: others may approach at `others_speed`. reciprocal: each of two uses half of the gap;
     # gets more done, but leaves millimetres and fails unless all robots use it.
@@ -68,7 +68,7 @@ class StopZoneSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     # m from the outline within which the robot stops. Higher: stops farther away, and stays there.
     stop: Length = 0.10
-    # m from the outline within which it slows down. Higher: slower near walls.
+    # m from the outline within which the robot slows down. Higher: slower near walls.
     slow: Length = 0.25
     # Share of the requested command within `slow`. Higher: less time to stop.
     slow_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3

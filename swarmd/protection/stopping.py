@@ -1,12 +1,17 @@
 """The stop check of mode `barrier`: the outline stays clear of obstacles while the robot brakes.
 
-Part of the library of barrier.py. A row bounds how fast the nearest place of the outline closes on
-an obstacle now. But a corner swings outwards while a turn ends, and of two speeds, of which the
-first opens what the second closes, the first may reach zero sooner. So the stop is simulated, as in
-the dynamic window approach (Fox, Burgard and Thrun, IEEE RAM 1997): with both brakes as weak as
-assumed, and with either of them ideal. An obstacle may also move along the outline, to where a turn
-moves the outline outwards. So at each pose no place that an obstacle can have reached by then may
-move outwards by the turn. Units: m, s, rad, in the predicted base frame.
+Part of the library of barrier.py. A constraint limits how fast a place of the outline closes on an
+obstacle now. Constraints alone do not keep the outline clear during a stop, for three reasons:
+
+1. A corner swings outwards while the robot still turns.
+2. The linear speed may move a place away from an obstacle while the angular speed moves it closer,
+   or the reverse. The speed that moves away may reach zero first.
+3. An obstacle may move along the outline to a place that the turn moves outwards.
+
+For 1 and 2 the stop is simulated, as in the dynamic window approach (Fox, Burgard and Thrun, IEEE
+RAM 1997): with both brakes as weak as assumed, and with either brake ideal. For 3, the turn may
+move no place outwards that an obstacle can have reached. Units: m, s, rad, in the predicted base
+frame.
 """
 
 from __future__ import annotations
@@ -42,7 +47,7 @@ _BRAKES = cython.declare(cython.Py_ssize_t, 3)
 _IDEAL_LINEAR = cython.declare(cython.Py_ssize_t, 1)
 _IDEAL_ANGULAR = cython.declare(cython.Py_ssize_t, 2)
 _IDEAL_BRAKING = cython.declare(cython.double, 1e9)  # m/s2 and rad/s2: an immediate stop
-# m, of the way of an outline: prunes nothing that binds
+# m by which distances may be off by rounding, so that no point that matters is left out
 _ROUNDING = cython.declare(cython.double, 1e-9)
 _SPEED_ROUNDING = cython.declare(cython.double, 1e-12)  # m/s, of the fastest place
 
@@ -55,7 +60,7 @@ def _speed_shares() -> Array:
 
 
 _SPEED_SHARES = view(_speed_shares())
-"""Shares of the two speeds, those nearest to the whole first; the last is zero."""
+"""(24, 2) shares of the two speeds, those nearest to (1, 1) first; the last pair is zero."""
 
 
 @cython.final
@@ -70,7 +75,10 @@ class Speeds:
 @cython.final
 @cython.cclass
 class StopPoints:
-    """The points that a stop could touch: places, gaps, and the gap that each must keep now."""
+    """The points that the outline could touch during a stop.
+
+    Places, present gaps, and the gap in m that each must keep at the begin of the stop (`need`).
+    """
 
     count: cython.Py_ssize_t
     x: cython.double[::1]
@@ -101,10 +109,10 @@ class StopPoints:
         seconds: cython.double,
         way: cython.double,
     ) -> cython.int:
-        """Take the points that may be touched in a stop of `seconds`.
+        """Take the points that the outline may touch during a stop of `seconds`.
 
-        In that time places of the outline move at most `way` m, and obstacles at `others` m/s.
-        Contacts and what the robot may touch are left out.
+        During the stop no place of the outline moves more than `way` m, and obstacles move at
+        `others` m/s. Contacts and points in a touch zone are left out.
         """
         i: cython.Py_ssize_t
         placed: PlacedPoints = constraints.placed
@@ -133,7 +141,7 @@ class StopPoints:
 @cython.final
 @cython.cclass
 class StopCheck:
-    """The check of one robot: it reduces speeds whose stop would not stay clear."""
+    """Reduces speeds from which the robot cannot stop with its outline clear of obstacles."""
 
     _assumptions: Assumptions
     _outline: Outline
@@ -141,8 +149,8 @@ class StopCheck:
     _points: StopPoints
     _shares: cython.double[:, ::1]
     _forbidding: cython.Py_ssize_t  # the point that forbade the last speeds
-    # The simulated stop: pose, way so far (negative) and speeds at each step; the first `_poses`
-    # of them close on something.
+    # The simulated stop: pose, way so far in m (negative) and speeds at each step. Only at the
+    # first `_poses` steps is the outline fast enough to close on an obstacle.
     _poses: cython.Py_ssize_t
     _stop_x: cython.double[4]
     _stop_y: cython.double[4]
@@ -169,7 +177,11 @@ class StopCheck:
     @cython.cfunc
     @cython.exceptval(-1)
     def limit(self, speeds: Speeds) -> cython.int:
-        """1 if the speeds are reduced so that the outline stays clear while the robot brakes."""
+        """Reduce the speeds so that the outline stays clear while the robot brakes.
+
+        1 if the speeds changed. The reduced speeds are the first pair of _SPEED_SHARES that
+        satisfies all constraints and whose stop stays clear.
+        """
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         axes: SpeedAxes = self._constraints.axes
@@ -187,7 +199,7 @@ class StopCheck:
         if self._is_clear(linear, angular, others):
             return 0
         speeds.linear = speeds.angular = 0.0
-        # Of two speeds, the first of which opens what the second closes, a share of one may close.
+        # A share of one speed alone may violate a constraint that both speeds together satisfy.
         for i in range(len(self._shares)):
             slower: cython.double = self._shares[i, 0] * linear
             turn: cython.double = self._shares[i, 1] * angular
@@ -205,11 +217,10 @@ class StopCheck:
     def _is_clear(
         self, linear: cython.double, angular: cython.double, others: cython.double
     ) -> cython.int:
-        """1 if every stop from two speeds stays clear.
+        """1 if the outline stays clear in each of the three simulated stops from these speeds.
 
-        The gap that a point must keep grows at `others` m/s. The outline comes no nearer to a
-        point than by its own way: points beyond need no distance. The point that forbade the last
-        speeds is examined first.
+        The gap that a point must keep grows at `others` m/s. A point farther away than the outline
+        moves needs no exact distance. The point that forbade the last speeds is examined first.
         """
         i: cython.Py_ssize_t
         brake: cython.Py_ssize_t
@@ -250,7 +261,10 @@ class StopCheck:
         angular: cython.double,
         step: cython.double,
     ) -> cython.double:
-        """The four poses of a stop; at most so far in m does a place of the outline move."""
+        """Simulate a stop in four steps; the m that a place of the outline moves at most.
+
+        Sets the poses, ways and speeds of the steps. `step` in s is the duration of one.
+        """
         j: cython.Py_ssize_t
         axes: SpeedAxes = self._constraints.axes
         radius: cython.double = self._outline.radius
@@ -283,7 +297,7 @@ class StopCheck:
                 fabs(self._stop_linear[j]) + fabs(self._stop_angular[j]) * radius
             )
             if not (fastest + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
-                self._poses = j + 1  # those after it close on nothing
+                self._poses = j + 1  # the steps after this are too slow to matter
             way += fabs(move) + fabs(turn) * radius
             self._stop_way[j] = -way
         return way
@@ -297,7 +311,7 @@ class StopCheck:
         step: cython.double,
         others: cython.double,
     ) -> cython.int:
-        """1 if the outline closes on a point within its gap during the simulated stop."""
+        """1 if the outline closes on a point whose gap is too small, at a step of the stop."""
         j: cython.Py_ssize_t
         outline: Outline = self._outline
         points: StopPoints = self._points
@@ -338,10 +352,11 @@ class StopCheck:
         y: cython.double,
         within: cython.double,
     ) -> cython.int:
-        """1 if the turn moves a place of the outline outwards within a distance of a point.
+        """1 if the turn moves a place of the outline within `within` m of a point outwards.
 
-        Along an edge the outward speed is linear, so it is greatest where the circle around the
-        point, or the edge, begins or ends. A turn moves no place faster than the outermost one.
+        Along an edge the outward speed is a linear function of the place. So only the ends of the
+        part of an edge within `within` m of the point are examined. A turn moves no place faster
+        than the outermost corner.
         """
         k: cython.Py_ssize_t
         outline: Outline = self._outline

@@ -36,8 +36,10 @@ class TouchSector:
     speed: cython.double  # m/s
     x: cython.double  # the middle direction
     y: cython.double
-    least_cos: cython.double  # of the angle between the middle direction and one of the sector
-    corners: cython.double[:, ::1]  # rows of nx, ny, x, y: a direction, and a corner foremost in it
+    least_cos: cython.double  # cosine of the angle between the middle and the border of the zone
+    corners: cython.double[
+        :, ::1
+    ]  # (n, 4) nx, ny, x, y: a direction, and the corner foremost in it
 
     def __init__(self) -> None:
         self.corners = view(np.empty((0, 4)))
@@ -62,8 +64,9 @@ class TouchSector:
 def touch_directions(corners: Array, zone: TouchZone) -> tuple[Array, Array, Array, Array]:
     """Directions nx, ny (n,) of the zone, and the corners x, y (n,) in m foremost in each.
 
-    A lidar does not show what touches the robot, and a pushed object moves with it. So the speed
-    of a touch zone limits any motion in its directions, not only motion towards a return.
+    A lidar does not show an object that touches the robot, and a pushed object moves with the
+    robot. So the speed of a touch zone limits any motion in its directions, not only motion towards
+    a return.
     """
     count = math.ceil(2.0 * zone.half_width / _TOUCH_STEP)
     angles = np.linspace(zone.bearing - zone.half_width, zone.bearing + zone.half_width, count + 1)

@@ -1,18 +1,19 @@
 """Tracks: near objects with their velocities, from the scans and the odometry of one robot. Pure.
 
-A scan is cut into clusters. A compact cluster is an object that may move; a long one is a wall, and
-so is each cluster that fits no track and that nearer ones hide on both sides, since the visible
-part of a wall moves with what hides it. Each object has a filter with constant velocity (Kalman,
-1960; association by the nearest prediction within a gate, after Bar-Shalom and Fortmann, "Tracking
-and data association", 1988) in the frame of the odometry. The time of a cluster is that of its own
-rays, which a rotating sensor measures one after the other.
+- A scan is cut into clusters. A compact cluster is an object that may move. A long cluster is a
+  wall. A cluster that fits no track, and that nearer clusters hide on both sides, is a part of a
+  wall, too: the visible part of a wall moves with the objects that hide the rest.
+- Each object has a Kalman filter (1960) with constant velocity in the frame of the odometry. A
+  cluster belongs to the nearest predicted object within a gate (after Bar-Shalom and Fortmann,
+  "Tracking and data association", 1988). The time of a cluster is the time of its own rays, which a
+  rotating sensor measures one after the other.
+- A place that a peer shares is an object, too, since a lidar may look over the peer. The standard
+  deviation of a shared place is three times that of a cluster.
 
-A place that others tell is an object, too: a lidar may look over them. Its error counts three times
-that of a seen one.
+Avoidance and right of way use the tracks. The protection modes do not, so tracks make no gap
+smaller.
 
-Tracks choose a way and never make a gap smaller: protection does not read them.
-
-A kernel (see `core/kernels.py`): each scan passes it, and each decision.
+A kernel (see `core/kernels.py`), since each scan and each decision pass it.
 """
 
 from __future__ import annotations
@@ -60,30 +61,30 @@ REACH = cython.declare(cython.double, 2.5)
 """m from the lidar beyond which no object is tracked."""
 # m between neighbouring returns of one surface that faces the lidar
 _JUMP = cython.declare(cython.double, 0.06)
-_LOST = 4.5  # steps between two returns of one surface at most: rays may be lost
-# m, visible part of a new object: what is thinner counts as standing
+_LOST = 4.5  # angular steps between two returns of one surface at most: rays may be lost
+# m, visible part of a new object: a thinner cluster counts as standing
 _LEAST_WIDTH = cython.declare(cython.double, 0.03)
-# m from the outline of an object within which a cluster is a part of it
+# m from the outline of an object within which a cluster is a part of the object
 _PART = cython.declare(cython.double, 0.05)
-# Of the least angle between a ray and a surface.
+# Sine of the least angle between a ray and a surface.
 _GRAZING = cython.declare(cython.double, math.sin(math.radians(15.0)))
-_COMPACT = 3.0  # times the own circumscribed circle: what is wider is a wall
-# Of the radius: how far the middle lies behind the mean return of an object.
+_COMPACT = 3.0  # times the own circumscribed circle: a wider cluster is a wall
+# Share of the radius by which the middle lies behind the mean return of an object.
 _DEPTH = cython.declare(cython.double, 0.8)
 _LEAST_RADIUS = cython.declare(cython.double, 0.02)  # m
 _MOST_RADIUS = cython.declare(cython.double, 0.6)  # m
-# m, and m a m of range: of a middle
+# Standard deviation of the measured middle: m, plus m for each m of range
 _POSITION_NOISE = cython.declare(cython.double, 0.016)
 _RANGE_NOISE = cython.declare(cython.double, 0.006)
-# Times more for an object that a nearer one hides in part.
+# Factor of this deviation for an object that a nearer object hides in part.
 _HIDDEN_NOISE = cython.declare(cython.double, 3.0)
 # m2/s3, density of the change of velocity
 _ACCELERATION = cython.declare(cython.double, 0.03)
-_FIRST_SPEED = 0.15  # m/s, deviation of the velocity of a new track
-_GATE = cython.declare(cython.double, 2.5)  # deviations
+_FIRST_SPEED = 0.15  # m/s, standard deviation of the velocity of a new track
+_GATE = cython.declare(cython.double, 2.5)  # standard deviations
 _GATE_SLACK = cython.declare(cython.double, 0.03)  # m
-_CONFIRMED = cython.declare(cython.int, 2)  # scans that show an object before it counts
-# Scans in a row that show its place to be empty end a track.
+_CONFIRMED = cython.declare(cython.int, 2)  # scans that must show an object before it is a track
+# Scans in a row that show the place of a track empty, which end the track.
 _MISSES = cython.declare(cython.int, 2)
 # s for which a hidden object is remembered
 _HIDDEN_TIME = cython.declare(cython.double, 1.5)
@@ -91,7 +92,7 @@ _SECTORS = 36  # directions in each of which the nearest place of a wall is kept
 _MAX_AHEAD = cython.declare(cython.double, 1.0)  # s for which a track moves on without a scan
 
 _TURN = cython.declare(cython.double, 2.0 * math.pi)
-_SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # of them, a rad
+_SECTOR = cython.declare(cython.double, _SECTORS / (2.0 * math.pi))  # sectors in a rad
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 
 
@@ -149,46 +150,40 @@ def _view(values):
 @cython.final
 @cython.cclass
 class _Cluster:
-    """An object of one scan, or a told one, in the frame of the odometry, m, and s.
+    """An object in one scan, or at a shared place, in the frame of the odometry; m and s."""
 
-    The mean return `x`, `y`, the direction `dx`, `dy` from the lidar, half of the visible width,
-    the range, and the number of ends (0 to 2) that no nearer object hides.
-    """
-
-    x: cython.double
+    x: cython.double  # the mean return
     y: cython.double
-    dx: cython.double
+    dx: cython.double  # unit vector from the lidar
     dy: cython.double
-    half: cython.double
+    half: cython.double  # half of the visible width; the radius of a shared place
     range: cython.double
-    ends: cython.int
-    at: cython.double
-    is_told: cython.bint
-    is_used: cython.bint
+    ends: cython.int  # number of ends (0 to 2) that no nearer object hides
+    at: cython.double  # when it was measured
+    is_told: cython.bint  # a shared place
+    is_used: cython.bint  # belongs to a track
 
 
 @cython.final
 @cython.cclass
 class _Filter:
-    """One object: state in the frame of the odometry, with one covariance for both axes.
-
-    `fastest` in m/s bounds its speed.
-    """
+    """The Kalman filter of one object in the frame of the odometry."""
 
     id: cython.longlong
-    fastest: cython.double
-    at: cython.double
-    seen_at: cython.double
+    fastest: cython.double  # m/s, bound of the speed
+    at: cython.double  # s, time of the state
+    seen_at: cython.double  # s, time of the last cluster
     radius: cython.double
     x: cython.double
     y: cython.double
     vx: cython.double
     vy: cython.double
+    # The covariance of place and velocity, the same for both axes.
     pp: cython.double
     pv: cython.double
     vv: cython.double
-    hits: cython.longlong
-    misses: cython.longlong
+    hits: cython.longlong  # clusters so far
+    misses: cython.longlong  # scans since the last cluster
 
     @cython.cfunc
     def begin(self, seen: _Cluster) -> cython.int:
@@ -217,7 +212,10 @@ class _Filter:
 
     @cython.cfunc
     def off(self, seen: _Cluster, gate: cython.double) -> cython.double:
-        """How far a cluster shows the middle of this object from where it is; inf beyond `gate`."""
+        """The distance in m between the middle by a cluster and the predicted middle.
+
+        inf if the distance is greater than `gate`.
+        """
         depth: cython.double = _DEPTH * self.radius
         late: cython.double = self.at - seen.at
         dx: cython.double = seen.x + depth * seen.dx + self.vx * late - self.x
@@ -260,7 +258,7 @@ class _Filter:
 @cython.final
 @cython.cclass
 class Tracker:
-    """Follows what the scans of one robot show. Times in s on the clock of odometry's stamps."""
+    """Tracks the objects in the scans of one robot. Times are in s on the clock of odometry."""
 
     _offset_x: cython.double
     _offset_y: cython.double
@@ -287,8 +285,8 @@ class Tracker:
     _bearings: cython.double[::1]
     _ages: cython.double[::1]
     _is_gap: cython.longlong[::1]
-    # The surfaces in order: first and last return of each. The first may begin before 0, among the
-    # last returns.
+    # The runs of returns of one surface, in order: first and last return of each. The first run may
+    # begin at a negative index, which counts from the end.
     _first: cython.longlong[::1]
     _last: cython.longlong[::1]
 
@@ -418,7 +416,7 @@ class Tracker:
 
     @cython.cfunc
     def _tell(self, clusters: list, context):
-        """Add the obstacles that others tell of; a told radius contains the error."""
+        """Add a cluster for each place that a peer shared; its radius contains the error."""
         if not context.told:
             return
         now: cython.double = self._latest.stamp + context.odometry_age
@@ -444,7 +442,7 @@ class Tracker:
 
     @cython.cfunc
     def _sort(self, scan, pose) -> cython.int:
-        """Take the returns of a scan by bearing, with their places in the frame of the odometry."""
+        """Store the returns of a scan, sorted by bearing, with their places by odometry."""
         ranges, bearings = scan.ranges, scan.bearings
         rays = ((ranges > 0.0) & (ranges < np.inf)).nonzero()[0]
         bearings = bearings[rays]
@@ -471,7 +469,10 @@ class Tracker:
 
     @cython.cfunc
     def _cut(self) -> cython.Py_ssize_t:
-        """Cut the returns into surfaces; how many there are."""
+        """Cut the returns into runs of one surface each; the number of runs.
+
+        0: the returns all around are one surface.
+        """
         n: cython.Py_ssize_t = self._count
         runs: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
@@ -497,7 +498,7 @@ class Tracker:
 
     @cython.cfunc
     def _clusters(self, at: cython.double) -> list:
-        """The compact objects; the places of walls are noted."""
+        """The clusters that are compact objects; also adds the places of walls."""
         clusters: list = []
         n: cython.Py_ssize_t = self._count
         if n < 2:
@@ -518,9 +519,10 @@ class Tracker:
 
     @cython.cfunc
     def _bridged(self, index: cython.Py_ssize_t, runs: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The last run of the surface that begins with a run; one outlier does not cut a surface.
+        """The last run of the surface that begins with run `index`.
 
-        The surface has every other run from the first to the last.
+        A single return between two runs may be an outlier: if the runs on both sides of the return
+        fit together, they are one surface. So the surface has every other run up to the last.
         """
         while index + 2 < runs and self._first[index + 1] == self._last[index + 1]:
             i: cython.Py_ssize_t = self._last[index]
@@ -542,7 +544,10 @@ class Tracker:
         end: cython.Py_ssize_t,
         at: cython.double,
     ) -> cython.int:
-        """Note the surface of every other run from `index` to `end`: an object, or a wall."""
+        """Add the surface of every other run from `index` to `end` as a cluster or as a wall.
+
+        A surface beyond REACH is left out.
+        """
         xs: cython.double[::1] = self._x
         ys: cython.double[::1] = self._y
         ranges: cython.double[::1] = self._ranges
@@ -596,7 +601,7 @@ class Tracker:
 
     @cython.cfunc
     def _note_wall(self, index: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
-        """Note the nearest place of a wall in each direction, in the order of bearings."""
+        """Add the nearest place of a wall in each of _SECTORS directions, in order of bearing."""
         ranges: cython.double[::1] = self._ranges
         bearings: cython.double[::1] = self._bearings
         i: cython.Py_ssize_t
@@ -605,7 +610,7 @@ class Tracker:
         nearest: cython.Py_ssize_t = -1
         sector: cython.double = 0.0
         for k in range(index, end + 3, 2):
-            # The returns of the first run that are the last of all come last.
+            # Returns of the first run that lie at the end of the arrays come last.
             first: cython.Py_ssize_t = self._first[k] if k <= end else self._first[index] + n
             last: cython.Py_ssize_t = self._last[k] if k <= end else n - 1
             for i in range(max(first, 0), last + 1):
@@ -619,7 +624,7 @@ class Tracker:
 
     @cython.cfunc
     def _note_place(self, i: cython.Py_ssize_t) -> cython.int:
-        """Note the place of a return of a wall that is near; -1: no return."""
+        """Add the place of return `i` of a wall if it is within REACH; -1: no return."""
         if i >= 0 and self._ranges[i] <= REACH:
             return self._add_wall(self._x[i], self._y[i])
         return 0
@@ -652,7 +657,7 @@ class Tracker:
 
     @cython.cfunc
     def _is_part(self, cluster: _Cluster) -> cython.bint:
-        """True if a cluster is a part of an object that another part has shown."""
+        """True if the mean return of a cluster lies within a track: a part of the same object."""
         track: _Filter
         for track in self._filters:
             radius: cython.double = track.radius
@@ -667,7 +672,7 @@ class Tracker:
 
     @cython.cfunc
     def _end_missed(self, pose, at: cython.double) -> cython.int:
-        """End each track whose place is seen to be empty, or that was hidden for too long."""
+        """End the tracks whose place was seen empty, or that were hidden for too long."""
         track: _Filter
         kept: list = []
         for track in self._filters:
@@ -683,7 +688,7 @@ class Tracker:
 
     @cython.cfunc
     def _is_hidden(self, track: _Filter, pose) -> cython.bint:
-        """True if a nearer object hides the middle of a track."""
+        """True if a return in front of a track hides its middle."""
         n: cython.Py_ssize_t = self._count
         if n == 0:
             return False

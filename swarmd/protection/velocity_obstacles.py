@@ -1,11 +1,11 @@
-"""The velocities that lead into something, and the nearest one that does not. Pure.
+"""Half-planes of velocities without collision (ORCA), and the nearest velocity within all. Pure.
 
-A track or a wall forbids a half plane of velocities (optimal reciprocal collision avoidance: van
-den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance", ISRR 2009). The nearest
-velocity outside of all is found by a linear programme in two variables (de Berg et al.,
-"Computational geometry", chapter 4).
+A track (moving object) or a wall forbids a half-plane of velocities (optimal reciprocal collision
+avoidance, ORCA: van den Berg, Guy, Lin and Manocha, "Reciprocal n-body collision avoidance", ISRR
+2009). A linear programme in two variables finds the permitted velocity nearest to a requested one
+(de Berg et al., "Computational geometry", chapter 4).
 
-A kernel (see `core/kernels.py`): each decision passes it. avoidance.py calls it.
+A kernel (see `core/kernels.py`), since each decision passes it. avoidance.py calls it.
 """
 
 from __future__ import annotations
@@ -60,13 +60,18 @@ def line_of(
     share: cython.double,
     horizon: cython.double,
 ) -> Line:
-    """The velocities that do not lead nearer to a place than `radius` within `horizon` s.
+    """The border of the velocities that keep `radius` m away from a place for `horizon` s.
 
-    `px`, `py`: the place. `vx`, `vy`: the present velocity relative to the place, of which `own_x`,
-    `own_y` change by a share.
+    Args:
+        px, py: the place in m.
+        vx, vy: the present velocity of the robot relative to the place in m/s.
+        own_x, own_y: the present velocity of the robot in m/s.
+        radius: m.
+        share: the share of the necessary change of velocity that this robot makes.
+        horizon: s.
     """
     square: cython.double = max(px * px + py * py, _EPSILON)
-    # Within that distance the robot may go aside, and need not go away.
+    # A robot nearer than `radius` may pass aside, and need not move away.
     radius = min(radius, max(sqrt(square) - 1e-3, 1e-3))
     wx: cython.double = vx - px / horizon
     wy: cython.double = vy - py / horizon
@@ -76,6 +81,8 @@ def line_of(
     dy: cython.double
     ux: cython.double
     uy: cython.double
+    # The velocity obstacle is a cone with a round cap. Project the velocity on the cap, else on the
+    # nearer leg of the cone.
     if along < 0.0 and along * along > radius * radius * length * length:
         nx: cython.double = wx / max(length, _EPSILON)
         ny: cython.double = wy / max(length, _EPSILON)
@@ -94,7 +101,7 @@ def line_of(
 
 @cython.cfunc
 def _rows(places):
-    """What a view of places (k, 2) is made of; CPython indexes memory faster than arrays."""
+    """Places (k, 2) as the kernel reads them: in CPython a memoryview, faster than an array."""
     places = np.ascontiguousarray(places, np.float64)
     return places if cython.compiled else memoryview(places)
 
@@ -108,7 +115,7 @@ def wall_lines(
     reach: cython.double,
     horizon: cython.double,
 ) -> list:
-    """A line for each place of a wall (k, 2) within `reach` m of a point `lead` m ahead."""
+    """A line for each place of `walls` (k, 2) within `reach` m of a point `lead` m ahead."""
     i: cython.Py_ssize_t
     places: cython.double[:, ::1] = _rows(walls)
     lines: list = []
@@ -132,8 +139,8 @@ def track_lines(
 ) -> list:
     """A line for each track, for a point `lead` m ahead.
 
-    The robot takes a `share` of the change for an object that moves, and all of it for an object
-    slower than `stands` m/s. `radius` does not contain that of the track.
+    The robot makes a `share` of the change of velocity for an object that moves, and the whole
+    change for an object slower than `stands` m/s. `radius` in m is that of the robot alone.
     """
     lines: list = []
     for track in tracks:
@@ -151,7 +158,7 @@ def track_lines(
 def most_violated(
     lines: list, first: cython.Py_ssize_t, x: cython.double, y: cython.double
 ) -> cython.Py_ssize_t:
-    """The place of the line from `first` on that a velocity violates most; -1: it violates none."""
+    """The index of the line, from `first` on, that a velocity violates most; -1 without one."""
     i: cython.Py_ssize_t
     worst: cython.Py_ssize_t = -1
     most: cython.double = 0.0
@@ -165,9 +172,10 @@ def most_violated(
 def width_between(
     walls, first: cython.double, last: cython.double, widest: cython.double
 ) -> cython.double:
-    """The least width in m between places of walls (k, 2) on both sides; inf without such.
+    """The least distance in m between a place of a wall to the left and one to the right.
 
-    Of places from `first` to `last` m ahead and within `widest` m to the side.
+    Only places from `first` to `last` m ahead and within `widest` m to the side count. inf without
+    places on both sides.
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -192,10 +200,10 @@ def width_between(
 def nearest(
     lines: list, fixed: cython.Py_ssize_t, x: cython.double, y: cython.double, most: cython.double
 ) -> tuple:
-    """The velocity nearest to `x`, `y` within all lines and a circle of radius `most`.
+    """The velocity nearest to `x`, `y` that keeps all lines and is at most `most` m/s fast.
 
-    If no velocity keeps all lines: the velocity with the least worst violation of the lines after
-    the first `fixed`.
+    If no velocity keeps all lines: the velocity that keeps the first `fixed` lines and minimises
+    the greatest violation of the others.
     """
     programme: _Programme = _Programme()
     programme.most = most
@@ -218,9 +226,10 @@ class _Programme:
     def solve(
         self, lines: list, x: cython.double, y: cython.double, is_direction: cython.bint
     ) -> cython.Py_ssize_t:
-        """Set the best velocity; the number of lines that could be kept.
+        """Set the best velocity; the result is the number of lines that it keeps, in order.
 
-        The best one is the nearest to `x`, `y`, or else the farthest in that direction.
+        The best velocity is the nearest to `x`, `y`; or, if `is_direction`, the farthest in the
+        direction of the unit vector `x`, `y`.
         """
         i: cython.Py_ssize_t
         line: Line
@@ -247,7 +256,7 @@ class _Programme:
         y: cython.double,
         is_direction: cython.bint,
     ) -> cython.bint:
-        """Set the best velocity on a line that keeps the `count` lines before it; False without."""
+        """Set the best velocity on line `count` that keeps all lines before; False without one."""
         i: cython.Py_ssize_t
         line: Line = lines[count]
         before: Line
@@ -283,7 +292,10 @@ class _Programme:
 
     @cython.cfunc
     def relax(self, lines: list, fixed: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
-        """Set the velocity whose worst violation of the lines after `fixed` is least."""
+        """Set the velocity that minimises the greatest violation of the lines from `fixed` on.
+
+        The velocity keeps the first `fixed` lines. `begin` is the first line that is not kept.
+        """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         line: Line

@@ -1,10 +1,12 @@
-"""Blind sectors: rays that return nothing although others return something in the same direction.
+"""Blind sectors: rays without returns in directions in which other rays have returns.
 
-A covered or broken part of a range sensor looks like open space. While the robot turns, its rays
-pass over the same things: where a static thing returns other rays before and after, a ray without a
-return has missed it. A sector is blind once its rays have missed things in many directions and have
-returned nothing meanwhile. An open field, a door and a surface that no ray sees give no return to
-any ray; a thing that moves is not the same before and after; and one return clears its sector.
+A covered or broken part of a range sensor looks like open space. While the robot turns, different
+rays pass over the same static object. If other rays return the object before and after, a ray
+without a return has missed it. A sector of the sensor is blind once its rays have missed objects in
+many directions, without any return meanwhile.
+
+No false alarms: an open field, a door and a surface that no ray sees give no ray a return. An
+object that moves is not the same before and after. A sector with a return begins again.
 """
 
 from __future__ import annotations
@@ -32,15 +34,15 @@ SECTORS = 90
 
 _SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
 _LOOK_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
-# Directions, each a sector wide, in which a blind sector has missed something.
+# Directions, each a sector wide, in which a blind sector must have missed an object.
 _MIN_MISSED = cython.declare(cython.Py_ssize_t, 8)
-_MAX_TIME = cython.declare(cython.double, 15.0)  # s for which what is seen counts as static
-# Share of the range by which the robot may move: things change their direction.
+_MAX_TIME = cython.declare(cython.double, 15.0)  # s after which a seen object is forgotten
+# Share of the range by which the robot may move, since motion changes directions to objects.
 _MAX_MOTION = cython.declare(cython.double, 0.25)
-# A thing is the same while its range changes by this share of the range and by so many m.
+# An object is the same if its range changes by at most this share of the range plus so many m.
 _SAME_SHARE = cython.declare(cython.double, 0.25)
 _SAME_M = cython.declare(cython.double, 0.1)
-# Looks in a row in which a static thing is seen, before and after it is missed.
+# Looks (comparisons of a scan) in a row that see a static object, before and after a ray misses it.
 _STREAK = cython.declare(cython.int, 3)
 # Scans in a row with a return, after which a blind sector is trusted again.
 _CLEARING = cython.declare(cython.int, 3)

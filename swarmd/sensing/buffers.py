@@ -16,19 +16,19 @@ else:
 @cython.inline
 @cython.exceptval(check=False)
 def wrapped_index(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """i modulo n, for i below 2 n: to divide is slow."""
+    """i modulo n, for i below 2 n, without a slow division."""
     return i - n if i >= n else i
 
 
 @cython.cfunc
 def view_of(values):
-    """What a view of an array is made of; CPython indexes memory faster than arrays."""
+    """An array as a kernel reads it: in CPython a memoryview, which is faster to index."""
     return values if cython.compiled else memoryview(values)
 
 
 @cython.cfunc
 def new_doubles(n: cython.Py_ssize_t) -> cython.double[::1]:
-    """A buffer. Views that are made in one place spare the compiler a fifth of its work."""
+    """A buffer of n doubles. Views made in one place spare the compiler a fifth of its work."""
     return memoryview(np.empty(n))
 
 

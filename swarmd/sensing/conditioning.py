@@ -41,9 +41,9 @@ _MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
 class ScanConditioner:
     """Conditions the scans of one sensor; fills unknown rays from a short memory of each ray.
 
-    The memory turns against the sensor, as far as odometry is available.
+    When the robot turns by odometry, the memory turns back, so it stays with its surroundings.
 
-    `take` returns the conditioned scan or the reason to reject it:
+    `take` returns the conditioned scan or the reason to reject the scan:
 
     - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite, or an impossible age of a
       ray
@@ -85,10 +85,10 @@ class ScanConditioner:
 
     @property
     def known_at(self) -> float:
-        """The time in s to which the last returned scan is valid.
+        """The time in s at which the last returned scan was last known as a whole.
 
-        That is its arrival, unless a sector wider than `max_gap` comes from the memory, or the scan
-        repeats an earlier one.
+        Usually the arrival of the scan. Earlier if a sector wider than `max_gap` comes from the
+        memory, or if the scan repeats an earlier scan.
         """
         return self._rays.known_at
 
@@ -131,9 +131,9 @@ class ScanConditioner:
 
     @cython.cfunc
     def _has_no_gap(self, bearings) -> cython.bint:
-        """True if no sector lacks rays; keeps the bearings.
+        """True if no sector is without rays; keeps the bearings.
 
-        A copy, if a driver may write others to the same array: all that follows takes the same
+        If the driver may write to the array, a copy is kept, since later stages take the same
         object for the same bearings.
         """
         if not np.array_equal(bearings, self._bearings):
@@ -161,9 +161,10 @@ class ScanConditioner:
 
     @cython.cfunc
     def _not_newer(self, seq, stamp: cython.double, given):
-        """Why the scan is not newer than each before; None if it is, or the sensor has restarted.
+        """The reason to reject a scan that is not newer than all scans before; else None.
 
-        A restart shows in consecutive scans whose numbers and stamps rise again.
+        None also after a restart of the sensor: _RESTART_SCANS scans in a row whose sequence
+        numbers and stamps rise again.
         """
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
         has_same_stamp: cython.bint = stamp == self._last_stamp
@@ -184,9 +185,9 @@ class ScanConditioner:
 
     @cython.cfunc
     def _repeats(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
-        """True if a noisy sensor sends the same ranges again.
+        """True if a noisy sensor sends the ranges of one of its last scans again.
 
-        With hardly any return a repeat is possible, unless the robot moves.
+        A scan with hardly any return may repeat by chance if the robot stands, and does not count.
         """
         raw = ranges.tobytes()
         if raw not in self._recent:

@@ -1,8 +1,9 @@
-"""The delay of scans by stamps, where scan and odometry are stamped by one clock.
+"""Measures the delay of scans by stamps, where one clock stamps scan and odometry.
 
-The fastest odometry of the last second tells the time of that clock. The stamp of a scan is the
-time of its oldest ray, as in ROS. The delay of odometry itself goes unnoticed, and so does one that
-both have for more than a second.
+The least difference of arrival and stamp of odometry in the last second gives the offset between
+that clock and the robot's clock. The stamp of a scan is the time of its oldest ray, as in ROS. The
+delay of odometry itself cannot be seen, nor a delay that scan and odometry share for more than a
+second.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ MAX_LEAD = -0.05
 
 _STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans of which the third-latest is the delay
 _MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
-# Odometry whose lowest lags are kept: so many periods of so many s.
+# The lowest lags of odometry are kept for so many periods of so many s.
 _PERIODS = cython.declare(cython.Py_ssize_t, 4)
 _PERIOD = cython.declare(cython.double, 0.5)
-# s after which stamps tell again whether scan and odometry share a clock.
+# s after a jump of the stamps until it is judged again whether scan and odometry share a clock.
 _RESTART_TIME = cython.declare(cython.double, 2.5)
-# s between periods: beyond it from each period to the next, the clock is no real time.
+# s: if the lag changes by more from each period to the next, the clock is not real time.
 _MAX_DRIFT = cython.declare(cython.double, 0.005)
 # s by which odometry gets later at once, or earlier: its clock was set then.
 _SHIFT = cython.declare(cython.double, 0.1)
 _MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
-# s: what a clock that was set shows at most, so that a status can tell it.
+# s, the greatest age that is kept, so that a status can show the age after a clock was set.
 _LONGEST_AGE = cython.declare(cython.double, 1000.0)
 _MAX_LEAD = cython.declare(cython.double, MAX_LEAD)
 
@@ -50,8 +51,8 @@ class DelayByStamps:
     """The delay of one sensor's scans by stamps. Times in s."""
 
     offset: cython.double  # the least arrival minus stamp of recent odometry; inf: none
-    # Stamps jumped a moment ago, and whether scan and odometry share a clock is not known yet. A
-    # scan that seems late counts as late meanwhile.
+    # True after a jump of the stamps, until it is known again whether scan and odometry share a
+    # clock. Meanwhile a scan that seems late counts as late.
     is_restarting: cython.bint
     _spec: object
     _restart_ends: cython.double
@@ -71,7 +72,7 @@ class DelayByStamps:
     _oldest: cython.Py_ssize_t
     _at: cython.double
     _is_shared: cython.bint  # scan and odometry have one clock
-    _why: object  # stamps tell no delay
+    _why: object  # text: why stamps give no delay
     _ages_of_rays: object  # those of the last scan
     _lead: cython.double  # of scans with these ages
 
@@ -89,7 +90,7 @@ class DelayByStamps:
 
     @cython.cfunc
     def read(self, stamp: cython.double, now: cython.double) -> cython.bint:
-        """Take in the stamp of a reading; true if its clock was set."""
+        """Take in the stamp of a reading of odometry; True if its clock was set."""
         if stamp == self._stamp:
             return False
         lag: cython.double = now - stamp
@@ -109,7 +110,7 @@ class DelayByStamps:
 
     @cython.cfunc
     def forget_scans(self) -> cython.int:
-        """Tell the delay by the scans that come."""
+        """Drop the ages of earlier scans."""
         self._count = 0
         return 0
 
@@ -124,6 +125,7 @@ class DelayByStamps:
 
     @cython.cfunc
     def _restart(self, now: cython.double) -> cython.int:
+        """Drop all ages, and judge the clocks again after _RESTART_TIME."""
         self._count = self._scans = 0
         self.is_restarting, self._restart_ends = True, now + _RESTART_TIME
         return 0
@@ -159,11 +161,11 @@ class DelayByStamps:
 
     @cython.cfunc
     def take(self, scan, now: cython.double) -> cython.double:
-        """Take in a scan; the delay that counts, or 0 if stamps do not tell it."""
+        """Take in a scan that arrived at `now`; its delay in s, 0 if stamps do not give a delay."""
         if self.offset == INFINITY:
             return 0.0
         ages = scan.ages
-        if ages is not self._ages_of_rays:  # mostly they are those of the last scan
+        if ages is not self._ages_of_rays:  # usually the same object as in the last scan
             self._ages_of_rays, self._lead = ages, lead(scan, self._spec)
         stamp: cython.double = scan.stamp
         age: cython.double = now - self.offset - stamp - self._lead
@@ -195,7 +197,7 @@ class DelayByStamps:
 
     @cython.cfunc
     def _delay(self) -> cython.double:
-        """The third-latest of the last scans, and at least that of the last one."""
+        """The third-greatest age of the last scans, and at least the age of the last scan."""
         # The three greatest ages so far.
         first: cython.double = -INFINITY
         second: cython.double = -INFINITY
@@ -217,7 +219,7 @@ class DelayByStamps:
 
     @cython.cfunc
     def figure(self, now: cython.double):
-        """The mean delay of the last scans, with its deviation."""
+        """The mean delay of the last scans with its standard deviation, or why there is none."""
         if not self._is_shared or not self._count:
             why = "too few scans yet" if self._count else self._why
             return DelayFigure(method="stamps", text=why)
@@ -236,7 +238,7 @@ def delay_by_stamps(
     scan: Scan | None,
     spec: ScanSpec,
 ) -> DelayFigure:
-    """The delay of a few scans, from arrivals and stamps; `scan` is one of them."""
+    """The delay of a few scans, from (arrival, stamp) pairs; `scan` is one of these scans."""
     offset = min((at - stamp for at, stamp in odometries), default=math.inf)
     ages = [at - offset - stamp for at, stamp in scans]
     if not ages or scan is None or offset == math.inf:
@@ -249,14 +251,14 @@ def delay_by_stamps(
 
 
 def lead(scan: Scan, spec: ScanSpec) -> float:
-    """How much later than the stamp the mean ray was measured, in s."""
+    """The time in s from the stamp of a scan to its mean ray."""
     if scan.ages is None or not len(scan.ages):
         return 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
     return float(scan.ages.max() - scan.ages.mean())
 
 
 def wrong_stamps(age: float, ahead: float) -> str:
-    """Why stamps tell no delay of a scan whose mean ray seems `age` s old, with its `lead`."""
+    """Why stamps give no delay: text for a mean ray that seems `age` s old; `ahead` is `lead`."""
     if MAX_LEAD - ahead <= age < MAX_LEAD:
         return (
             f"scans are stamped {-age:.2g} s or more after their oldest ray, as at their"

@@ -1,10 +1,11 @@
-"""The delay of scans by turns of the robot.
+"""Measures the delay of scans by turns of the robot.
 
-The turn between two scans, by circular correlation of their ranges, is compared with the turn by
-odometry at candidate delays, in least squares with a free scale of the odometry. It needs a rate of
-turn that changes: at a constant rate all delays explain the turns alike, and then there is no
-figure. After the temporal calibration of sensors by correlated rotations (Rehder, Siegwart and
-Furgale, IEEE T-RO 2016), with one axis and a grid.
+The turn between two scans is measured by circular correlation of their ranges. For each candidate
+delay, odometry predicts this turn. The delay is the candidate with the least squared errors, where
+the scale of odometry is free. At a constant rate of turn all delays predict the same turns, so only
+turns at a changing rate are used, and without such turns the delay is not known. After the temporal
+calibration of sensors by correlated rotations (Rehder, Siegwart and Furgale, IEEE T-RO 2016), with
+one axis and a grid of candidates.
 """
 
 from __future__ import annotations
@@ -54,12 +55,13 @@ _STEP = cython.declare(cython.double, 1.2 / 48)
 # Headings that are kept, and s between two of them, at least.
 _HISTORY = cython.declare(cython.Py_ssize_t, 96)
 _SPACING = cython.declare(cython.double, 0.02)
-# The rate of turn changes by so many rad/s from its mean, which follows by this share a reading.
+# The rate of turn changes if it differs by so many rad/s from its running mean; the mean follows
+# each reading by this share of the difference.
 _MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)
 _FOLLOWING = cython.declare(cython.double, 0.1)
 _CHANGE_LASTS = cython.declare(cython.double, 1.2 + 0.5)  # s for which such a change counts
 _MAX_APART = cython.declare(cython.double, 0.5)  # s from one scan to the next
-# rad by which candidates must differ for a pair of scans to tell anything.
+# rad by which the turns of the candidates must differ, or a pair of scans is not used.
 _MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
 # rad by which the search for the turn goes beyond the turns of all candidates.
 _SEARCHED = cython.declare(cython.double, 0.25)
@@ -72,7 +74,7 @@ _MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
 # turn by less than so many steps.
 _UNEVEN_SHARE = cython.declare(cython.double, 0.1)
 _MISSED_STEPS = cython.declare(cython.double, 1.5)
-# m; farther returns count as if they were there.
+# m; farther returns count as this range.
 _MAX_RANGE = cython.declare(cython.double, 6.0)
 # m, standard deviation of ranges below which a scene has no features.
 _MIN_RELIEF = cython.declare(cython.double, 0.1)
@@ -81,7 +83,7 @@ _MIN_LIKENESS = cython.declare(cython.double, 0.6)
 # Weight of earlier pairs, for each new one: some 50 count.
 _FORGETTING = cython.declare(cython.double, 0.98)
 _MIN_PAIRS = cython.declare(cython.double, 8.0)
-# rad of one measured turn: things that move by themselves turn a scene by that, for seconds.
+# rad, least standard deviation of a measured turn: moving objects turn a scene so far, for seconds.
 _MIN_SPREAD = cython.declare(cython.double, 0.025)
 # Factor on the spread, as errors of pairs are not independent: 1.7 in simulation.
 _ALIKE = cython.declare(cython.double, 2.0)
@@ -104,7 +106,7 @@ class DelayByTurns:
     spread: cython.double
     at: cython.double  # when the last pair of scans was compared
     pairs: cython.Py_ssize_t  # of scans compared
-    why: object  # the delay is not known
+    why: object  # text: why the delay is not known
     pose: object  # the last one by odometry
     # The headings kept: places `_first` to `_end` of the arrays.
     _headings: object
@@ -120,8 +122,9 @@ class DelayByTurns:
     _bearings: object
     _n: cython.Py_ssize_t
     _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
-    # The last scan: when it arrived on the clock of odometry, where, and its ranges about their
-    # mean, twice in a row, with their norm. Then the same of the one before.
+    # The last scan: arrival on the clock of odometry, place of the robot, and the ranges less their
+    # mean (repeated twice, for a circular correlation) with their norm. Then the ranges and the
+    # norm of the scan before.
     _scans: cython.Py_ssize_t
     _has_last: cython.bint
     _scan_at: cython.double
@@ -134,7 +137,7 @@ class DelayByTurns:
     # By candidate delay: the turn by odometry, and the squared error of all pairs.
     _turn_of: cython.double[49]
     _error_of: cython.double[49]
-    # Sums over pairs: of measured turns m, and of turns p that candidates predict.
+    # Weighted sums over pairs of products of the measured turn m and the predicted turn p.
     _mm: cython.double
     _mp: cython.double[49]
     _pp: cython.double[49]
@@ -170,7 +173,7 @@ class DelayByTurns:
 
     @cython.cfunc
     def forget(self):
-        """Measure anew."""
+        """Drop the delay and all pairs, and begin the measurement anew."""
         k: cython.Py_ssize_t
         self.delay, self.pairs = NAN, 0
         self._mm = self._weight = 0.0
@@ -180,7 +183,7 @@ class DelayByTurns:
 
     @cython.cfunc
     def forget_headings(self):
-        """The clock of odometry was set."""
+        """Drop the headings, as when the clock of odometry was set."""
         self._first = self._end = 0
         self._stamp, self._has_last = -INFINITY, False
 
@@ -191,7 +194,7 @@ class DelayByTurns:
 
     @cython.cfunc
     def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
-        """Keep a heading."""
+        """Take in a reading of odometry: its heading, and whether the rate of turn changes."""
         self._slow_rate += _FOLLOWING * (rate - self._slow_rate)
         if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
             self._changed_at = stamp
@@ -211,7 +214,11 @@ class DelayByTurns:
 
     @cython.cfunc
     def compare(self, scan, at: cython.double, now: cython.double):
-        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
+        """Compare a scan with the scan before; `at` is its arrival on the clock of odometry.
+
+        A pair is used only if the rate of turn changed lately, the robot hardly moved, and the
+        candidates predict turns that differ enough.
+        """
         had_last: cython.bint = self._has_last
         self._has_last = False
         if at - self._changed_at > _CHANGE_LASTS:
@@ -284,9 +291,10 @@ class DelayByTurns:
 
     @cython.cfunc
     def _keep(self, scan):
-        """Keep the ranges of a scan about their mean; a ray without a return tells nothing.
+        """Keep the ranges of a scan less their mean; 0 for a ray without a return.
 
-        As far away, it would be a feature: lost rays and a blind sector do not turn with the room.
+        A far range instead of 0 would be a feature of the room, but lost rays and a blind sector do
+        not turn with the room.
         """
         ranges: cython.const[cython.double][::1] = view_of(
             np.ascontiguousarray(scan.ranges, np.float64)
@@ -315,7 +323,7 @@ class DelayByTurns:
 
     @cython.cfunc
     def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
-        """The heading at a time, which is not before that of heading k and before the next one."""
+        """The heading at a time between heading k and the next heading, interpolated."""
         before: cython.double = self._times[k]
         if at <= before or k == self._end - 1:
             return self._yaws[k]
@@ -324,9 +332,9 @@ class DelayByTurns:
 
     @cython.cfunc
     def _measured(self, low: cython.double, high: cython.double) -> cython.double:
-        """The turn in rad from one scan to the next, between `low` and `high`; NaN: unclear.
+        """The turn in rad between the last two scans, between `low` and `high`; NaN: unclear.
 
-        A turn by k rays to the left moves all that is seen k rays to the right.
+        A turn of the robot by k rays to the left shifts all returns by k rays to the right.
         """
         least: cython.double = _MIN_RELIEF * sqrt(self._n)
         if min(self._norm, self._old_norm) < least:
@@ -352,7 +360,7 @@ class DelayByTurns:
     @cython.cfunc
     @cython.boundscheck(False)
     def _likeness(self, shift: cython.Py_ssize_t) -> cython.double:
-        """The correlation of the last two scans at a turn by so many rays, at most n."""
+        """The correlation of the last two scans for a turn by `shift` rays, at most n."""
         n: cython.Py_ssize_t = self._n
         first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
         if first < 0:
@@ -375,7 +383,7 @@ class DelayByTurns:
 
     @cython.cfunc
     def _add(self, turn: cython.double):
-        """Add a measured turn, and what odometry says of it for each candidate."""
+        """Add a measured turn and the predicted turns; sets the errors of candidates, `delay`."""
         k: cython.Py_ssize_t
         best: cython.Py_ssize_t = 0
         self._mm = _FORGETTING * self._mm + turn * turn
@@ -398,7 +406,10 @@ class DelayByTurns:
 
     @cython.cfunc
     def _set_delay(self, best: cython.Py_ssize_t) -> cython.int:
-        """Set delay and spread by the errors about the best candidate, if few others fit."""
+        """Set delay and spread by a parabola through the errors around the best candidate.
+
+        Nothing is set if candidates too far apart fit nearly as well.
+        """
         variance: cython.double = self._error_of[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
         limit: cython.double = self._error_of[best] + _SQUARED_DEVIATIONS * variance

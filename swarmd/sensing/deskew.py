@@ -1,11 +1,13 @@
-"""De-skew: the rays of a rotating sensor as it would see them all at the time of the newest ray.
+"""De-skew: corrects the rays of a rotating sensor for the motion of the robot during the scan.
 
-A rotating sensor measures its rays one after the other, and the robot moves meanwhile. Odometry
-gives the motion between each ray and the newest one; each return is moved by it (motion distortion
-correction: Zhang and Singh, "LOAM: Lidar odometry and mapping in real-time", RSS 2014).
+A rotating sensor measures its rays one after the other, while the robot moves. Odometry gives the
+motion between each ray and the newest ray. Each return is moved by this motion, to where the sensor
+would see the return at the time of the newest ray (motion distortion correction: Zhang and Singh,
+"LOAM: Lidar odometry and mapping in real-time", RSS 2014).
 
-A robot that turns against the sensor leaves a sector unmeasured in each scan: rays of the scan
-before fill it. A robot that turns with the sensor measures a sector twice, and both stay.
+If the robot turns against the sensor, each scan leaves a sector unmeasured; rays of the scan before
+fill this sector. If the robot turns with the sensor, a sector is measured twice, and both
+measurements stay.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import INFINITY
 
-_MAX_TIMED_RAYS = cython.declare(cython.int, 8)  # that are kept
+_MAX_TIMED_RAYS = cython.declare(cython.int, 8)  # objects that are kept
 
 
 class TimedRays:
@@ -58,7 +60,7 @@ class TimedRays:
 
     def _direction(self) -> tuple[float, float]:
         """The direction, and the bearing of the oldest ray."""
-        # A driver may tell the ages of whole sectors: the first ray of each age counts.
+        # A driver may give one age to a whole sector: the first ray of each age counts.
         ages, first = np.unique(-self.ages, return_index=True)
         steps = _wrap_each(np.diff(self.bearings[first]))
         if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
@@ -86,13 +88,14 @@ def _ages_of_sweep(bearings: Array, sweep: Sweep) -> Array:
 class Deskewer:
     """De-skews the conditioned scans of one sensor. Times in s.
 
-    The returned scan has `ages` and `newest_age`. The ages are those of the driver, else those of
-    the platform's `sweep`. Without either the scan is returned as it is. With `measured` the ages
-    are those of the measured sweep. While that is not known, the rays stay where they were
-    measured, the scan has the time of its mean ray, and each ray counts as old as the oldest may
-    be. Without odometry that reaches back over the whole scan the rays stay where they were
-    measured, and the ages alone say how old each ray is. At rest the scan keeps its bearings, the
-    same object.
+    The returned scan has `ages` and `newest_age`. Its ages come from the first source that there
+    is: the measured sweep (`measured`), the driver, the platform's `sweep`. Exceptions:
+
+    - Without a source, the scan is returned unchanged.
+    - While the measured sweep is not known, rays are not moved. The scan has the time of its mean
+      ray, and each ray gets the greatest age that a ray may have.
+    - Without odometry that reaches back over the whole scan, rays are not moved, but have ages.
+    - At rest, the scan keeps its bearings (the same object).
     """
 
     _sweep: object
@@ -132,10 +135,10 @@ class Deskewer:
     def deskew(
         self, scan: Scan, now: cython.double, odometry_age, delay: cython.double = 0.0
     ) -> Scan:
-        """The scan that arrived at `now`, as seen at the time of its newest ray.
+        """The scan that arrived at `now`, as the sensor would see it at the time of its newest ray.
 
-        `odometry_age`: s since the last reading arrived; None without a fresh one. `delay`: s by
-        which the scan is older than the platform's `latency` says.
+        `odometry_age` in s since the last reading arrived; None without a fresh reading. `delay` in
+        s by which the scan is older than the platform's `latency` says.
         """
         ages = scan.ages
         if self._measured is not None:
@@ -167,7 +170,7 @@ class Deskewer:
 
     @cython.cfunc
     def _set_rays(self, bearings, ages):
-        """Take other bearings and ages; None: by the platform's sweep."""
+        """Take other bearings and ages; with None as ages, the platform's sweep gives them."""
         rays = _timed_rays(bearings, ages, self._sweep)
         self._given, self._given_ages = bearings, ages
         self._ray_ages = rays.ages
@@ -179,11 +182,11 @@ class Deskewer:
 
     @cython.cfunc
     def _moved(self, measured, stamp: cython.double, seconds: cython.double):
-        """Ranges, bearings and ages (k,) of a scan, as seen at the `stamp` of its newest ray.
+        """Ranges, bearings and ages (k,) of a scan, moved to the `stamp` of its newest ray.
 
-        None at rest, without odometry that reaches back over the scan, if all rays are of one
-        instant, and if nothing fills a sector that was not measured. The newest ray of the last
-        scan is `seconds` older.
+        The newest ray of the scan before is `seconds` older. None, if the rays are not to be moved:
+        at rest, if odometry does not reach back over the scan, if all rays have one age, or if an
+        unmeasured sector cannot be filled.
         """
         history: OdometryHistory = self._history
         rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
@@ -225,7 +228,7 @@ class Deskewer:
 
     @cython.cfunc
     def _can_fill(self, stamp: cython.double, seconds: cython.double) -> cython.bint:
-        """True if the last scan has rays for a sector that this one has not measured."""
+        """True if the scan before is recent enough to fill the unmeasured sector of this scan."""
         last = self._last
         if last is None or last.ages is None or not 0.0 < seconds <= self._stale_after:
             return False
@@ -240,9 +243,10 @@ class Deskewer:
         angles: cython.double[::1],
         ages: cython.double[::1],
     ) -> cython.Py_ssize_t:
-        """Set the rays of the last scan in the unmeasured sector, and behind them all ages.
+        """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
-        The number of these rays. The way of the history leads from the last scan to this one.
+        Sets distances, angles and ages of these rays, and behind them the ages of this scan.
+        `set_way` of the history must have been called for the motion between the scans.
         """
         last = self._last
         i: cython.Py_ssize_t
@@ -252,7 +256,7 @@ class Deskewer:
             view_of(last.ranges),
             view_of(last.bearings),
             view_of(last.ages),
-            self._filled,  # or a ray could be passed on for ever
+            self._filled,  # skips rays that were filled in, so that no ray is passed on for ever
             self._history.way,
             self._sector,
             self._limits,
@@ -267,13 +271,13 @@ class Deskewer:
         return count
 
 
-# The latest ones: robots of one kind share them, and so their memory.
+# The latest objects: simulated robots of one kind share them, which saves memory.
 _kept_rays: list = []
 
 
 @cython.cfunc
 def _timed_rays(bearings, ages, sweep):
-    """The rays of these very bearings and ages."""
+    """The `TimedRays` of bearings and ages; kept for the same objects."""
     for rays in _kept_rays:
         if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
             return rays
@@ -285,6 +289,6 @@ def _timed_rays(bearings, ages, sweep):
 
 @cython.cfunc
 def _scan_with(scan, ranges, bearings, ages, newest_age: cython.double):
-    """A scan of the same sequence, stamp and limits."""
+    """A copy of a scan with other ranges, bearings and ages."""
     limits = scan.range_min, scan.range_max
     return Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, newest_age)

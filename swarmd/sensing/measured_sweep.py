@@ -1,17 +1,20 @@
-"""In which order a sensor measures its rays, found out while the robot turns. Pure.
+"""Measures the order in which a sensor measures its rays, while the robot turns. Pure.
 
-Many drivers of rotating lidars reverse their rays and give a positive `time_increment` all the
-same. So the ages of rays that a driver gives count for the duration of a scan only, where the
-platform has no `scan.sweep`, and the order of the rays is measured. Between two scans with half a
-radian of turn between them, each sector of the surroundings is displaced by the turn between its
-two rays, which is not the turn between the scans: the displacements by heading tell the order. Each
-pair of scans compares them with those that odometry predicts for each candidate: all rays at once,
-and rising and falling order of the message, with the duration that the driver gives, with the scan
-period and half of it. The same orders, begun elsewhere than at the message's first ray, are
-candidates by which no scan is de-skewed: if one of them fits best, the platform has to give its
-sweep. Errors are limited, since things move (Huber, "Robust Estimation of a Location Parameter",
-1964). A candidate is true if it fits better than each other one in a paired test, after turns to
-both sides.
+Many drivers of rotating lidars reverse their rays, but still give a positive `time_increment`. So
+where the platform has no `scan.sweep`, the ages of rays that a driver gives count only for the
+duration of a scan, and this module measures the order of the rays:
+
+1. Two scans with half a radian of turn between them are compared. Each sector of the surroundings
+   appears displaced by the turn between the two rays that measured it. These turns depend on the
+   order of the rays.
+2. The displacements are compared with those that odometry predicts for each candidate. Candidates:
+   all rays at once; rising or falling order of the message, for the duration that the driver gives,
+   for the scan period and for half of it.
+3. The same orders, begun at another ray than the message's first, are candidates, too. If such a
+   candidate fits best, no order is set: the platform has to give its sweep.
+4. Errors are limited, since objects move (Huber, "Robust Estimation of a Location Parameter",
+   1964). A candidate is set if a paired test finds it better than each other candidate, after turns
+   to both sides.
 """
 
 from __future__ import annotations
@@ -33,51 +36,50 @@ _GRID = _CELL * np.arange(_CELLS)
 _SECTORS = 18
 _CENTRES = _TURN / _SECTORS * (np.arange(_SECTORS) + 0.5) - 0.5 * _CELL
 _SHIFTS = 20  # cells to each side by which a sector may be displaced
-_MAX_RANGE = 6.0  # m; farther returns count as if they were there, and so does no return
-_CLIP = 0.3  # m by which two ranges differ at most
-_MIN_CONTRAST = 0.02  # m by which a sector differs more, on the mean, when it is displaced wrongly
-_MAX_MISFIT = 0.5  # share of that difference which may be left at the best displacement
-_MIN_SECTORS = 8
-_MAX_ERROR = 0.1  # rad that a displacement is wrong by at most
+_MAX_RANGE = 6.0  # m; farther returns, and rays without a return, count as this range
+_CLIP = 0.3  # m; greater differences of two ranges count as this difference
+# m (root of the mean square): the least mean difference over all displacements of a sector.
+_MIN_CONTRAST = 0.02
+_MAX_MISFIT = 0.5  # share of the mean difference that may remain at the best displacement
+_MIN_SECTORS = 8  # with a clear displacement
+_MAX_ERROR = 0.1  # rad; greater errors of a displacement count as this error
 _MIN_RAYS = 90
 _UNEVEN_SHARE = 0.1  # of the mean step, by which each step may differ
 # What may differ between scans of one sensor: shares of the claim and of a turn, and rad.
 _CLAIM_SHARE, _COVER_SHARE = 0.2, 0.05
 _FIRST_BEARING = 0.1
 _MIN_COVER = 0.2  # share of a turn
-_MIN_TURN, _MAX_TURN = 0.5, 1.2  # rad from one scan to the other. Less: wheels that turn in the
-# air look like a sensor that measures all rays at once. More: a square room looks like itself.
-_MIN_SKEW, _MAX_SKEW = 0.03, 0.4  # rad between the turns during one of the two and the other
-_MAX_SHIFT = 0.1  # m between the two
+# rad between the two scans of a pair. Less: wheels that turn in the air look like a sensor that
+# measures all rays at once. More: a square room looks like itself.
+_MIN_TURN, _MAX_TURN = 0.5, 1.2
+# rad by which the turn during one scan of a pair differs from the turn during the other.
+_MIN_SKEW, _MAX_SKEW = 0.03, 0.4
+_MAX_SHIFT = 0.1  # m between the two scans of a pair
 _HISTORY = 20  # scans
-_SKIPPED = 4  # of so many scans one is taken, once the order is known,
-_CHECKED = 2.0  # rad of turns after which two are compared
+_SKIPPED = 4  # once the order is known, every fourth scan is taken,
+_CHECKED = 2.0  # and a pair is compared after so many rad of turns
 _AT_REST = 0.01  # rad
 _SPACING = 0.1  # rad of turn between scans that are kept, and between pairs
-_MAX_APART = 2.0  # s
-_ALIKE = 0.8, 1.25  # durations between these ratios are one candidate
-_SHORTEST = 0.25  # of the period: a shorter duration cannot be told from all rays at once
-_STARTS = 16
-_MAX_DELAY_CHANGE = 0.05  # s
+_MAX_APART = 2.0  # s between the two scans of a pair
+_ALIKE = 0.8, 1.25  # durations whose ratio is between these are one candidate
+_SHORTEST = 0.25  # of the period: a shorter duration looks like all rays at once
+_STARTS = 16  # rays at which the order of a candidate may begin
+_MAX_DELAY_CHANGE = 0.05  # s; a greater change of the delay drops all pairs
 _KEPT = 48  # pairs
 _MIN_PAIRS = 8
-_MIN_PAIRS_OF_SIDE = 2
+_MIN_PAIRS_OF_SIDE = 2  # of turns to the left, and of turns to the right
 _CERTAIN = 5.0  # standard errors by which each other candidate must be worse,
-_CERTAIN_OF_NEIGHBOR = 2.0  # and by which the same order must be, begun a sixteenth apart
-_MIN_SPREAD = 0.3  # of votes
-_MIN_BETTER = 0.05  # share by which it must be worse
+_CERTAIN_OF_NEIGHBOR = 2.0  # and those that differ only by one step of the start
+_MIN_SPREAD = 0.3  # least standard deviation of the votes
+_MIN_BETTER = 0.05  # share of the error by which each other candidate must be worse
 
 
 class Order(NamedTuple):
-    """The order of a message's rays in time.
+    """The order in which a sensor measures the rays of a message."""
 
-    `direction`: 1.0 rising, -1.0 falling, 0.0 all at once. It takes `duration` s, and begins at the
-    share `start` of the way through the message.
-    """
-
-    direction: float
-    duration: float = 0.0
-    start: float = 0.0
+    direction: float  # 1.0: from the first ray to the last, -1.0: backwards, 0.0: all at once
+    duration: float = 0.0  # s
+    start: float = 0.0  # share of the message before the ray that is measured first
 
     def ages(self, count: int) -> Array:
         """(count,) s by which each ray is older than the newest one; read-only."""
@@ -101,16 +103,12 @@ class Headings(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """How the rays of a scan lie, `step` rad from one to the next, and the driver's `claim` in s.
+    """How the rays of a scan lie, and how long a scan takes by its driver."""
 
-    `claim` None: it says nothing; 0: it says that all rays are measured at once. `bearings` (n,)
-    are not wrapped. `fault`: why no order can be measured; empty if one can.
-    """
-
-    bearings: Array
-    step: float
-    claim: float | None
-    fault: str
+    bearings: Array  # (n,) rad, not wrapped
+    step: float  # rad from one ray to the next; 0: not known
+    claim: float | None  # s by the driver; 0: all rays at once; None: the driver gives no ages
+    fault: str  # why no order can be measured; empty if one can
 
     @property
     def cover(self) -> float:
@@ -118,7 +116,7 @@ class _Layout(NamedTuple):
         return 1.0 if self.step == 0.0 else min(abs(self.step) * len(self.bearings) / _TURN, 1.0)
 
     def is_as(self, before: _Layout) -> bool:
-        """True if both are scans of one sensor; the number of rays may vary."""
+        """True if both layouts may be of the same sensor; the number of rays may vary."""
         if (self.claim is None) != (before.claim is None):
             return False
         claim, claim_before = self.claim or 0.0, before.claim or 0.0
@@ -132,10 +130,10 @@ class _Layout(NamedTuple):
 
 
 class _Seen:
-    """A scan whose rays were measured about the time `at` of odometry's clock.
+    """A scan with the pose of the sensor at its mean ray.
 
-    `x`, `y` in m of the sensor then, `yaw` in rad, not wrapped; `skew` in rad: the turn while it
-    was measured.
+    `at` in s is the time of the mean ray on the clock of odometry. `x`, `y` in m and `yaw` in rad
+    (not wrapped) are the pose at that time. `skew` in rad is the turn during the scan.
     """
 
     def __init__(
@@ -150,7 +148,10 @@ class _Seen:
         self._ranges = np.minimum(scan.ranges, min(scan.range_max, _MAX_RANGE))[self._known]
 
     def cells(self, x: float, y: float) -> Array:
-        """Ranges (360,) by heading from a place, as if measured at once; NaN: nothing is seen."""
+        """Ranges (360,) in m by heading, as seen from a place, if all rays were measured at once.
+
+        NaN for headings outside the sector that the rays cover.
+        """
         if not len(self._known):
             return np.full(_CELLS, math.nan)
         ahead, left = self.x - x, self.y - y
@@ -164,7 +165,7 @@ class _Seen:
         return cells
 
     def is_comparable(self, after: _Seen) -> bool:
-        """True if another scan shows the same surroundings, from another heading."""
+        """True if this scan and a later scan make a pair: turned enough, and hardly moved."""
         return (
             0.0 < after.at - self.at < _MAX_APART
             and _MIN_TURN < abs(after.yaw - self.yaw) < _MAX_TURN
@@ -173,7 +174,7 @@ class _Seen:
         )
 
     def turns(self, candidates: _Candidates) -> Array:
-        """The turn (c, 18) in rad from the time of the mean ray to that of each sector's ray."""
+        """The turn (c, 18) in rad from the mean ray to the ray in each sector, by candidate."""
         layout = self._layout
         span = layout.step * len(layout.bearings)
         place = ((_CENTRES - self.yaw - layout.bearings[0]) % math.copysign(_TURN, span)) / span
@@ -183,7 +184,7 @@ class _Seen:
 
 
 class _Candidates:
-    """The orders that are compared; those with a start are no order to de-skew by."""
+    """The candidate orders. An order whose `start` is not 0 is compared, but never set."""
 
     def __init__(self, orders: tuple[Order, ...]) -> None:
         self.orders = orders
@@ -191,13 +192,13 @@ class _Candidates:
         self._directions, self._durations, self._starts = columns.swapaxes(0, 1)
 
     def is_neighbor(self, index: int) -> NDArray[np.bool_]:
-        """(c,) which orders differ from that one by their start alone, and by one step of it."""
+        """(c,) which candidates equal candidate `index`, or differ by one step of the start."""
         apart = np.abs((self._starts - self._starts[index] + 0.5) % 1.0 - 0.5) < 1.5 / _STARTS
         alike = (self._directions == self._directions[index]) & apart
         return np.ravel(alike & (self._durations == self._durations[index]))
 
     def since(self, place: Array) -> Array:
-        """s (c, k) from the mean ray to the ray that lies at `place` (k,), 0 to 1, in the scan."""
+        """(c, k) s from the mean ray to the ray at the share `place` (k,) of the message."""
         is_falling = self._directions < 0.0
         place = np.where(is_falling, 1.0 - place, place)
         since: Array = self._durations * ((place - self._starts) % 1.0 - 0.5)
@@ -207,9 +208,9 @@ class _Candidates:
 class MeasuredSweep:
     """Measures the order of one sensor's rays. Times in s.
 
-    `order`: None while it is not known; AT_ONCE also where the driver says that all rays are
-    measured at once. A sensor whose rays lie otherwise than before is another one, and measured
-    anew. An order that later turns contradict is not known any more.
+    `order` is None while the order is not known. If the driver says that all rays are measured at
+    once, the order is AT_ONCE. If the layout of the rays changes, the measurement begins anew. If
+    later turns contradict the order, the order is None again.
     """
 
     def __init__(self, spec: ScanSpec) -> None:
@@ -228,9 +229,10 @@ class MeasuredSweep:
         self._why = ""
 
     def ages(self, scan: Scan) -> Array:
-        """(n,) s by which its rays are older than the newest one; the same object for equal scans.
+        """(n,) s by which each ray is older than the newest ray; the same object for equal scans.
 
-        While the order is not known: by which any ray may be older than the mean of all.
+        While the order is not known: half of the duration of a scan for each ray, the most by which
+        a ray can be older than the mean ray.
         """
         self._look_at(scan)
         if self._ages is None:
@@ -243,9 +245,10 @@ class MeasuredSweep:
         return self._ages
 
     def on_scan(self, scan: Scan, at: float, delay: float, headings: Headings, place: Pose) -> None:
-        """Compare a raw scan with an earlier one.
+        """Take in a raw scan: compare it with the kept scan whose skew differs most.
 
-        It arrived `at` on the clock of odometry at `place`, `delay` s after its mean ray.
+        The scan arrived at the time `at` of odometry's clock, `delay` s after its mean ray, while
+        the robot was at `place`.
         """
         layout, half = self._look_at(scan), 0.5 * self._longest()
         self._scans += 1
@@ -281,11 +284,11 @@ class MeasuredSweep:
             self._compare(before, seen)
 
     def forget_scans(self) -> None:
-        """The clock of odometry was set."""
+        """Drop the kept scans, as when the clock of odometry was set."""
         self._seen.clear()
 
     def figure(self) -> SweepFigure:
-        """The measured order, or why it is not known."""
+        """The measured order for the status, or the reason why the order is not known."""
         order, layout = self.order, self._layout
         if layout is None or order is None:
             return SweepFigure(samples=len(self._fits), text=self._why or "no scan yet")
@@ -300,12 +303,12 @@ class MeasuredSweep:
         )
 
     def _longest(self) -> float:
-        """s that a scan takes at most, by its driver and by its rate."""
+        """The longest time in s that a scan may take, by its driver and by its rate."""
         assert self._layout is not None
         return max(self._layout.claim or 0.0, self._period * self._layout.cover)
 
     def _look_at(self, scan: Scan) -> _Layout:
-        """The layout of a scan; one of another sensor begins the measurement anew."""
+        """The layout of a scan; a layout of another sensor begins the measurement anew."""
         given, layout = self._given, self._layout
         is_known = layout is not None and _is_same(given[0], scan.bearings)
         if layout is not None and is_known and _is_same(given[1], scan.ages):
@@ -319,7 +322,7 @@ class MeasuredSweep:
         return layout
 
     def _begin(self, layout: _Layout) -> None:
-        """Measure anew, among orders with these durations: by the driver, a period, half of it."""
+        """Begin the measurement anew, with the candidates for a layout (module docstring, 2, 3)."""
         self.order = AT_ONCE if layout.claim == 0.0 else None
         self._ages, self._samples = None, 0
         self._forget_pairs()
@@ -344,7 +347,7 @@ class MeasuredSweep:
         self._sides.clear()
 
     def _compare(self, before: _Seen, after: _Seen) -> None:
-        """Add how well each candidate explains the displacements between two scans."""
+        """Add the mean error of each candidate for the displacements between two scans."""
         moved = _displacements(before.cells(before.x, before.y), after.cells(before.x, before.y))
         is_known = np.isfinite(moved)
         if np.count_nonzero(is_known) < _MIN_SECTORS:
@@ -352,14 +355,18 @@ class MeasuredSweep:
         candidates = self._candidates
         errors = moved + after.turns(candidates) - before.turns(candidates)
         errors = errors[:, is_known]
-        # Odometry's heading may be late, and scaled: all sectors are displaced by the same then.
+        # A late or scaled heading of odometry displaces all sectors alike: subtract the median.
         errors -= np.median(errors, axis=1, keepdims=True)
         self._fits.append(np.minimum(np.abs(errors), _MAX_ERROR).mean(axis=1))
         self._sides.append(math.copysign(1.0, after.yaw - before.yaw))
         self._decide()
 
     def _decide(self) -> None:
-        """Set the order that is better than each other candidate; None if there is none."""
+        """Set the order if one candidate is better than each other in a paired test.
+
+        Each pair of scans votes between -1 and 1 on each other candidate. A candidate is worse if
+        the mean vote, the mean error and the errors of each side of turns say so.
+        """
         rows, sides = np.array(self._fits), np.array(self._sides)
         left = sides > 0.0
         lefts = int(np.count_nonzero(left))
@@ -368,7 +375,7 @@ class MeasuredSweep:
         means = rows.mean(axis=0)
         best = int(means.argmin())
         worse = rows - rows[:, best : best + 1]
-        # Turns differ in what they tell: by how much counts less than how often.
+        # Pairs differ in how much they show: how often a candidate is worse counts most.
         usual = np.maximum(np.median(np.abs(worse), axis=0), 1e-9)
         votes = np.minimum(np.maximum(worse / usual, -1.0), 1.0)
         errors = np.maximum(votes.std(axis=0, ddof=1), _MIN_SPREAD) / math.sqrt(len(rows))
@@ -412,9 +419,10 @@ def _layout_of(scan: Scan) -> _Layout:
 
 
 def _displacements(before: Array, after: Array) -> Array:
-    """How far each sector (18,) of a scan in cells is displaced in a later one, in rad.
+    """The displacement (18,) in rad of each sector from one scan to a later one, both in cells.
 
-    Counter-clockwise is positive; NaN: unclear.
+    The displacement with the least mean squared difference of ranges, refined by a parabola.
+    Counter-clockwise is positive. NaN: the minimum is not clear.
     """
     around = np.concatenate((before[-_SHIFTS:], before, before[:_SHIFTS]))
     apart = np.lib.stride_tricks.sliding_window_view(around, _CELLS) - after

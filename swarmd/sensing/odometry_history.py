@@ -1,4 +1,4 @@
-"""The last readings of odometry: how far the sensor has moved between two times."""
+"""The last readings of odometry, and the motion of the sensor between two times."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ _LATERAL = cython.declare(cython.Py_ssize_t, 6)
 
 @cython.cclass
 class OdometryHistory:
-    """The last readings of odometry, for all that needs the motion of the sensor.
+    """The last readings of odometry, which give the motion of the sensor.
 
-    `latest`: the stamp in s of the last reading; NaN without one.
+    `latest` in s is the stamp of the last reading; NaN without a reading.
     """
 
     latest = cython.declare(cython.double, visibility="readonly")
@@ -70,9 +70,10 @@ class OdometryHistory:
         self.path, self.way = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
-        """Take in a reading at `now`; true if its stamp is new, None if it is not valid.
+        """Take in a reading that arrived at `now`; True if its stamp is new, None if it is invalid.
 
-        A new reading whose stamp does not rise, or whose pose jumps, ends the history before it.
+        If the stamp of a new reading does not rise, or its pose jumps, all earlier readings are
+        dropped.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
@@ -121,7 +122,7 @@ class OdometryHistory:
 
     @cython.cfunc
     def _place(self, before: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """Where the reading begins that is so many before the last one."""
+        """The index at which the reading begins that is `before` readings before the last one."""
         return _COLUMNS * ((self._last - before + _READINGS) % _READINGS)
 
     @cython.cfunc
@@ -133,7 +134,10 @@ class OdometryHistory:
 
     @cython.cfunc
     def _set_pose(self, at: cython.double) -> cython.int:
-        """Set the pose at a time, of one reading at least: between two, or extrapolated."""
+        """Set the pose at a time: interpolated between two readings, or extrapolated.
+
+        There must be a reading.
+        """
         r: cython.double[::1] = self._readings
         k: cython.Py_ssize_t
         early: cython.Py_ssize_t
@@ -164,10 +168,10 @@ class OdometryHistory:
 
     @cython.cfunc
     def set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
-        """Set the path from the pose at a time back to that `seconds` earlier; its rows.
+        """Set `path`, the motion of the last `seconds` before the time `at`; the number of rows.
 
-        A row: s before that time, x and y in m and yaw in rad relative to the pose at that time. 0
-        rows at rest, without readings that reach back that far, and for no time.
+        Each row of `path` has s before `at`, and x and y in m and yaw in rad relative to the pose
+        at `at`. 0 rows at rest, if the readings do not reach back that far, or if `seconds` is 0.
         """
         if seconds == 0.0 or not self.covers(at - seconds):
             return 0

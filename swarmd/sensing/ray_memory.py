@@ -1,7 +1,7 @@
-"""The memory of each ray: the meaning of raw ranges, and what fills unknown rays.
+"""The memory of each ray: interprets raw ranges, and fills unknown rays.
 
-The zeros of an LDS mean a near obstacle, no return or a lost packet: the last returns of a ray and
-of those beside it tell which.
+A zero of an LDS (the lidar of the TurtleBot3) means a near obstacle, no return or a lost packet.
+The last returns of the ray and of its neighbours decide between these meanings.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ PACKET_RAYS = 6  # rays that an LDS loses together
 
 _SMALL_ANGLE = cython.declare(cython.double, 1e-9)  # rad, of rounding
 _UNEVEN = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
-_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which they may miss a full turn
+_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which these may miss a full turn
 _GUESSED_FROM = cython.declare(cython.Py_ssize_t, 3)  # places from the hint on that are tried first
-# Far returns that do not vanish from one scan to the next: so many, and this share of the rays.
-# Fewer may vanish: those of a ring of few sensors.
+# The sensor is blind if so many far returns, and this share of the rays, all vanish from one scan
+# to the next. Fewer may vanish, as those of a ring of few sensors.
 _BLIND_RETURNS = cython.declare(cython.double, 8.0)
 _BLIND_SHARE = cython.declare(cython.double, 0.1)
-# Share of range_max up to which returns count as far ones: those beyond may vanish.
+# Share of range_max up to which returns count as far returns; returns beyond it may vanish.
 _FAR_SHARE = cython.declare(cython.double, 0.8)
 # m above range_min: an LDS ray this near may turn into a zero.
 _NEAR_MARGIN = cython.declare(cython.double, 0.10)
@@ -48,7 +48,10 @@ _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
 def _nearest_angle(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double, hint: cython.Py_ssize_t
 ) -> cython.Py_ssize_t:
-    """The place of the nearest of n rising angles; that of the last call is a good `hint`."""
+    """The index of the angle nearest to `wanted`, of n rising angles.
+
+    `hint`: an index from which the search begins, such as the last result.
+    """
     angle: cython.double = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
@@ -75,9 +78,9 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 
 @cython.cclass
 class RayMemory:
-    """The memory of each ray, and what it makes of a scan's ranges.
+    """Interprets the ranges of a scan by the memory of each ray. Times in s, angles rad, ranges m.
 
-    `known_at`: see `ScanConditioner`. Times in s, angles in rad, ranges in m.
+    `known_at`: see `ScanConditioner`.
     """
 
     known_at = cython.declare(cython.double, visibility="readonly")
@@ -90,7 +93,7 @@ class RayMemory:
     _guesses_near: cython.bint
     _near_below: cython.double  # the range of a ray that may turn into a zero
     _step: cython.double  # from one ray to the next
-    _yaw: cython.double  # to which the memory is turned
+    _yaw: cython.double  # of the robot, to which the memory is turned
     _far_returns: cython.Py_ssize_t  # of the last scan with returns
     _given: object  # the array of the bearings
     _n: cython.Py_ssize_t
@@ -100,7 +103,7 @@ class RayMemory:
     _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
     _rising: cython.double[::1]
     _place: cython.longlong[::1]
-    # By the places of rays, which begin at `_turned`: a robot that turns moves no memory.
+    # The memory by the place of a ray plus `_turned`: to turn the memory, only `_turned` changes.
     _ranges: cython.double[::1]
     _seen_at: cython.double[::1]
     _near_at: cython.double[::1]
@@ -122,9 +125,9 @@ class RayMemory:
         self._order = self._place = self._is_zero = self._is_lost = None
 
     def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
-        """The conditioned ranges (n,) of a scan; None if it is invalid.
+        """The conditioned ranges (n,) of a scan; None if the scan is invalid.
 
-        Bearings (n,) that are the same object as before are not looked at again. `yaw` of the
+        If `bearings` (n,) is the same object as before, its values must be the same. `yaw` of the
         robot in rad, NaN if unknown; `now` in s.
         """
         ranges = np.array(raw, dtype=np.float64, order="C")
@@ -161,7 +164,7 @@ class RayMemory:
 
     @cython.cfunc
     def _fill_from_memory(self, out: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
-        """Fill unknown rays with their last ranges, if not stale; the number of those left."""
+        """Fill unknown rays with their last ranges, if not stale; the number still unknown."""
         left: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -193,7 +196,7 @@ class RayMemory:
                 continue
             is_lost[i], k = False, self._at(i)
             known[k], seen_at[k] = distance, now
-            # A zero is no near ray: one passing obstacle would make an open field near for good.
+            # A zero does not count as near: else its own memory would keep a ray near for ever.
             if distance < near_below and not is_zero[i]:
                 self._near_at[k] = now
         return unknown
@@ -201,15 +204,15 @@ class RayMemory:
     @cython.cfunc
     @cython.inline
     def _at(self, ray: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """Where the memory of a ray is."""
+        """The index of a ray in the memory."""
         return wrapped_index(self._place[ray] + self._turned, self._n)
 
     @cython.cfunc
     def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
-        """True if the scan has no return although the last one with returns had many far ones.
+        """True if the scan has no return, although the last scan with returns had many far returns.
 
-        Then the sensor is blind; the robot has not reached an open field. An obstacle in the blind
-        zone may hide everything else, but then its returns were near before.
+        Then the sensor is blind: a robot cannot reach an open field between two scans. An obstacle
+        in the blind zone may hide all returns, but then the returns before were near.
         """
         i: cython.Py_ssize_t
         far: cython.Py_ssize_t = 0
@@ -231,7 +234,10 @@ class RayMemory:
 
     @cython.cfunc
     def _turn_of(self, yaw: cython.double) -> cython.double:
-        """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
+        """The turn of the sensor in rad since the last call, rounded to whole rays.
+
+        The remainder counts in the next call. 0 if a yaw is unknown.
+        """
         turned: cython.double = wrap(yaw - self._yaw)
         if not isfinite(turned):
             self._yaw = yaw
@@ -242,7 +248,7 @@ class RayMemory:
 
     @cython.cfunc
     def _set_bearings(self, bearings, turned: cython.double):
-        """Take over the memory of other bearings."""
+        """Take other bearings; their rays get the memory of the nearest earlier rays."""
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
         had: cython.Py_ssize_t = self._n
@@ -357,7 +363,7 @@ class RayMemory:
     def _meaning(
         self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
     ) -> cython.double:
-        """The meaning of a zero in a run of so many; NaN: a drop-out."""
+        """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost."""
         at: cython.Py_ssize_t = self._at(ray)
         had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
             self._ranges[at]
@@ -369,7 +375,7 @@ class RayMemory:
 
     @cython.cfunc
     def _was_near(self, ray: cython.Py_ssize_t, now: cython.double) -> cython.bint:
-        """True beside a ray that was near lately."""
+        """True if a ray within _NEAR_SECTOR had a near return within the last _NEAR_MEMORY s."""
         if not self._guesses_near:
             return False
         since: cython.double = now - _NEAR_MEMORY
@@ -388,7 +394,10 @@ class RayMemory:
 
     @cython.cfunc
     def _lost_since(self, now: cython.double) -> cython.double:
-        """The latest time from which on no sector wider than `max_gap` is lost."""
+        """The latest time t such that the rays lost before t form no sector wider than `max_gap`.
+
+        A ray is lost before t if it is unknown now and was last known before t.
+        """
         if self._widest(INFINITY) <= self._max_gap:
             return now
         before: cython.double = INFINITY
@@ -404,7 +413,10 @@ class RayMemory:
 
     @cython.cfunc
     def _widest(self, before: cython.double) -> cython.double:
-        """The widest sector of lost rays that were last known before a time, between others."""
+        """The width in rad of the widest sector of rays that were lost before the time `before`.
+
+        inf if all rays were.
+        """
         n: cython.Py_ssize_t = self._n
         first: cython.Py_ssize_t = 0
         while first < n and self._is_lost[first] and self._seen_at[self._at(first)] < before:
@@ -427,7 +439,10 @@ class RayMemory:
 
     @cython.cfunc
     def _bridge(self, out: cython.double[::1]) -> cython.bint:
-        """Fill unknown sectors up to `max_gap` with the nearer edge; false if one is left."""
+        """Fill each unknown sector up to `max_gap` wide with the smaller range at its two edges.
+
+        False if a wider sector is left.
+        """
         n: cython.Py_ssize_t = out.shape[0]
         first: cython.Py_ssize_t = 0
         while first < n and isnan(out[first]):

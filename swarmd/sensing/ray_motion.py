@@ -1,4 +1,4 @@
-"""Rays as another place would see them: moved to the end of the way of their sensor."""
+"""Moves rays: computes the ranges and bearings as the sensor sees them from a later pose."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ROUNDING = cython.declare(cython.double, 1e-9)  # rad
 def _moved_range(
     along: cython.double, across: cython.double, least: cython.double, most: cython.double
 ) -> cython.double:
-    """The distance of a return that lies so far along its ray and across it."""
+    """The range of a return at `along` and `across` m from the sensor; -inf below `least`."""
     distance: cython.double = min(sqrt(along * along + across * across), most)
     return -INFINITY if distance < least else distance
 
@@ -40,7 +40,10 @@ def _moved_range(
 def _moved_bearing(
     bearing: cython.double, turn: cython.double, along: cython.double, across: cython.double
 ) -> cython.double:
-    """The bearing of that return from a sensor that was turned."""
+    """The bearing in [-pi, pi) of a return at `along`, `across` m in the frame of its old ray.
+
+    The ray had `bearing` at the old pose; `turn` is the yaw of the old pose relative to the new.
+    """
     if fabs(across) < _SMALL_TANGENT * along:
         tangent = across / along
         square = tangent * tangent
@@ -63,13 +66,19 @@ def move_rays(
     distances: cython.double[::1],
     angles: cython.double[::1],
 ) -> cython.int:
-    """Set ranges and bearings (n,) at the end of a path, of rays measured `ages` s before it.
+    """Move rays to the end of a path: sets `distances` and `angles` (n,).
 
-    `cosines` and `sines` (n,) of the bearings. `path`: 2 or more `rows` of s before its end, x and
-    y in m and yaw in rad relative to it; between two the pose changes linearly. `limits`: the
-    sensor's x and y in the base frame, range_min and range_max in m. A ray without a distance turns
-    and keeps its class. A return that is nearer than range_min at the end of the path is -inf, too
-    close to measure. The new bearings are within [-pi, pi).
+    A ray without a finite range only turns. A return nearer than range_min at the end of the path
+    becomes -inf, too close to measure. The new bearings are within [-pi, pi).
+
+    Args:
+        ranges: (n,) m.
+        bearings: (n,) rad.
+        cosines, sines: (n,) of the bearings.
+        ages: (n,) s before the end of the path at which each ray was measured.
+        path: 2 or more `rows` of: s before the end, x and y in m and yaw in rad relative to the
+            pose at the end. Between two rows the pose changes linearly.
+        limits: x and y of the sensor in the base frame, range_min and range_max; m.
     """
     n: cython.Py_ssize_t = ranges.shape[0]
     last: cython.Py_ssize_t = rows - 1
@@ -84,7 +93,7 @@ def move_rays(
     x_way: cython.double = 0.0
     y_way: cython.double = 0.0
     turn_way: cython.double = 0.0
-    # Where rays of one age were measured: many sensors tell the ages of whole sectors.
+    # The pose at which rays of one age were measured; many sensors give one age to a whole sector.
     age: cython.double = NAN
     has_place: cython.bint = False
     share: cython.double = 0.0
@@ -139,12 +148,17 @@ def rays_in_sector(
     angles: cython.double[::1],
     kept_ages: cython.double[::1],
 ) -> cython.Py_ssize_t:
-    """Set ranges, bearings and ages of the rays in a sector, from ray `first` on; their number.
+    """Move the rays in a sector to another pose; the number of these rays.
 
-    `way`: x and y in m and yaw in rad of the place where all were measured, relative to the one for
-    which ranges and bearings are set; a ray counts if it lies in the sector as seen from one of the
-    two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else -1.0,
-    and its width in rad. `limits` as of `move_rays`.
+    Sets `distances`, `angles` and `kept_ages`. A ray counts if it lies in the sector as seen from
+    the old or from the new pose.
+
+    Args:
+        ranges, bearings, ages: (n,) of rays that were all measured at the old pose.
+        first: the first ray that may count.
+        way: the old pose relative to the new one: x and y in m, yaw in rad.
+        sector: the bearing of its start in rad, 1.0 (counter-clockwise) or -1.0, its width in rad.
+        limits: as in `move_rays`.
     """
     x: cython.double = way[0]
     y: cython.double = way[1]

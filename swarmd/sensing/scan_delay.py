@@ -1,4 +1,4 @@
-"""How late scans arrive: measured by the stamps of one clock, and by turns.
+"""Measures how late scans arrive, by stamps of one clock and by turns of the robot.
 
 The delay of a scan is the mean age of its rays when it arrives. `delay_by_stamps.py` and
 `delay_by_turns.py` have the two methods.
@@ -26,13 +26,13 @@ else:
     from swarmd.core.cython_shadow import INFINITY, isnan
 
 TOLERANCE = 0.01
-"""Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
+"""Seconds: a smaller delay beyond the declared latency counts as 0, as clocks resolve no less."""
 
 # Share of the bound below which a late scan is in time.
 _CLEARS = cython.declare(cython.double, 0.8)
-# Spreads by which turns must exceed declaration and stamps.
+# Spreads (standard deviations) by which the delay by turns must exceed latency and stamps.
 _CERTAIN = cython.declare(cython.double, 2.5)
-# s after which turns no longer say that scans are late.
+# s after which a delay by turns no longer makes scans late.
 _EXPIRES = cython.declare(cython.double, 60.0)
 _TOLERANCE = cython.declare(cython.double, TOLERANCE)
 
@@ -41,17 +41,17 @@ _TOLERANCE = cython.declare(cython.double, TOLERANCE)
 class ScanDelay:
     """Measures the delay of one sensor's scans. Times in s of the robot."""
 
-    # What protection counts beyond the declared latency: an upper estimate, at least the age of the
-    # last scan by its stamp; 0 within TOLERANCE of the declared one.
+    # The delay beyond the declared latency that protection counts. An upper estimate, at least that
+    # of the last scan by its stamp; 0 if it is within TOLERANCE.
     added = cython.declare(cython.double, visibility="readonly")
-    # `added` exceeds the platform's `max_scan_delay`, until it falls below 0.8 of that.
+    # True once `added` exceeds the platform's `max_scan_delay`, until it falls below 0.8 of that.
     is_late = cython.declare(cython.bint, visibility="readonly")
-    # How often stamps jumped, so that the clock of odometry or scan was set. Stamps then count
-    # anew. What was added before is not taken back until they tell the delay again.
+    # How often stamps jumped, as when the clock of odometry or scan is set. The measurement by
+    # stamps then begins anew, and `added` does not fall until stamps give the delay again.
     restarts = cython.declare(cython.Py_ssize_t, visibility="readonly")
-    # Scans that are late now were in time when stamps jumped last.
+    # True if scans are late now, and were in time when stamps jumped last.
     is_clock_set = cython.declare(cython.bint, visibility="readonly")
-    # None if the platform tells how the sensor measures its rays.
+    # Measures the order of the rays; None if the platform declares it (`scan.sweep`).
     sweep = cython.declare(object, visibility="readonly")
     _latency: cython.double
     _bound: cython.double
@@ -73,7 +73,7 @@ class ScanDelay:
         pose,
         now: cython.double,
     ):
-        """Take in what a reading says."""
+        """Take in a reading of odometry."""
         if self._stamps.read(stamp, now):
             self._restart()
         self._turns.read(stamp, yaw, rate, pose)
@@ -105,7 +105,7 @@ class ScanDelay:
 
     @cython.cfunc
     def _swept(self, scan, now: cython.double, offset: cython.double):
-        """The scan with the ages that turns tell, if they do."""
+        """The scan with the ages of the measured sweep; the scan itself while that is not known."""
         sweep = self.sweep
         headings = self._turns.headings()
         if offset < INFINITY and len(headings.times):
@@ -115,7 +115,7 @@ class ScanDelay:
             before = sweep.order
             sweep.on_scan(scan, now - offset, delay, headings, self._turns.pose)
             if sweep.order != before:
-                self._stamps.forget_scans()  # the time from a stamp to the mean ray is another one
+                self._stamps.forget_scans()  # the time from a stamp to the mean ray changes
         return scan if sweep.order is None else replace(scan, ages=sweep.ages(scan))
 
     @cython.cfunc

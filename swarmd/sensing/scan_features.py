@@ -1,4 +1,4 @@
-"""What `rays.py` finds in a scan: the nearest return, closest points, objects."""
+"""Features of a scan: the nearest return, closest points, objects; `rays.py` has the interface."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def _measure(
     last: cython.Py_ssize_t,
     lowest: cython.double,
 ) -> cython.int:
-    """Keep the object of the rays `first` to `last` at a place; rays count on beyond n."""
+    """Store the object of the rays `first` to `last` at `place`; indices beyond n wrap around."""
     n: cython.Py_ssize_t = layout.n
     begin: cython.Py_ssize_t = first % n
     end: cython.Py_ssize_t = last % n

@@ -19,9 +19,10 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import INFINITY, NAN, isfinite, isnan, rint, tan
 
-_MAX_LAYOUTS = cython.declare(cython.int, 8)  # that are kept
+_MAX_LAYOUTS = cython.declare(cython.int, 8)  # layouts that are kept
 _MAX_STEPS = cython.declare(cython.double, 3.5)  # between rays of one object
-_MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)  # after which bearings count as unsorted
+# Moves of the insertion sort for each ray, after which bearings count as unsorted.
+_MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)
 
 
 @cython.auto_pickle(False)
@@ -109,10 +110,11 @@ class ScanLayout:
     @cython.cfunc
     @cython.boundscheck(False)
     def set_grazing(self, grazing: cython.double):
-        """Set the order of rising bearings, the steps to the next, and what a surface makes.
+        """Set the order of rising bearings, and `steps`, `slopes`, `is_apart` of each ray.
 
-        `slopes`: of a surface at `grazing` rad to the next ray. `is_apart`: rays that are too far
-        apart; up to two rays may be unknown in the middle of an object.
+        `slopes`: by how much the range changes to the next ray on a surface at `grazing` rad to the
+        ray, as a share of the range. `is_apart`: the next ray is too far away to be of the same
+        object; up to two rays may be unknown in the middle of an object.
         """
         n: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
@@ -139,9 +141,10 @@ class ScanLayout:
     @cython.cfunc
     @cython.boundscheck(False)
     def has_sorted(self) -> cython.bint:
-        """False if bearings neither rise nor fall almost everywhere, and `order` is not set.
+        """Set `order` by an insertion sort; False if the bearings are too disordered for it.
 
-        Insertion from the smallest one on: a sensor measures its rays one after the other.
+        The sort begins at the smallest bearing. The bearings of most sensors rise or fall from
+        there on almost everywhere.
         """
         n: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t

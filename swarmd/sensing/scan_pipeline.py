@@ -1,6 +1,6 @@
-"""The stages that a scan and a reading of odometry pass, compiled or interpreted.
+"""The stages that a scan and a reading of odometry pass, compiled where a library exists.
 
-To import from the files of the stages gives the interpreted ones.
+Import the stages from here: the files of the stages give the interpreted classes.
 """
 
 from __future__ import annotations
