@@ -1,7 +1,7 @@
-"""The requests to this robot: a line of the log and an entry of the audit log each.
+"""The audit log of a robot: each answered request gives a log line and an audit entry.
 
-`Audit` is pure: it limits the rates and words the line and the entry. `AuditLog` keeps the entries
-on the disk, in files that are rotated.
+`Audit` is pure: it limits the rates, and makes the line and the entry. `AuditLog` writes the
+entries to disk, in rotated files.
 """
 
 from __future__ import annotations
@@ -29,19 +29,20 @@ MAX_WHAT = 120  # characters of a request
 
 APPLIED_RATE, APPLIED_BURST = 2.0, 20.0
 OTHER_RATE, OTHER_BURST = 0.2, 5.0
-"""Lines per second: junk that is refused must not push the lines of what was applied out."""
+"""Lines per second: refused junk must not displace the lines of applied requests."""
 APPLIED_ENTRIES, OTHER_ENTRIES, ENTRY_BURST = 20.0, 2.0, 200.0
-"""Entries per second, and at once: the files have room for more than the log that people read."""
+"""Entries per second, and the burst: the files have room for more than the log has."""
 PEER_RATE, PEER_BURST = 0.1, 50.0
-"""Lines and entries per second of what robots hand on: a stolen robot can invent stops,
-latches and goals, which must not push the requests of operators out of the files."""
+"""Lines and entries per second for messages that robots relay: a stolen robot can invent stops,
+latches and goals, which must not displace the requests of operators in the files."""
 HANDED_ON = "handed on by "
 
 
 class Audit:
-    """Gives a line and an entry for each request; those beyond the rates are left out and counted.
+    """Makes a log line and an audit entry for each request, and counts those beyond the rates.
 
-    `clock` names the clock of `now`; `wall` gives s since 1970.
+    `write` takes a line, `keep` an entry. `clock` names the clock of `now`. `wall` returns s since
+    1970.
     """
 
     def __init__(
@@ -69,10 +70,10 @@ class Audit:
         targets: int | None = None,
         is_relayed: bool = False,
     ) -> None:
-        """Give the line and the entry of a request with its reply, if the rates allow it.
+        """Make the line and the entry of a request and its reply, if the rates permit.
 
-        `what` begins with the verb. `targets`: how many robots; None: all. `now` in s.
-        `is_relayed`: another robot handed it on, and nothing proves its operator.
+        `what` begins with the verb. `targets`: the count of target robots, None for all. `now` in
+        s. `is_relayed`: another robot relayed the request, and nothing proves its operator.
         """
         source = f"{HANDED_ON}{source}" if is_relayed else source
         lines = self._peer_lines if is_relayed else self._lines
@@ -92,7 +93,7 @@ class Audit:
         self._write(line[:MAX_LINE])
 
     def note(self, what: str, operator: str, source: str, text: str, now: float) -> None:
-        """Give the entry of what came without a request, such as a latch of a peer; no line."""
+        """Make the entry of a change without a request, such as a latch of a peer; no line."""
         if (left_out := self._peer_entries.take(True, now)) is not None:
             entry = self._entry(what, operator, source, "taken", text, now)
             self._keep(replace(entry, left_out=left_out))
@@ -115,7 +116,7 @@ class Audit:
 
 
 class _Limits:
-    """Rates of what was applied and of the rest, and how many were left out."""
+    """Rate limits for applied and for other requests, and the count of requests left out."""
 
     def __init__(self, applied: float, applied_burst: float, others: float, burst: float) -> None:
         self._applied = TokenBucket(applied, applied_burst)
@@ -123,7 +124,7 @@ class _Limits:
         self._left_out = 0
 
     def take(self, is_applied: bool, now: float) -> int | None:
-        """How many were left out before this one; None: this one is left out."""
+        """The count left out since the last request that passed; None if this one is left out."""
         if not (self._applied if is_applied else self._others).take(1.0, now):
             self._left_out += 1
             return None
@@ -132,14 +133,14 @@ class _Limits:
 
 
 def describe_request(request: AnyRequest) -> str:
-    """What a request asks, such as `run drive speed=0.1 to 3 robots`."""
+    """A request in words, such as `run drive speed=0.1 to 3 robots`."""
     targets = request.targets
     count = "all robots" if targets is None else f"{len(targets)} robot{'s' * (len(targets) != 1)}"
     return " ".join(filter(None, (request.verb, VERBS[request.verb].audit(request), "to", count)))
 
 
 def _printable(text: str) -> str:
-    """In one line: an operator's name must not begin a line of its own in a log."""
+    """The text in one line: an operator's name must not start a new line of a log."""
     return "".join(char if char.isprintable() else "?" for char in text)
 
 
@@ -154,9 +155,10 @@ _decoder = msgspec.json.Decoder(AuditEntry)
 
 
 class AuditLog:
-    """The files in `folder`. `on_event` takes a line, on the thread, when the disk fails and later.
+    """The audit files in `folder`, each of at most `max_bytes`.
 
-    `max_bytes` of a file.
+    A thread writes the entries. On this thread `on_event` takes a line when the disk fails, and
+    when the disk works again.
     """
 
     def __init__(
@@ -167,11 +169,12 @@ class AuditLog:
         self._lock = threading.Lock()  # of the files
         self._thread: threading.Thread | None = None
         self._seq: int | None = None
-        self._unqueued = self._unwritten = self._told = 0  # entries; counted by loop and thread
+        # Counts of entries: dropped by the loop, not written by the thread, and reported as lost.
+        self._unqueued = self._unwritten = self._reported = 0
         self.fault = ""
 
     def add(self, entry: AuditEntry) -> None:
-        """Write an entry soon, with its number; never blocks. A full queue drops it, counted."""
+        """Queue an entry for the thread; never blocks. A full queue drops and counts the entry."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._run, name="swarmd-audit", daemon=True)
             self._thread.start()
@@ -181,7 +184,7 @@ class AuditLog:
             self._unqueued += 1
 
     def close(self) -> None:
-        """Write what is queued, for CLOSE_TIMEOUT at most."""
+        """Wait for CLOSE_TIMEOUT at most until the queued entries are written."""
         if self._thread is not None:
             with suppress(queue.Full):
                 self._queue.put_nowait(None)
@@ -190,24 +193,24 @@ class AuditLog:
     def read(
         self, query: AuditQuery, age_of: Callable[[AuditEntry], float | None]
     ) -> tuple[list[AuditEntry], bool, str]:
-        """The entries of a query, the oldest first; whether older ones fit; a fault of the disk.
+        """The matching entries, oldest first; whether older entries match; a fault of the disk.
 
-        Called from a thread, which waits until the entries that were added before are written; the
-        fault says so if that takes longer than READ_TIMEOUT. `since` leaves out entries that are
-        older, or of unknown age. Damaged lines are left out.
+        Blocks for up to READ_TIMEOUT until the queued entries are written; if this takes longer,
+        the fault says that the newest entries are missing. `since` of the query leaves out entries
+        that are older or of unknown age. Damaged lines are left out.
         """
         slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
         is_whole = self._await_queued()
         if not self._lock.acquire(timeout=READ_TIMEOUT):
             return [], False, slow
         try:
-            found, has_more = self._matching(query, age_of)
+            entries, has_more = self._matching(query, age_of)
         finally:
             self._lock.release()
-        return found, has_more, self.fault or ("" if is_whole else slow)
+        return entries, has_more, self.fault or ("" if is_whole else slow)
 
     def _await_queued(self) -> bool:
-        """Whether all entries that were added before have been taken from the queue."""
+        """Wait for READ_TIMEOUT at most; True once all earlier entries have left the queue."""
         if self._thread is None or not self._thread.is_alive():
             return True
         reached = threading.Event()
@@ -218,17 +221,17 @@ class AuditLog:
     def _matching(
         self, query: AuditQuery, age_of: Callable[[AuditEntry], float | None]
     ) -> tuple[list[AuditEntry], bool]:
-        found: list[AuditEntry] = []
+        entries: list[AuditEntry] = []
         for entry in self._newest_first():
             if query.before is not None and entry.seq >= query.before:
                 continue
             age = age_of(entry)
             if query.since is not None and (age is None or age > query.since):
                 continue
-            if len(found) == query.count:
-                return found[::-1], True
-            found.append(entry)
-        return found[::-1], False
+            if len(entries) == query.count:
+                return entries[::-1], True
+            entries.append(entry)
+        return entries[::-1], False
 
     # On the thread
 
@@ -244,8 +247,8 @@ class AuditLog:
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             if self._seq is None:
-                self._seq = next((one.seq for one in self._newest_first()), 0)
-            lost = self._unqueued + self._unwritten - self._told
+                self._seq = next((newest.seq for newest in self._newest_first()), 0)
+            lost = self._unqueued + self._unwritten - self._reported
             entry = replace(entry, seq=self._seq + 1, left_out=entry.left_out + lost)
             self._append(_encoder.encode(entry) + b"\n")
         except OSError as error:
@@ -255,13 +258,13 @@ class AuditLog:
                 self._on_event(self.fault)
             return
         self._seq += 1
-        self._told += lost
+        self._reported += lost
         if self.fault:
             self.fault = ""
             self._on_event(f"audit log is written again; {lost} entries were lost")
 
     def _append(self, line: bytes) -> None:
-        """Append a line, whole or not at all."""
+        """Append a whole line, or nothing. Rotates the files if the line does not fit."""
         path = self._path(0)
         if path.exists() and path.stat().st_size + len(line) > self._max_bytes:
             for number in range(FILES - 1, 0, -1):

@@ -1,7 +1,8 @@
-"""The carrier of datagrams and the Zenoh session of one daemon, and when they are opened again.
+"""Opens and reopens the carrier of datagrams (UDP sockets or a router) and the Zenoh session.
 
-A change of the interface's address or of the identity closes both and opens them again; the robot
-stands first. A flood of connections closes the session alone; the run goes on.
+1. A change of the interface's address, or of the identity, closes and reopens both. The robot stops
+   first.
+2. A flood of connections, or a new IPv4 address, reopens only the session. The run continues.
 """
 
 from __future__ import annotations
@@ -45,25 +46,25 @@ ANSWER_TIME = 0.1
 
 
 class ConnectionOwner(Protocol):
-    """The network of a connection; all methods are called on the loop."""
+    """The callbacks of a connection, all called on the loop."""
 
     def on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
-        """A datagram; see `OnDatagram`."""
+        """Take a datagram; the arguments are as in `OnDatagram`."""
 
     def on_interface(self, change: InterfaceChange) -> None:
-        """The interface has changed; nothing is opened again yet."""
+        """Act on a change of the interface, before anything is reopened."""
 
     def on_reopened(self) -> None:
-        """Carrier and session are open again."""
+        """Act on a reopened session; the carrier is open, too."""
 
     def on_event(self, text: str) -> None:
-        """A line for the events."""
+        """Log a line among the robot's events."""
 
 
 class NetworkConnection:
-    """Carrier and session of the daemon `robot`; both are None while they are closed.
+    """Carrier and session of the daemon of `robot`; `carrier` and `bus` are None while closed.
 
-    `tag` begins each datagram. With an `identity` the session is mTLS.
+    `tag`: the first bytes of each datagram of the swarm. With an `identity` the session uses mTLS.
     """
 
     def __init__(
@@ -85,19 +86,19 @@ class NetworkConnection:
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
-        self._opened = settings  # with the port that the session has
+        self._opened = settings  # with the actual port of the session
         self._flood: LinkFlood | None = None
         self._gate: LinkGate | None = None
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None
         self._is_stale = False  # the sockets belong to an earlier state of the interface
-        # IPv4 addresses of the interface when the first session opened, and the last one.
+        # IPv4 addresses of the interface when the first, and when the last session was opened.
         self._first_ipv4: tuple[str, ...] | None = None
         self._ipv4: tuple[str, ...] = ()
 
     @property
     def interface_text(self) -> str:
-        """The state of the interface in a few words; empty if it is not watched."""
+        """The state of the interface in a few words; empty if no interface is watched."""
         if self._watch is None:
             return ""
         return f"{self._settings.interface_name}: {self._watch.state.text}"
@@ -107,17 +108,17 @@ class NetworkConnection:
         return self._settings.answers_scouts(is_secured=self._identity is not None)
 
     def local(self, address: Address) -> Address:
-        """The address, with the scope of this machine if it is local to the link."""
+        """The address; a link-local IPv6 address gets the scope id of this machine's interface."""
         host, port = address
         if host.startswith("fe80:") and self._watch is not None:
             host = f"{host.partition('%')[0]}%{self._watch.state.index}"
         return host, port
 
     async def open(self) -> None:
-        """Open carrier and session, and watch the interface. Raises NetworkError in one line."""
+        """Open carrier and session, and watch the interface. Raises NetworkError."""
         settings = self._settings
         if settings.profile == "routed":
-            await self._open_again()  # a robot may boot before its routers
+            await self._open_again()  # retries, since a robot may boot before its routers
         else:
             await self._open()
         if settings.profile == "field":
@@ -131,7 +132,11 @@ class NetworkConnection:
             self._follow_ipv4(self._watch.state)
 
     def watch_for_flood(self, now: float) -> None:
-        """Let only known hosts connect while too many connections wait; call it on each tick."""
+        """Let only known hosts connect while too many connections wait; called on each tick.
+
+        A known host has sent a signed datagram. Reopens the session, which ends the connections
+        that wait.
+        """
         flood, session = self._flood, self._session
         if flood is None or session is None or not flood.is_due(now):
             return
@@ -147,7 +152,7 @@ class NetworkConnection:
             self._gate.admit(None)
 
     def admit_links_from(self, source: Address, now: float) -> None:
-        """A host has sent a datagram with a valid signature."""
+        """Let the host `source` connect: it has sent a datagram with a valid signature."""
         flood = self._flood
         if flood is not None and flood.hear(source[0].partition("%")[0], now):
             self._set_gate(now)
@@ -168,15 +173,15 @@ class NetworkConnection:
             _close(session)
 
     def take_identity(self, identity: Identity) -> None:
-        """Open again as this identity, after a moment in which answers under way are sent.
+        """Reopen as `identity` after ANSWER_TIME, in which pending answers are sent.
 
-        Both stay closed for an identity that is no longer on the roster.
+        Carrier and session stay closed for an identity that is no longer on the roster.
         """
         self._identity = identity
         self._begin_reopening(ANSWER_TIME)
 
     def _begin_renewal(self) -> None:
-        """Renew the session, unless both are being opened again."""
+        """Reopen the session, unless carrier and session are being reopened."""
         if self._reopening is None:
             self._reopening = self._loop.create_task(self._renew_session())
             self._reopening.add_done_callback(self._end_reopening)
@@ -188,7 +193,7 @@ class NetworkConnection:
             self._reopening.add_done_callback(self._end_reopening)
 
     def _on_interface_change(self, change: InterfaceChange) -> None:
-        """The interface changed; the robot stands before anything is opened again."""
+        """Stop the robot by the owner, then reopen, rejoin or follow the change."""
         self._owner.on_interface(change)
         if change.must_reopen:
             self._begin_reopening()
@@ -198,17 +203,17 @@ class NetworkConnection:
             self._follow_ipv4(change.state)
 
     def _follow_ipv4(self, state: InterfaceState) -> None:
-        """Renew the session for an IPv4 address on which it answers no scouts yet."""
+        """Reopen the session for a new IPv4 address: it answers no Zenoh scouts there yet."""
         is_new, self._ipv4 = not {*state.ipv4} <= {*self._ipv4}, state.ipv4
         if not (is_new and self._answers_scouts):
             return
         if self._reopening is None:
             self._begin_renewal()
-        else:  # it may have opened the session before the address came
+        else:  # the present reopening may have read the addresses too early: repeat it
             self._begin_reopening()
 
     def _opening(self, settings: NetworkSettings) -> Callable[[], zenoh.Session]:
-        """What opens a session that answers scouts on the present IPv4 addresses."""
+        """A function that opens a session which answers scouts on the present IPv4 addresses."""
         late: tuple[str, ...] = ()
         if self._answers_scouts and settings.profile == "field":
             self._ipv4 = read_state(settings.interface_name).ipv4
@@ -219,7 +224,7 @@ class NetworkConnection:
         return partial(open_session, settings, self._identity, late=late)
 
     async def _reopen(self, delay: float = 0.0) -> None:
-        """Close carrier and session, and open them again as soon as that is possible."""
+        """Close carrier and session after `delay` s, and reopen them as soon as possible."""
         await asyncio.sleep(delay)
         while self._is_stale:
             self._is_stale = False
@@ -236,9 +241,9 @@ class NetworkConnection:
         log.info("the network is open again")
 
     async def _renew_session(self) -> None:
-        """Open the session again at its port, which ends the connections that wait in it.
+        """Reopen the session at its port, which ends the connections that wait there.
 
-        Datagrams go on, and so does the run of the robot.
+        Datagrams and the run of the robot continue.
         """
         old = self._release_session()
         if old is not None:
@@ -256,13 +261,13 @@ class NetworkConnection:
             await self._reopen()
 
     def _end_reopening(self, task: asyncio.Task[None]) -> None:
-        """End the daemon by the loop's handler of exceptions if it could not be opened."""
+        """End of a reopening; an exception reaches the loop's handler, which ends the daemon."""
         self._reopening = None
         if not task.cancelled():
             task.result()
 
     async def _open_again(self) -> None:
-        """Open as soon as that is possible, and log each new reason why it is not."""
+        """Retry to open every REOPEN_PERIOD until it succeeds; log each new reason of failure."""
         logged = ""
         while True:
             try:
@@ -288,20 +293,24 @@ class NetworkConnection:
         self.carrier.attach(self._loop, self._owner.on_datagram)
 
     def _use(self, session: zenoh.Session) -> None:
-        """Take a new session, and watch its links."""
+        """Use a newly opened session. A secured one gets a watch of its links and a link gate."""
         swarm, now = self._settings.swarm, boottime()
         self._session = session
         self.bus = ZenohBus(session, swarm=swarm, robot=self._robot, drops=self._drops)
         if self._identity is None or self._settings.profile == "routed":
             return
         watch_links(session, self._identity.roster, self._loop, self._owner.on_event)
-        self._gate = LinkGate({parse_endpoint(one).port for one in self._opened.listen})
+        self._gate = LinkGate({parse_endpoint(text).port for text in self._opened.listen})
         if self._flood is None:
             self._flood = LinkFlood(open_files(), now)
         self._set_gate(now)
 
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
-        """The sockets, and a session that listens on their port: beacons show where to dial."""
+        """The UDP carrier, and a session that listens on the same port number.
+
+        Peers dial the port from which beacons come. Without a configured port, a port that is
+        taken for the session is replaced by another, up to MAX_PORT_TRIES times.
+        """
         settings = self._settings
         listen = settings.listen or (default_listen(settings),)
         first = parse_endpoint(listen[0])
@@ -321,7 +330,7 @@ class NetworkConnection:
         raise AssertionError("unreachable")
 
     def _release(self) -> zenoh.Session | None:
-        """Stop receiving and sending at once; the session, which is still to be closed."""
+        """Close the carrier at once; returns the session, which the caller must close."""
         session = self._release_session()
         if self.carrier is not None:
             self.carrier.close()
@@ -329,12 +338,12 @@ class NetworkConnection:
         return session
 
     def _release_session(self) -> zenoh.Session | None:
-        """Stop answering; the session, which is still to be closed."""
+        """Stop answering; returns the session, which the caller must close."""
         if self.bus is not None:
             self.bus.close()
             self.bus = None
         if self._gate is not None:
-            self._gate.close()  # the port is free when the last socket at it is closed
+            self._gate.close()  # frees the port, which any open socket would keep taken
             self._gate = None
         session, self._session = self._session, None
         return session

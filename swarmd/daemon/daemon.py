@@ -1,7 +1,7 @@
-"""The daemon owns the loop and connects driver, bus, pattern host and robot.
+"""The daemon owns the loop and connects driver, network, pattern host and robot.
 
-It starts in this order: pattern host (before Zenoh opens), robot and tick, network, claim of the
-id, the latches of its peers, requests, and the driver last, since the base may belong to another
+The order of the start: pattern host (before Zenoh opens), robot and ticks, network, claim of the
+id, latches of the peers, requests, driver. The driver is last, since the base may belong to another
 daemon until the id is claimed. Every exit path commands zero.
 """
 
@@ -80,7 +80,7 @@ log = logging.getLogger(__name__)
 NEIGHBORS_PERIOD = 10  # ticks
 USAGE_PERIOD = 20  # ticks
 MOTION_PERIOD = 2  # ticks
-STORAGE_PERIOD = 100  # ticks between two tries to write to a folder that could not be written
+STORAGE_PERIOD = 100  # ticks between two tries to write to a state folder that failed
 ACTIVE_TIME = 1.0
 """Seconds for which a robot at rest ticks 20 times a second after an event."""
 _MEASURED = (  # regular inputs; any other input is an event
@@ -96,7 +96,7 @@ _MEASURED = (  # regular inputs; any other input is an event
     events.PlaceInput,
     events.TickInput,
 )
-_FREQUENT = (  # an unchanged command waits for the tick, 50 ms later at most
+_FREQUENT = (  # after such an input an unchanged command waits for the next tick, at most 50 ms
     events.ScanInput,
     events.RangesInput,
     events.HostInput,
@@ -104,11 +104,11 @@ _FREQUENT = (  # an unchanged command waits for the tick, 50 ms later at most
 
 
 async def serve(settings: DaemonSettings) -> int:
-    """Run until SIGTERM, SIGINT or SIGHUP; 0 after a clean stop. Raises SwarmError."""
+    """Run a daemon until SIGTERM, SIGINT or SIGHUP; 0 after a clean stop. Raises SwarmError."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
     is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
-    ask_for_slices(SHORT_SLICE)  # before any thread
+    ask_for_slices(SHORT_SLICE)  # before any thread starts: threads inherit the setting
     for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
         loop.add_signal_handler(number, stop.set)
     daemon = Daemon(settings, make_driver(settings))
@@ -117,7 +117,7 @@ async def serve(settings: DaemonSettings) -> int:
 
 
 class Daemon:
-    """One robot's daemon; `run` is its whole life. `sink` takes what the driver measures."""
+    """One robot's daemon; `run` is its whole life. `sink` takes the inputs of the driver."""
 
     def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
         check_protected(settings.platform, driver, settings.driver)
@@ -138,9 +138,9 @@ class Daemon:
         self._notify = Notifier()
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
-        self._periods = 0  # `periods` of the timer at the last tick
-        self._provisional: tuple[int, ...] = ()  # as the robot knows them
-        self._shown_scan = -1  # sequence of the last scan for viewers
+        self._periods = 0  # `TickTimer.periods` at the last tick
+        self._provisional: tuple[int, ...] = ()  # generations, as last handed to the robot
+        self._shown_scan = -1  # sequence number of the last scan that was published for viewers
         folder = settings.state_dir / settings.network.swarm / settings.id
         self._begin_records(folder)
         self._begin_code(folder)
@@ -149,7 +149,7 @@ class Daemon:
         self._begin_robot()
 
     def _begin_driver(self, driver: Driver) -> None:
-        """What goes to the base and to the displays of its driver."""
+        """The output to the base, and to the display of the driver if it has one."""
         settings = self._settings
         base = base_options(settings.driver_options, f"driver {settings.driver}")
         self._carrier = message_carrier(driver)
@@ -161,7 +161,7 @@ class Daemon:
         )
 
     def _begin_records(self, folder: Path) -> None:
-        """Latches, rosters and goals, which outlive the daemon."""
+        """Latches, rosters and goals: records on disk that outlive the daemon."""
         settings = self._settings
         self._latches = LatchFile(folder)
         self._drops = DropCounter()
@@ -173,7 +173,7 @@ class Daemon:
         """Pushed patterns, and the pattern host that runs them."""
         settings = self._settings
         files = PatternFiles(folder / "patterns")
-        with suppress(OSError):  # a sandbox permits only what exists when it begins
+        with suppress(OSError):  # a sandbox permits only folders that exist when it begins
             files.folder.mkdir(parents=True, exist_ok=True)
         swarm = settings.network.swarm
         self._pattern_versions = PatternVersions(files, settings.id, swarm, self._operators)
@@ -242,7 +242,7 @@ class Daemon:
         )
 
     def _begin_robot(self) -> None:
-        """The robot and what feeds it: driver, neighbours and ticks."""
+        """The robot and the sources of its inputs: driver, neighbours and ticks."""
         settings = self._settings
         self._robot = make_robot(
             settings,
@@ -262,7 +262,11 @@ class Daemon:
         )
 
     async def run(self, stop: asyncio.Event) -> None:
-        """Serve until `stop` is set. Raises SwarmError without a network or if the id is held."""
+        """Serve until `stop` is set.
+
+        Raises SwarmError if the network cannot be opened or another daemon has the id. Raises the
+        exception of a crash after zero has been commanded.
+        """
         living = asyncio.create_task(self._live())
         ends = {living, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
         try:
@@ -278,7 +282,7 @@ class Daemon:
         finally:
             self._notify("STOPPING=1")
             if not self._has_joined:
-                await _end(living)  # it is still joining
+                await _end(living)  # which still joins the network
             try:
                 self._leave()
             finally:
@@ -286,13 +290,13 @@ class Daemon:
                     await _end(end)
                 await self._goals.close()
                 await self._pattern_versions.close()
-        if self._crash is not None:  # while it was leaving
+        if self._crash is not None:  # during `_leave`
             raise self._crash
 
     # Start and end
 
     async def _live(self) -> None:
-        self._recording.start_if_wanted()  # before any input, so that a replay has all of them
+        self._recording.start_if_wanted()  # before any input, so that a replay has all inputs
         self._check_storage()
         await self._join()
         gc.collect()
@@ -301,10 +305,10 @@ class Daemon:
         if text := self._network.interface_text:
             self._notify.status(text)
         log.info("ready in swarm %s as %s", self._settings.network.swarm, self._instance)
-        await self._output.run(self.sink)  # only now the base belongs to this daemon
+        await self._output.run(self.sink)  # last, since now the base belongs to this daemon
 
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """A callback of the daemon raised: command zero and end the daemon."""
+        """After an exception in a callback of the loop: command zero and end the daemon."""
         loop.default_exception_handler(context)
         error: BaseException = context.get("exception") or RuntimeError(context["message"])
         self._crash = self._crash or _cause_of(error)
@@ -312,7 +316,7 @@ class Daemon:
         self._output.send_zero()
 
     def _on_driver_crash(self, error: Exception) -> None:
-        """The driver took no command: end the daemon after all else is done."""
+        """After an exception in `Driver.send`: end the daemon once the present input is handled."""
         self._crash = self._crash or error
         self._crashed.set()
 
@@ -335,7 +339,7 @@ class Daemon:
         self.on_members()
 
     def serve(self, bus: ZenohBus) -> None:
-        """Answer operators on a bus that was opened, the first one or a later one."""
+        """Answer operators and peers on a newly opened bus."""
         self._requests.serve(bus)
         for pulled in self._pulled.values():
             pulled.serve(bus)
@@ -345,9 +349,10 @@ class Daemon:
         serve_shared(bus, "roster", self._rosters.share)
 
     def _leave(self) -> None:
-        """Command zero, tell the peers and close; the driver's own exit sends zero once more.
+        """Command zero, announce the leave to the peers and close all parts.
 
-        After a crash the last beacon is not sent, so that the peers list the robot as failed.
+        The driver sends zero once more when it ends. After a crash no leaving beacon is sent, so
+        that the peers list the robot as failed.
         """
         self._timer.stop()
         self._output.send_zero()
@@ -373,7 +378,10 @@ class Daemon:
 
     @fail_stop
     def step(self, input: events.Input, *, may_repeat: bool = True) -> None:
-        """Hand an input to the robot, and carry out what follows; see `DriverOutput.command`."""
+        """Hand an input to the robot and carry out the actions.
+
+        `may_repeat` as in `DriverOutput.command`.
+        """
         kind = type(input)
         if kind is events.TickInput or kind is events.HostInput:
             self._tell_provisional()
@@ -385,7 +393,7 @@ class Daemon:
             self._carry_out(actions, may_repeat=may_repeat and kind not in _FREQUENT)
 
     def _tell_provisional(self) -> None:
-        """Tell the robot which of the patterns that run or load are provisional code."""
+        """Hand the robot the generations of the present run and load that are provisional code."""
         is_provisional = self._pushed_runs.is_provisional
         current = tuple(filter(is_provisional, self._robot.generations))
         if current != self._provisional:
@@ -393,7 +401,7 @@ class Daemon:
             self.step(events.ProvisionalInput(current))
 
     def on_input(self, input: events.Input) -> None:
-        """Hand an input of another robot to the robot; audit an adopted latch or goal."""
+        """Hand the robot an input that came from a peer; audit an adopted latch or goal."""
         robot = self._robot
         held, goal, state = set(robot.latches), robot.goal, robot.state
         if isinstance(input, events.PlaceInput):
@@ -408,24 +416,24 @@ class Daemon:
             text = robot.status(boottime()).detail
             log.info("estopped by the latch of a peer: %s", text)
         if robot.goal is not None and (goal is None or goal.goal != robot.goal.goal):
-            found = robot.goal.goal
-            on_join = f"on_join {found.on_join}" if found.pattern else ""
-            self._audit.note(found.text, found.issuer, "a peer", on_join, boottime())
+            adopted = robot.goal.goal
+            on_join = f"on_join {adopted.on_join}" if adopted.pattern else ""
+            self._audit.note(adopted.text, adopted.issuer, "a peer", on_join, boottime())
 
     def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""
         self._requests.stop(stop, f"{source[0]}:{source[1]}", answer)
 
     def check_goal(self, goal: Goal, now: float) -> bool | None:
-        """Whether a goal of a peer counts; None: not known yet."""
+        """Whether the signature of a peer's goal is valid; None if it cannot be verified now."""
         return self._goals.check(goal, now)
 
     def on_clock(self, sample: ClockSample) -> None:
-        """A reading of the clock of a peer, for recordings."""
+        """Record a reading of the clock of a peer."""
         self._recording.recorder.add(frames.ClockEntry(boottime(), *sample))
 
     def on_interface(self, change: InterfaceChange) -> None:
-        """Tell of a change of the interface; with another address the robot stands."""
+        """Log a change of the interface; a change of address also stops the robot."""
         log.warning("%s", change.line)
         self._notify.status(change.line)
         self.step(
@@ -445,7 +453,7 @@ class Daemon:
         self.step(events.NoteInput(line))
 
     def _on_roster(self, taken: TakenRoster) -> None:
-        """The identity took a roster: the robot stands, and the network opens anew."""
+        """Apply a newly taken roster: stop the robot, drop foreign goals, reopen the network."""
         log.warning("roster: %s", taken.text)
         what = f"roster {taken.identity.roster.generation}"
         self._audit.note(what, "the authority", "an operator or peer", taken.text, boottime())
@@ -457,17 +465,20 @@ class Daemon:
         self._pattern_intake.check_again()
 
     def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
-        """A beacon, which is not proven, shows a roster of a greater generation: ask for it."""
+        """Pull the roster of a robot whose (unverified) beacon shows a greater generation."""
         if self._puller.pull(robot, address, "roster", on_done=self._rosters.on_pulled):
             log.info("%s at %s may have roster %d: asking for it", robot, address[0], generation)
 
     def on_event(self, text: str) -> None:
-        """A line for the events and a warning for the log."""
+        """Log a warning, also among the robot's events."""
         log.warning("%s", text)
         self.step(events.NoteInput(text))
 
     def on_members(self) -> None:
-        """Tell the robot of the members, its neighbors unless the driver measures those."""
+        """Hand the robot the bodies of all members, and the neighbors.
+
+        A driver that senses neighbors itself replaces the neighbors of the network.
+        """
         self.step(events.PeersInput(dict(self._network.bodies)))
         if not self._has_joined or self.sink.has_neighbors:
             return
@@ -491,9 +502,10 @@ class Daemon:
     # Pushed patterns
 
     def _operators(self) -> Mapping[str, bytes] | None:
-        """The public keys of the operators whose code is taken; None: code needs no signature.
+        """The public keys of the operators whose pushed code is accepted.
 
-        Without keys that is on loopback only: on a network it would let everyone run code here.
+        None: code needs no signature. In a swarm without keys this is so only on loopback, since on
+        a network anyone could run code here; there the mapping is empty.
         """
         identity = self._rosters.identity
         if identity is not None:
@@ -501,7 +513,7 @@ class Daemon:
         return None if self._settings.network.profile == "dev" else {}
 
     def on_beacon(self, beacon: Beacon, address: Address) -> None:
-        """Pull what a peer has and this robot lacks, by the digests in its beacon."""
+        """Pull records that a peer has and this robot lacks, by the digests in the beacon."""
         for kind, pulled in self._pulled.items():
             pulled.on_beacon(beacon.robot, beacon.digest(kind), address, boottime())
 
@@ -517,19 +529,20 @@ class Daemon:
         def is_due(period: int) -> bool:
             return self._periods // period > before // period
 
-        self.step(events.TICK_INPUT, may_repeat=self._periods > before)  # not when woken in between
+        # A wake-up between two periods does not repeat an unchanged command.
+        self.step(events.TICK_INPUT, may_repeat=self._periods > before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._timer.rest(is_quiet and self._robot.is_at_rest)
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
-        if told := self._robot.pose_to_tell(boottime()):
-            self._network.publish_pose(*told)
+        if pose_and_age := self._robot.pose_to_tell(boottime()):
+            self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
             self._publish_motion()
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
-            self._check_storage()  # on the loop, where a slow disk would end a run
+            self._check_storage()  # blocks the loop, so never during a run
         if is_due(USAGE_PERIOD):
             robot = self._robot
             self._pushed_runs.advance(
@@ -574,7 +587,7 @@ class Daemon:
         return encode(shown)
 
     def _check_storage(self) -> None:
-        """Try the state folder, and tell of a change; write a latch that is in memory only."""
+        """Try to write to the state folder, also latches not yet written; log a change."""
         if not self._latches.check():
             return
         if fault := self._latches.fault:
@@ -625,7 +638,8 @@ class Daemon:
                 self._shown_status = self._status()
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
-        # A robot that stops, or is reset, must not join again after a restart.
+        # The reply to a stop or reset waits until the goals are on disk: after a restart the robot
+        # must not join a goal that this request has ended.
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:
@@ -638,7 +652,7 @@ class Daemon:
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
     async def _answer(self, reply: Reply, is_stored: bool) -> None:
-        """Send a reply once the goals are on the disk, or cannot be written."""
+        """Send a reply once the goals are on disk, or the write has failed or timed out."""
         is_stored &= await self._goals.is_stored()
         self._requests.reply(reply, is_stored=is_stored)
 
@@ -667,7 +681,7 @@ class Daemon:
 
 
 def _cause_of(error: BaseException) -> BaseException:
-    """The error itself, or that of the robot's core which it carries."""
+    """The error itself, or the error of the robot's core that `error` carries."""
     return error.__cause__ or error if isinstance(error, CoreFault) else error
 
 
@@ -677,7 +691,7 @@ async def _end(task: asyncio.Task[Any]) -> None:
 
 
 def _warn_of_end(identity: Identity) -> None:
-    """Log a line if the certificate has ended by this machine's clock, right or wrong."""
+    """Log a line if the certificate has expired by this machine's clock, which may be wrong."""
     if (wall := time.time()) > identity.info.expires:
         log.warning(
             "the certificate of %s has ended by the clock of this machine (%s): this robot has no"

@@ -1,4 +1,4 @@
-"""Signs what a daemon of a secured swarm sends, and verifies what it hears."""
+"""Signs the datagrams of a daemon in a secured swarm, and verifies received datagrams."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ NOTICE_PERIOD = 60.0  # s between two lines about refused datagrams
 REPLAY_PERIOD = 10.0  # s between two lines about replayed stops
 REFUSAL_RATE = 20.0  # answers a second to replayed stops
 HINT_PERIOD = 5.0  # s between two hints that a newer roster exists, to keep links few
-HINT_AGAIN = 15.0  # s between two hints of one host: others must have their turn
+HINT_AGAIN = 15.0  # s between two hints of one host, so that hints of all hosts are followed
 _STRANGE = (Flaw.UNSIGNED, Flaw.FORGED, Flaw.ROLE)
 
 
 class StopCounters(Struct, frozen=True):
-    """The greatest counter of stops of each origin."""
+    """By origin (an operator's installation): the greatest counter of its stops."""
 
     counters: dict[bytes, int] = {}
 
 
 class DatagramGuard:
-    """The keys of a daemon at work.
+    """Signs and verifies with the keys of the present identity.
 
-    `counters`: the file that keeps the greatest counters of stops. `on_event` takes a line for the
-    log, `on_newer_roster` the name, address and generation of a beacon that may be of a robot with
-    a newer roster; that is not proven.
+    `counters`: the file of `StopCounters`. `on_event` takes a line for the log. `on_newer_roster`
+    takes robot name, address and roster generation of an unverified beacon that shows a newer
+    roster.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class DatagramGuard:
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)
         self._strange: Counter[str] = Counter()
-        self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)  # hosts that gave a hint
+        self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)  # by host, limits followed hints
         self._noticed_at = self._replay_at = -1e9
         self.admission = Admission(
             identity.name,
@@ -80,7 +80,10 @@ class DatagramGuard:
         )
 
     def take(self, identity: Identity) -> None:
-        """Use another generation of the roster; stops of the one before count for a while."""
+        """Use the keys of `identity`.
+
+        After a newer roster, stops signed under the previous one stay valid for PREVIOUS_TIME.
+        """
         old = self._identity
         previous = Previous(old.datagram_keys, old.roster, boottime() + PREVIOUS_TIME)
         is_newer = identity.roster.generation > old.roster.generation
@@ -89,21 +92,28 @@ class DatagramGuard:
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
 
     def sign(self, payload: bytes, asker: Author | None = None) -> bytes:
-        """A datagram with its signature. Raises CodecError if it gets too long."""
+        """The datagram with its signature; CodecError if it gets too long.
+
+        `asker`: the operator or viewer whom the datagram answers.
+        """
         return self._trust.signer.sign(payload, asker)
 
     def author_of(self, payload: bytes, source: Address, now: float) -> Author | None:
-        """The author of a datagram; None, counted, if it does not count."""
-        found = self._trust.verifier.verify(payload, now)
-        if not isinstance(found, Flaw):
-            return found
-        self.count(found, source, now)
-        if found is Flaw.NEWER and payload[KIND_OFFSET] == Kind.BEACON:
+        """The verified author of a datagram; None if the datagram is refused, which is counted."""
+        author = self._trust.verifier.verify(payload, now)
+        if not isinstance(author, Flaw):
+            return author
+        flaw = author
+        self.count(flaw, source, now)
+        if flaw is Flaw.NEWER and payload[KIND_OFFSET] == Kind.BEACON:
             self._hint(payload, source, now)
         return None
 
     def count(self, flaw: Flaw, source: Address, now: float) -> None:
-        """Count what does not count, with a line in the log if its sender may not send it."""
+        """Count a refused datagram; log it, at most once per NOTICE_PERIOD, if `flaw` is strange.
+
+        Strange flaws are those of senders that may not send such a datagram.
+        """
         self._drops.add(f"datagram:{flaw}")
         if flaw not in _STRANGE:
             return
@@ -115,11 +125,11 @@ class DatagramGuard:
             self._on_event(f"refused datagrams: {kinds}; {_shown(source)}")
 
     def proven(self, ack: Ack, stop: Stop) -> Ack:
-        """The ack with its proof for the operator of the stop."""
+        """The ack with the proof, for the operator of the stop, that this robot made it."""
         return replace(ack, proof=self._trust.signer.proof(ack, stop.operator))
 
     def refusal(self, stop: Stop, source: Address, ack: Ack, now: float) -> Ack | None:
-        """The answer to a replayed stop; None: none is due."""
+        """The answer to a replayed stop; None beyond REFUSAL_RATE."""
         self._drops.add("datagram:replayed_stop")
         if now - self._replay_at >= REPLAY_PERIOD:
             self._replay_at = now
@@ -130,7 +140,7 @@ class DatagramGuard:
         return self.proven(replace(ack, code="refused", refusal=REPLAYED, text=text), stop)
 
     def has_new_counters(self) -> bool:
-        """True, once, if the counters of stops have changed: then call `write_counters`."""
+        """True once after each change of the counters; the caller then calls `write_counters`."""
         counters = self.admission.stops.counters
         if counters == self._written:
             return False
@@ -138,7 +148,7 @@ class DatagramGuard:
         return True
 
     def write_counters(self) -> None:
-        """Write the counters for the next life of the daemon; on a thread, since disks are slow."""
+        """Write the counters for the next start of the daemon; blocks, so called in a thread."""
         try:
             with self._writing:
                 self._file.write(StopCounters(dict(self._written)))

@@ -1,4 +1,4 @@
-"""The driver of a daemon: made from the settings, run, and handed the safe commands."""
+"""Makes the driver of a daemon, runs it, sends it the safe commands and takes its inputs."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def make_bare_driver(settings: DaemonSettings) -> Driver:
 
 
 def make_driver(settings: DaemonSettings) -> Driver:
-    """The daemon's driver, not yet connected, watched as its options say.
+    """The daemon's driver, not yet connected, with a watchdog process if its options need one.
 
     Raises SwarmError if the driver or its options are wrong.
     """
@@ -77,9 +77,10 @@ RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
 
 
 class DriverOutput:
-    """The driver called `name`. `idle_output`: what an idle robot sends, as in `BaseOptions`.
+    """Sends commands to the driver called `name`.
 
-    `on_crash` is called with what the driver raised for a command; `command` itself never raises.
+    `idle_output`: the output of an idle robot, as in `BaseOptions`. `on_crash` takes an exception
+    that the driver raised for a command; `command` itself never raises.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class DriverOutput:
         self._on_crash = on_crash
 
     async def run(self, sink: Sink) -> None:
-        """Run the driver; after a SwarmError it is started again."""
+        """Run the driver forever; after a SwarmError, restart it after RETRY_PERIOD."""
         while True:
             try:
                 await self._driver.run(sink)
@@ -102,10 +103,11 @@ class DriverOutput:
             await asyncio.sleep(RETRY_PERIOD)
 
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
-        """Send the command of these actions, unless an idle robot sends none.
+        """Send the command of `actions`, unless `idle_output` keeps an idle robot silent.
 
-        Without `may_repeat`, a command is not sent twice in a row. A simulated base waits for the
-        command that answers a scan, so only the zero of an idle or stopped robot is not repeated.
+        `may_repeat` False: do not send the same command twice in a row. A simulated base waits for
+        a command after each scan, so its commands are repeated all the same, except the zero of an
+        idle or stopped robot.
         """
         stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped
@@ -122,7 +124,7 @@ class DriverOutput:
             )
 
     def send_zero(self) -> None:
-        """Send the command zero."""
+        """Send the command zero, whatever was sent before."""
         self._sent = None
         self._send(ZERO, -1, -1)
 
@@ -137,10 +139,10 @@ class DriverOutput:
 
 
 class DriverSink:
-    """The driver's sink: makes inputs for `step`.
+    """The sink of the driver: turns its measurements into inputs for `step`.
 
-    `neighborhood` marks which of the sensed robots are in reach. `has_neighbors`: the driver senses
-    robots itself. `drops`: unreadable inputs by kind.
+    `neighborhood` marks the sensed robots that are in reach. `has_neighbors`: the driver senses
+    robots itself. `drops`: counts of unreadable inputs by kind.
     """
 
     def __init__(
@@ -152,7 +154,7 @@ class DriverSink:
         self.drops: dict[str, int] = {}
 
     def take(self, input: events.SensorInput) -> None:
-        """Hand an input of a sensor on; neighbors with the places that their robots tell."""
+        """Hand on an input of a sensor; neighbors are first marked as in reach or not."""
         if isinstance(input, events.NeighborsInput):
             self.has_neighbors = True
             selected = self._neighborhood.select(input.neighbors, boottime())
@@ -162,7 +164,7 @@ class DriverSink:
         self._step(input)
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
-        """A pattern's message that the base's radio received."""
+        """Take a pattern's message that the base received by radio."""
         try:
             value = decode_value(payload)
         except CodecError:
@@ -173,10 +175,10 @@ class DriverSink:
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """The base is connected, or lost for the reason `text`; see `Sink`."""
+        """Take the connection state of the base; the arguments are as in `Sink.state`."""
         self._step(events.DriverInput(is_up, text, hold, gets_zero))
 
     def dropped(self, what: str) -> None:
-        """Count one input that could not be read."""
+        """Count an input that could not be decoded; `what` names its kind."""
         kind = f"driver/{what}"[:MAX_KIND_LENGTH]
         self.drops[kind] = self.drops.get(kind, 0) + 1

@@ -1,4 +1,4 @@
-"""The goals of one daemon: on disk, and whether those that come are signed by their issuers."""
+"""Stores the goals of one daemon on disk, and verifies the signatures of goals."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ STORE_TIME = 1.0  # s for which the answer to a stop waits for the disk
 
 
 class GoalService:
-    """Stores the goals, and checks those that come.
+    """Stores the goals, and verifies received goals.
 
-    `identity`: the present one; without one each goal counts. `on_event` takes a line for people.
+    A goal counts if its issuer, an operator of the roster, has signed it. Without an `identity`
+    every goal counts. `on_event` takes a line for the log.
     """
 
     def __init__(
@@ -33,14 +34,15 @@ class GoalService:
         self._file = StateFile(folder / "goal", GoalRecord, "goal and labels are lost")
         self._identity = identity
         self._writer = RecordWriter(self._file, on_event)
-        # Robots that hand on false goals must not use up what the requests of operators need.
+        # Two budgets of verifications: false goals of robots must not use up that of operators.
         self._check, self._check_asked = GoalCheck(self._key_of), GoalCheck(self._key_of)
 
     def read(self) -> GoalRecord:
-        """The goals of an earlier instance, without those that do not count."""
+        """The goals that an earlier instance stored, without goals that do not count."""
         record = self._file.read()
         if record.stood is not None and record.clock != clock_id():
-            record = replace(record, stood=boottime())  # before the machine was restarted
+            # The machine was restarted since: all its earlier times lie before now.
+            record = replace(record, stood=boottime())
         foreign = self._foreign(record)
         if not foreign:
             return record
@@ -52,34 +54,34 @@ class GoalService:
         return replace(record, held=held or own, own=own, before=before)
 
     def foreign(self, record: GoalRecord) -> tuple[str, ...]:
-        """The digests of the goals that do not count, in hex; a signature takes some 4 ms."""
+        """The digests (hex) of the goals that do not count; takes some 4 ms for each signature."""
         return tuple({digest_of(goal).hex() for goal in self._foreign(record)})
 
     def _foreign(self, record: GoalRecord) -> list[Goal]:
         if self._identity() is None:
             return []
         goals: list[Goal] = []
-        for one in (record.held, record.own, record.before):
-            if one is not None and one not in goals:
-                goals.append(one)
-        return [one for one in goals if not is_signed_goal(one, self._key_of)]
+        for goal in (record.held, record.own, record.before):
+            if goal is not None and goal not in goals:
+                goals.append(goal)
+        return [goal for goal in goals if not is_signed_goal(goal, self._key_of)]
 
     def store(self, record: GoalRecord) -> None:
-        """Write the record soon; a later one replaces it."""
+        """Write the record soon; a later record replaces it."""
         clock = "" if record.stood is None else clock_id()
         self._writer.store(replace(record, clock=clock))
 
     @property
     def is_writing(self) -> bool:
-        """True while the last record is not on the disk."""
+        """True while the last record is not on disk."""
         return self._writer.is_busy
 
     async def is_stored(self) -> bool:
-        """True once the last record is on the disk; False if that takes STORE_TIME or fails."""
+        """True once the last record is on disk; False after STORE_TIME or a failed write."""
         return await self._writer.is_written(STORE_TIME)
 
     async def close(self) -> None:
-        """Write what is not written yet."""
+        """Wait until the last record is written, or one more try has failed."""
         await self._writer.close()
 
     def check(self, goal: Goal, now: float) -> bool | None:
@@ -87,7 +89,7 @@ class GoalService:
         return True if self._identity() is None else self._check(goal, now)
 
     def refusal_of(self, request: Request, robot: str) -> Reply | None:
-        """The refusal of a request whose goal is not signed by its issuer."""
+        """The refusal of a request whose goal is not signed by its issuer; None to accept it."""
         goal: Goal | None = getattr(request, "goal", None)
         if goal is None or self._identity() is None:
             return None

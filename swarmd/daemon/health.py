@@ -1,4 +1,4 @@
-"""The health of a daemon: its loop, its drops, and the load of its processes."""
+"""The health of a daemon: lateness of its loop, dropped inputs, and load of its processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class UsageMeter:
-    """The usage of one process at a time; call `measure` at 1 Hz, it takes 30 us."""
+    """Measures processor and memory usage of a process; `measure` takes 30 us, called at 1 Hz."""
 
     def __init__(self) -> None:
         self._pid: int | None = None
@@ -24,7 +24,7 @@ class UsageMeter:
         self.usage: ProcessUsage | None = None
 
     def measure(self, pid: int | None, now: float) -> None:
-        """Set `usage` to that since the last call; None without an earlier call or a process."""
+        """Set `usage` to the usage since the last call; None at first, or without a process."""
         found = None if pid is None else _read(pid)
         if found is None:
             self._pid, self.usage = None, None
@@ -52,9 +52,9 @@ def _read(pid: int) -> tuple[float, int] | None:
 
 
 class HealthMeter:
-    """The load of the daemon and its pattern host, the lateness of `timer`, and what was dropped.
+    """Load of the daemon and its pattern host, lateness of `timer`, and counts of drops.
 
-    `drops` give what was dropped so far, by kind.
+    `drops`: functions that return the counts of drops so far, by kind.
     """
 
     def __init__(self, timer: TickTimer, drops: Iterable[Callable[[], Mapping[str, int]]]) -> None:
@@ -70,10 +70,10 @@ class HealthMeter:
     def added_to(
         self, health: Health, *, network: str, storage: str, sandbox: Sandbox | None
     ) -> Health:
-        """The health of the robot with that of its daemon.
+        """`health` of the robot, completed by the values of the daemon.
 
-        `network`: the state of the interface. `storage`: why latches would be lost by a restart.
-        `sandbox`: of the pattern host.
+        `network`: the state of the interface. `storage`: why a restart would lose latches; empty
+        if it would not. `sandbox`: of the pattern host.
         """
         dropped = dict(health.dropped)
         for drops in self._drops:

@@ -1,4 +1,4 @@
-"""Which members count as neighbors of this robot, by radio signal, distance or all of them."""
+"""Selects the neighbors of a robot among the members: by radio signal, by distance, or all."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from swarmd.network.members.neighborhood import Link, Neighborhood
 
 log = logging.getLogger(__name__)
 
-PERIOD = 2.0  # s between two readings
-TIMEOUT = 1.0  # s for one
-KEPT = 3  # readings without an answer after which nothing is known
+PERIOD = 2.0  # s between two readings of signals
+TIMEOUT = 1.0  # s for one reading
+KEPT = 3  # readings without an answer after which all signals are forgotten
 _STATION = re.compile(r"^Station ([0-9a-f:]{17}) ", re.MULTILINE)
 _SIGNAL = re.compile(r"^\s*signal(?: avg)?:\s*(-?\d+)", re.MULTILINE)
 _ARP = Path("/proc/net/arp")
@@ -40,7 +40,7 @@ def parse_arp(text: str) -> dict[str, str]:
 
 
 class RadioSignal:
-    """Reads the signal of the stations of `interface` until `close`."""
+    """Reads the radio signal of each station at `interface` every PERIOD, until `close`."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, interface: str) -> None:
         self._interface = interface
@@ -48,7 +48,7 @@ class RadioSignal:
         self._task = loop.create_task(self._run())
 
     def of(self, host: str) -> float | None:
-        """The signal in dBm of the robot at an IPv4 address; None if it is not known."""
+        """The signal in dBm of the robot at an IPv4 address; None if unknown."""
         return self._by_host.get(host)
 
     def close(self) -> None:
@@ -89,7 +89,10 @@ class RadioSignal:
 
 
 class NeighborSelection:
-    """Selects neighbors. `heard` gives each robot with its host and the share of its beacons."""
+    """Selects neighbors as `settings` say.
+
+    `heard` returns, for each robot, its id, its host, and the share of its beacons that arrive.
+    """
 
     def __init__(
         self,
@@ -108,7 +111,7 @@ class NeighborSelection:
         self._neighborhood.on_pose(pose)
 
     def on_place(self, place: PeerPlace, now: float) -> None:
-        """Take in where a peer is by its own word."""
+        """Take in the place that a peer reports."""
         self._neighborhood.on_place(place, now)
 
     def select(self, candidates: Collection[Neighbor], now: float) -> tuple[Neighbor, ...]:

@@ -1,7 +1,7 @@
-"""The network of one daemon: datagrams to all, and a Zenoh session that operators dial.
+"""The network of one daemon: datagrams between robots, and a Zenoh session that operators dial.
 
-`Network` joins the pure `Peer` to what moves its bytes, the `NetworkConnection`, and to the daemon.
-Everything runs on the loop; `advance` is called by the daemon's tick.
+`Network` connects the pure `Peer` (all decisions) to the `NetworkConnection` (sockets and session)
+and to the daemon. Everything runs on the loop. The daemon's tick calls `advance`.
 """
 
 from __future__ import annotations
@@ -69,45 +69,45 @@ CLAIM_WARNING = 5.0
 
 
 class NetworkOwner(Protocol):
-    """The daemon of a network; all methods are called on the loop."""
+    """The callbacks of a network to its daemon, all called on the loop."""
 
     def summary(self) -> Summary:
         """The robot's part of a beacon."""
 
     def on_input(self, input: Input) -> None:
-        """An input of the robot: from another robot, or of an operator's lease."""
+        """Hand the robot an input that came from another robot, or a lease of an operator."""
 
     def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""
 
     def on_clock(self, sample: ClockSample) -> None:
-        """A reading of the clock of a peer, for recordings."""
+        """Record a reading of the clock of a peer."""
 
     def on_members(self) -> None:
-        """The members, or what is known of them, have changed."""
+        """Act on a change of the members or of their data."""
 
     def on_interface(self, change: InterfaceChange) -> None:
-        """The interface has changed."""
+        """Act on a change of the interface."""
 
     def on_event(self, text: str) -> None:
-        """A line for the events and a warning for the log."""
+        """Log a warning, also among the robot's events."""
 
     def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
-        """A beacon, which is not proven, shows a roster of a greater generation."""
+        """Act on an unverified beacon that shows a roster of a greater generation."""
 
     def on_beacon(self, beacon: Beacon, address: Address) -> None:
-        """The beacon of a peer, whose digests of pulled records may be new."""
+        """Compare the digests in a peer's beacon with the own records."""
 
     def check_goal(self, goal: Goal, now: float) -> bool | None:
-        """Whether a goal of a peer counts; None: not known yet."""
+        """Whether the signature of a peer's goal is valid; None if it cannot be verified now."""
 
     def serve(self, bus: ZenohBus) -> None:
-        """Answer operators on a bus that was opened, the first one or a later one."""
+        """Answer operators and peers on a newly opened bus."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkRobot:
-    """The robot of a network, as its beacons show it."""
+    """The properties of the own robot that its datagrams show."""
 
     name: str
     instance: str
@@ -119,10 +119,10 @@ class NetworkRobot:
 
 
 class Network:
-    """The network of one daemon. `drops` counts what could not be read, handled or sent.
+    """The network of one daemon. `drops` counts messages that could not be read, handled or sent.
 
-    With an `identity` the swarm is secured, and the daemon keeps its counters of stops in the file
-    `stop_counters`, which is then required.
+    With an `identity` the swarm is secured. Then `stop_counters` is required: the file of the
+    greatest counters of stops, by which replayed stops are refused.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Network:
         self._guard: DatagramGuard | None = None
         self._lost = 0
         self._connection = NetworkConnection(settings, robot.name, self._tag, identity, drops, self)
-        self._is_settled = False  # the id is owned, and the latches of the others are known
+        self._is_settled = False  # True once the id is owned and the latches of peers are known
         self._is_duplicate = False
         self._is_full = False
         self._peer: Peer | None = None
@@ -157,17 +157,17 @@ class Network:
 
     @property
     def owns_id(self) -> bool:
-        """True from the moment at which the id belongs to this daemon."""
+        """True once the claim of the id has succeeded."""
         return self._peer is not None and self._peer.owns_id
 
     @property
     def members(self) -> Mapping[str, Member]:
-        """The other robots that were ever heard and not forgotten, by id."""
+        """By id: the other robots that were heard since the start and not forgotten."""
         return {} if self._peer is None else self._peer.membership.members(boottime())
 
     @property
     def bodies(self) -> Mapping[str, Body | None]:
-        """What the members tell of their bodies, by id."""
+        """By id: the body that each member reports, None before the report."""
         return {} if self._peer is None else self._peer.membership.bodies()
 
     @property
@@ -184,7 +184,7 @@ class Network:
         return () if bus is None or bus.programs is None else bus.programs.names
 
     def links(self) -> Iterator[tuple[str, LinkQuality, tuple[str, ...]]]:
-        """Each robot that is heard or was: how well, and by which ways its datagrams come."""
+        """For each robot heard so far: id, link quality, and the routes of its datagrams."""
         if self._peer is None:
             return
         now = boottime()
@@ -199,7 +199,7 @@ class Network:
         return carrier.ways.of(address, now) if isinstance(carrier, UdpCarrier) else ("routed",)
 
     def heard(self) -> Iterator[tuple[str, str, float]]:
-        """Each robot that is alive: its host, and the share of its beacons that arrive here."""
+        """For each robot that is alive: id, host, and the share of its beacons that arrive here."""
         if self._peer is None:
             return
         now = boottime()
@@ -210,17 +210,17 @@ class Network:
 
     @property
     def roster(self) -> tuple[str, ...]:
-        """The robots that are expected."""
+        """The robots that the swarm expects."""
         return self._roster
 
     @property
     def interface_text(self) -> str:
-        """The state of the interface in a few words; empty if it is not watched."""
+        """The state of the interface in a few words; empty if no interface is watched."""
         return self._connection.interface_text
 
     @property
     def dropped(self) -> dict[str, int]:
-        """What was dropped or lost so far, by kind, such as `control/run:key` or `msg:lost`."""
+        """Counts of dropped or lost messages by kind, such as `control/run:key` or `msg:lost`."""
         counts = self.drops.counts()
         if self._carrier is not None:
             counts |= self._carrier.dropped
@@ -235,7 +235,11 @@ class Network:
     # Life
 
     async def join(self, owner: NetworkOwner) -> None:
-        """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
+        """Open the network, claim the id, get the latches of the peers, then serve operators.
+
+        Raises NetworkError if the network cannot be opened, IdHeldError if another daemon has the
+        id.
+        """
         settings = self._settings
         self._owner = owner
         if self._identity is not None:
@@ -286,7 +290,7 @@ class Network:
         self._serve()
 
     def advance(self) -> None:
-        """Send what is due; the daemon's tick calls this."""
+        """Send the datagrams that are due; the daemon's tick calls this."""
         peer = self._peer
         if peer is None or self._carrier is None:
             return
@@ -317,31 +321,31 @@ class Network:
                 bus.programs.publish(channel, payload)
 
     def publish_pose(self, pose: SharedPose, age: float) -> None:
-        """Tell all robots the own pose, measured `age` s ago; dropped if it is not due yet."""
+        """Send the own pose, measured `age` s ago, to all robots; dropped if none is due yet."""
         place = None if self._peer is None else self._peer.place(pose, age, boottime())
         if place is not None:
             self._send(place, None)
 
     def ask_clocks(self) -> None:
-        """Ask peers for their clocks if that is due; the answers go to `on_clock`."""
+        """Ask peers for their clocks if a reading is due; the answers go to `on_clock`."""
         if self._peer is not None:
             for body, address in self._peer.clock_queries(boottime()):
                 self._send(body, address)
 
     def ping(self, robots: Iterable[str]) -> None:
-        """Ask robots that are alive for an answer, which gives the round trips in `links`."""
+        """Ping the alive robots among `robots`; the answers give the round trips in `links`."""
         if self._peer is not None:
             for body, address in self._peer.pings(robots, boottime()):
                 self._send(body, address)
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
-        """Publish a name of the table `PUBLISHED` to those that subscribe to it."""
+        """Publish a name of the table `PUBLISHED`; `payload` is called if someone subscribes."""
         bus = self._connection.bus
         if bus is not None and self.owns_id:
             bus.publish(name, payload)
 
     def forget(self, robot: str) -> bool:
-        """Remove a robot from the members; False if it is alive."""
+        """Remove a robot from the members; False if the robot is alive."""
         assert self._peer is not None
         member = self._peer.membership.member(robot, boottime())
         if member is not None and member.presence is Presence.ALIVE:
@@ -350,17 +354,17 @@ class Network:
         return True
 
     def close(self, *, is_leaving: bool) -> None:
-        """Close at once; `is_leaving`: tell the others that this robot leaves in order."""
+        """Close at once; `is_leaving`: first announce to the peers that this robot leaves."""
         if is_leaving and self._peer is not None and self._peer.owns_id:
             for _ in range(2):
                 self._send(self._peer.leave_beacon(self._owner.summary()), None)
         self._connection.close()
 
     def take_identity(self, identity: Identity) -> None:
-        """Speak as this identity from now on: with its roster, its keys and its certificate.
+        """Use roster, keys and certificate of `identity` from now on.
 
-        The network is opened again, after a moment in which answers under way are sent; not for an
-        identity that is no longer on the roster.
+        The network is reopened after a moment in which pending answers are sent. The network stays
+        closed for an identity that is no longer on the roster.
         """
         self._roster = identity.roster.robots
         if self._guard is not None:
@@ -378,19 +382,19 @@ class Network:
     # Of the connection
 
     def on_interface(self, change: InterfaceChange) -> None:
-        """The interface has changed; nothing is opened again yet."""
+        """Hand a change of the interface to the daemon, before anything is reopened."""
         self._owner.on_interface(change)
 
     def on_reopened(self) -> None:
-        """Carrier and session are open again."""
+        """Serve on the reopened session."""
         self._serve()
 
     def on_event(self, text: str) -> None:
-        """A line for the events."""
+        """Hand a line for the events to the daemon."""
         self._owner.on_event(text)
 
     def on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
-        """A datagram, which waited for so many seconds."""
+        """Handle a datagram, which waited for `waited` s before it was read."""
         with self.drops.refusing("datagram"):
             self._take(payload, source, waited)
 
@@ -406,7 +410,7 @@ class Network:
         body = unpack(self._tag, payload)
         if body is None:
             return
-        # A stop that cannot be handled ends the daemon, and thereby stops the robot.
+        # An exception in the handling of a stop ends the daemon, which stops the robot.
         act = fail_stop(self._act) if isinstance(body, Stop) else self._act
         act(self._peer, body, source, author, waited, is_any=is_for_any_swarm(payload))
 
@@ -420,7 +424,7 @@ class Network:
         *,
         is_any: bool,
     ) -> None:
-        """Hand a datagram that waited for so many seconds to the peer; carry out what follows."""
+        """Hand a datagram that waited for `waited` s to the peer; carry out the peer's actions."""
         effects = peer.on_datagram(
             body,
             source,
@@ -431,7 +435,7 @@ class Network:
             waited=waited,
         )
         for stop, sender in effects.stops:
-            # A copy counts as relayed by a robot: it renews no latch that was reset.
+            # A repeated datagram counts as relayed by a robot, so that it renews no reset latch.
             shown = replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
             self._owner.on_stop(shown, sender, partial(self._ack, stop, sender, author))
         if self._guard is not None:
@@ -446,7 +450,7 @@ class Network:
         author: Author | None,
         effects: PeerActions,
     ) -> None:
-        """What follows in a secured swarm from a datagram that counts, or does not."""
+        """In a secured swarm: count the flaws of a datagram, and refuse a replayed stop."""
         now = boottime()
         if effects.flaw is not None:
             guard.count(effects.flaw, source, now)
@@ -464,7 +468,7 @@ class Network:
     def _carry_out(
         self, effects: PeerActions, source: Address | None = None, author: Author | None = None
     ) -> None:
-        """Carry out what follows; `source` and `author`: of the datagram from which it does."""
+        """Carry out the peer's actions; `source`, `author`: of the datagram that caused them."""
         for body, address in effects.sends:
             self._send(body, address, author if address == source else None)
         if self._carrier is not None:
@@ -473,8 +477,8 @@ class Network:
         self._lost += effects.lost
         if effects.latches:
             self._owner.on_input(LatchesInput(dict(effects.latches)))
-        for found in effects.goals:
-            self._owner.on_input(GoalInput(found.goal, found.age, found.may_join))
+        for received in effects.goals:
+            self._owner.on_input(GoalInput(received.goal, received.age, received.may_join))
         for lease in effects.leases:
             self._owner.on_input(LeaseInput(lease.id, lease.count))
         for _ in range(effects.invalid_goals):
@@ -502,7 +506,7 @@ class Network:
             self._owner.on_input(MessageInput(message.robot, message.channel, value))
 
     def _ack(self, stop: Stop, source: Address, author: Author | None, reply: Reply) -> None:
-        """Send the robot's reply to the sender of the stop, if it is to have it now."""
+        """Send the robot's reply to the sender of the stop, if an ack is due now."""
         peer = self._peer
         if peer is None or not peer.owns_id or not peer.wants_ack(stop, source, boottime()):
             return
@@ -521,7 +525,7 @@ class Network:
         self._send(ack, source, author)
 
     def _send(self, body: Datagram, address: Address | None, asker: Author | None = None) -> None:
-        """Send to all or to one; `asker`: the operator or viewer that it answers."""
+        """Send a datagram to `address`, None: to all. `asker`: the operator or viewer answered."""
         if self._carrier is None:
             return
         is_any = isinstance(body, Swarm)
@@ -538,23 +542,23 @@ class Network:
             self._carrier.send_to(payload, address)
 
     def _serve(self) -> None:
-        """Answer operators, once the id is owned and the latches of the others are known."""
+        """Answer operators, once the id is owned and the latches of the peers are known."""
         bus = self._connection.bus
         if bus is not None and self._is_settled:
-            # Behind routers robots would hear each other's messages there, too.
+            # Behind routers the bus would also deliver the messages of robots, a second time.
             takes_messages = self._hears_programs and self._settings.profile != "routed"
             bus.meet_programs(self._is_robot, takes_messages=takes_messages)
             self._owner.serve(bus)
 
     def _is_robot(self, name: str) -> bool:
-        """True for this robot, for robots of the roster, and for each that was heard."""
+        """True for this robot, for robots of the roster, and for robots heard since the start."""
         if name == self._robot or name in self._roster or self._peer is None:
             return True
         return self._peer.membership.member(name, boottime()) is not None
 
 
 def _warn_of_claim(robot: str, rivals: Collection[str]) -> None:
-    """Log why the claim of an id takes long."""
+    """Log the reason why the claim of an id takes long."""
     if rivals:
         log.warning(
             "the id %s is also claimed by the daemon %s; waiting for it", robot, ", ".join(rivals)

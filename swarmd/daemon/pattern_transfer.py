@@ -1,14 +1,16 @@
-"""A pushed pattern on its way to a robot: handed over, checked, written, tried, and then current.
+"""Transfers pushed patterns to a robot: receives, checks, writes, tries and adopts their code.
 
-Code becomes current in this order: its signature and SHA-256 are checked and its files written in
-a thread; the robot tries it in a host of its own, as for a reload; after the success of the trial
-a thread writes the new version to the disk, and only then the robot acts on it. No run starts or
-stops by a push, but that of a valid goal which the robot could not join without the code; see
-`robot/goals.py`.
+1. A thread checks signature and SHA-256 of the code, and writes its files.
+2. The robot tries the code in a pattern host of its own, as for a reload.
+3. After a successful trial a thread writes the record of the new version to disk.
+4. Only then the version is current, and the robot acts on the end of the trial.
 
-A beacon shows a digest of the table; the rest is pulled. A robot that joins late, was cut off or
-restarted takes over the manifests that it missed, checks their signatures, and pulls the code that
-it is to have from a robot that has it. Nothing is sent while all agree.
+A push starts and stops no run, with one exception: the robot may join a valid goal that it could
+not join before for lack of the code (`robot/goals.py`).
+
+Robots also pull from each other. A beacon shows a digest of the table (all signed manifests). A
+robot that joined late, was cut off or restarted pulls the table of a peer with another digest,
+checks the signatures, and pulls the code that it lacks. Nothing is sent while all digests agree.
 """
 
 from __future__ import annotations
@@ -48,8 +50,8 @@ from swarmd.robot.pushed_pattern import Version
 log = logging.getLogger(__name__)
 
 MAX_QUEUE = 4
-MAX_UPLOADS = 2  # pushed patterns of which pieces are kept
-# Refusals that say nothing about the code: the same push may succeed later.
+MAX_UPLOADS = 2  # incomplete pushed patterns that are kept
+# Refusals that do not concern the code: the same push may succeed later.
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
 
 
@@ -68,11 +70,11 @@ class PatternIntake:
         self._queue: deque[tuple[Entry, bytes, str, PushRequest | None]] = deque()
 
     def check_again(self) -> None:
-        """The roster or a file has changed: check all code again."""
+        """Check all code again, after a change of the roster or of a file."""
         self._start(self._state.check_again())
 
     def close(self) -> None:
-        """Note that the daemon ends in order: its runs do not count against provisional code."""
+        """End all work, and end runs in the record: an orderly end is no failure of code."""
         self._queue.clear()
         for task in self._tasks:
             task.cancel()
@@ -89,7 +91,7 @@ class PatternIntake:
     # Pushes
 
     def on_push(self, request: PushRequest, answer: SendReply) -> None:
-        """Take a piece of a pattern; the reply to the last piece follows when it is written."""
+        """Take a piece of a pattern; the reply to the last piece follows after the trial."""
         if (reply := self._take_piece(request)) is not None:
             answer(reply, is_audited=reply.code is not Code.APPLIED)
 
@@ -119,7 +121,7 @@ class PatternIntake:
         return None
 
     def _refusal_of(self, entry: Entry) -> tuple[Refusal, str] | None:
-        """Why this robot does not take it, as far as that shows at once."""
+        """Why this robot refuses a manifest, signature and code aside; None if it is accepted."""
         manifest, operators = entry.manifest, self._state.operators()
         if manifest.swarm != self._state.swarm:
             return Refusal.NOT_SIGNED, f"it is for swarm {manifest.swarm!r}"
@@ -141,9 +143,10 @@ class PatternIntake:
     def take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None = None
     ) -> None:
-        """Check, write and try code, or carry out a removal; `request` is answered, if any.
+        """Queue code to check, write and try, or a removal to carry out; answers `request`, if any.
 
-        It waits for others: a robot may be pulling from a peer what its operator is about to push.
+        The entries of the queue are handled in turn: a robot may pull a pattern from a peer while
+        an operator pushes the same pattern.
         """
         self._queue.append((entry, code, source, request))
         self._take_next()
@@ -171,7 +174,7 @@ class PatternIntake:
             self._state.control.reply(replace(reply, code=code, refusal=refusal))
 
         with self._drops.refusing("control/push", refuse):
-            fault = self._refusal_of(entry)  # again: it may have waited
+            fault = self._refusal_of(entry)  # again, since the entry may have waited
             reply = None
             try:
                 await asyncio.to_thread(self._state.files.prune, self._state.in_use())
@@ -192,7 +195,7 @@ class PatternIntake:
         self._take_next()
 
     def _write_checked(self, entry: Entry, code: bytes) -> tuple[Refusal, str] | None:
-        """In a thread: check the signature, then write the code; why it is refused, if it is."""
+        """In a thread: check the signature, then write the code; the refusal, None on success."""
         if not self._state.is_trusted(entry):
             text = f"{entry.manifest.label} is not signed by {entry.manifest.issuer}"
             return Refusal.NOT_SIGNED, text
@@ -206,12 +209,13 @@ class PatternIntake:
         return None
 
     async def _adopt(self, id: str, entry: Entry) -> Reply:
-        """Take a manifest that needs no trial: a removal, or a newer one of the current code."""
+        """Adopt a manifest that needs no trial: a removal, or a newer manifest of current code."""
         robot, name = self._state.robot, entry.manifest.name
         is_here = name in self._state.versions
 
         def is_wanted() -> bool:
-            return entry.is_removal or self._state.has(entry)  # a fault may have ended that code
+            # A fault may have replaced the current code since.
+            return entry.is_removal or self._state.has(entry)
 
         if fault := await self._state.adopt(entry, Version.of(entry, ""), is_wanted):
             return Reply(id=id, robot=robot, code=Code.FAILED, text=fault)
@@ -231,7 +235,8 @@ class PatternIntake:
         self._state.candidate = Candidate(id, entry, version)
         targets: dict[str, Epoch | None] = {self._state.robot: self._state.control.epoch()}
         is_rerun, age = False, 0.0
-        if request is not None and request.is_rerun:  # else nothing moves, whatever the epoch
+        # Only a rerun moves the robot, so only a rerun needs the epoch that the operator saw.
+        if request is not None and request.is_rerun:
             targets, is_rerun, age = request.targets, True, request.age
         self._state.control.try_code(
             ReloadRequest(
@@ -246,9 +251,10 @@ class PatternIntake:
         )
 
     def on_event(self, event: HostEvent) -> HostEvent | None:
-        """An event of the pattern host, before the robot has it.
+        """Filter an event of the pattern host before the robot gets it.
 
-        None: a trial succeeded. The robot gets the event when the version is on the disk.
+        Returns the event, or None for a successful trial: the robot gets that event once the
+        version is on disk.
         """
         if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
             self.check_again()
@@ -263,7 +269,7 @@ class PatternIntake:
         state, entry, version = self._state, candidate.entry, candidate.version
 
         def is_wanted() -> bool:
-            return state.candidate is candidate  # else the robot ended the trial, and has replied
+            return state.candidate is candidate  # False after the robot has ended the trial itself
 
         fault = FAILED
         with self._drops.refusing("control/push"):
@@ -279,7 +285,10 @@ class PatternIntake:
         state.control.end_trial(event)
 
     def on_reply(self, reply: Reply) -> Reply:
-        """A reply of the robot: that to a trial ends it, and gets the standing as its text."""
+        """Filter a reply of the robot; the reply to the trial ends the trial.
+
+        The text of a successful reply then also says that the version is provisional.
+        """
         candidate = self._state.candidate
         if candidate is None or reply.id != candidate.id:
             return reply
@@ -290,7 +299,7 @@ class PatternIntake:
             return replace(reply, text=f"{label} is provisional; {reply.text}"[:300])
         if reply.refusal in _PASSING:
             return reply
-        if candidate.is_passed:  # to write it took longer than a trial may take
+        if candidate.is_passed:  # the write took longer than TRIAL_TIMEOUT
             text = f"{label} passed its trial, but the disk is slow: it is not written yet"
             return replace(reply, refusal=Refusal.BUSY, text=text)
         self._state.note_failed(candidate.entry, candidate.version, reply.text)
@@ -301,7 +310,7 @@ class PatternIntake:
         return Reply(id=id, robot=self._state.robot, code=Code.REFUSED, refusal=refusal, text=text)
 
     def merge(self, entries: Collection[Entry]) -> None:
-        """Take manifests of other robots, which are trusted, and carry out removals."""
+        """Add trusted manifests of other robots to the table, and carry out removals."""
         state = self._state
         state.set_table(merged(state.table, entries))
         for name, entry in state.wanted().items():
@@ -315,19 +324,19 @@ class PatternIntake:
 
 
 TABLE, CODE = "patterns", "pattern"
-# s until the same is asked of the same robot again: it may not have it, or its manifests may be
-# signed by an operator that the own roster does not have.
+# s until the same table or code is pulled from the same robot again: the robot may lack the code,
+# or its manifests may be signed by an operator who is not on the own roster.
 TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
 FALSE_PERIOD = 300.0
-"""s for which nothing is pulled from a robot that handed over a false signature: each takes 4 ms
-of a core to refuse, and robots keep only entries that they verified."""
+"""s for which nothing is pulled from a robot that handed over a false signature. To refuse one
+takes 4 ms of a core, and an honest robot keeps only verified entries."""
 
 
 class PatternPull:
-    """Pulls what `state` lacks with `puller` and hands it to `store`; serves what it has.
+    """Pulls missing manifests and code from peers, and serves the own ones to peers.
 
-    `on_taken(robot, entry)`: code came from a robot, and is tried. `drops` counts the tables that
-    cannot be read.
+    `puller` fetches the code that `state` lacks, and `store` takes it. `on_taken(robot, entry)` is
+    called when code from a peer goes into its trial. `drops` counts unreadable tables.
     """
 
     def __init__(
@@ -344,7 +353,8 @@ class PatternPull:
         self._on_taken = on_taken
         self._puller = puller
         self._asks = Asks(CODE_PERIOD)
-        self._complete_at: tuple[int, tuple[str, ...]] = (-1, ())  # nothing was missing then
+        # (changes of `state`, labels) at which no code was missing.
+        self._complete_at: tuple[int, tuple[str, ...]] = (-1, ())
         self._checking: asyncio.Task[None] | None = None
 
     def serve(self, bus: ZenohBus) -> None:
@@ -355,7 +365,7 @@ class PatternPull:
 
     @property
     def digest(self) -> bytes:
-        """Of the table, for beacons."""
+        """The digest of the table, for beacons."""
         return self._state.digest
 
     def on_plugins(self, _: Nothing) -> PushedPatternsReply:
@@ -363,12 +373,12 @@ class PatternPull:
         return self._state.report()
 
     def close(self) -> None:
-        """End a check under way."""
+        """Cancel the present check of a pulled table."""
         if self._checking is not None:
             self._checking.cancel()
 
     def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
-        """The beacon of another robot shows this digest of its table."""
+        """Pull table or code from `robot`, whose beacon shows `digest` of its table."""
         is_busy = self._checking is not None or self._store.is_busy
         if not digest or is_busy or not self._asks.may(robot, now):
             return
@@ -394,7 +404,7 @@ class PatternPull:
         return is_begun
 
     def _pull_code(self, robot: str, address: Address, now: float) -> None:
-        """Pull the first missing pushed pattern that this robot may have."""
+        """Pull the code of the first missing pattern that may be asked of `robot` now."""
         present = self._state.changes, tuple(self._state.control.labels())
         if self._complete_at == present:
             return
@@ -421,8 +431,11 @@ class PatternPull:
         known, operators = set(self._state.table), self._state.operators()
 
         def trusted() -> tuple[list[Entry], int, bool]:
-            """The good ones, how many there are, and whether one has a false signature."""
-            new, good = [one for one in decode_table(blob) if one not in known], list[Entry]()
+            """The trusted new entries, the count of new entries, and whether a signature is false.
+
+            Ends at the first false signature of an operator of the roster.
+            """
+            new, good = [entry for entry in decode_table(blob) if entry not in known], list[Entry]()
             for entry in new:
                 if self._state.is_trusted(entry):
                     good.append(entry)

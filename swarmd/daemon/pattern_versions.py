@@ -1,7 +1,8 @@
-"""The versions of pushed patterns on a robot: known, trusted, on the disk, loaded, returned from.
+"""The versions of pushed patterns on a robot: manifests, trust, disk and choice of a version.
 
-`PatternVersions` has the table and the versions, which `robot/pushed_pattern.py` advances, and
-writes them to the disk. `PushedRuns` decides which version a load takes, and counts its runs.
+`PatternVersions` has the table (all signed manifests of the swarm) and the versions on this robot,
+and writes both to disk. `robot/pushed_pattern.py` has the rules by which a version changes its
+standing. `PushedRuns` chooses the version for a load, and counts the seconds of its runs.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ Operators = Mapping[str, bytes]
 
 
 class PatternControl:
-    """What pushed patterns ask of robot and daemon; all on the daemon's loop.
+    """The access of pushed patterns to robot and daemon; all calls are on the daemon's loop.
 
-    `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
-    and `warn` a line for the events and a warning for the log.
+    `on_request` takes a request to the robot, `step` any other input, `reply` the answer to a push.
+    `warn` logs a warning, also among the robot's events.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class PatternControl:
         self._reply, self._warn = reply, warn
 
     def try_code(self, request: ReloadRequest) -> None:
-        """Hand a reload to the robot; its reply comes to `PatternIntake.on_reply`."""
+        """Hand a reload request to the robot; the reply reaches `PatternIntake.on_reply`."""
         self._on_request(request)
 
     def end_trial(self, event: TrialDone) -> None:
@@ -66,7 +67,7 @@ class PatternControl:
         self._step(HostInput(event))
 
     def code_changed(self) -> None:
-        """Let the next run have a fresh pattern host."""
+        """Make the next run use a fresh pattern host."""
         self._step(CodeInput())
 
     def reply(self, reply: Reply) -> None:
@@ -74,12 +75,12 @@ class PatternControl:
         self._reply(reply)
 
     def event(self, text: str) -> None:
-        """A line for the events and the log."""
+        """Log a line, also among the robot's events."""
         log.info("%s", text)
         self._step(NoteInput(text))
 
     def fault(self, text: str) -> None:
-        """A line for the events and a warning for the log."""
+        """Log a warning, also among the robot's events."""
         self._warn(text)
 
     def epoch(self) -> Epoch:
@@ -91,7 +92,7 @@ class PatternControl:
         return self._robot.labels
 
     def own_patterns(self) -> Mapping[str, Origin]:
-        """The patterns that the robot has beside pushed ones."""
+        """The patterns of packages and of `plugin_dir`: all but pushed patterns."""
         try:
             return self._runner.own_patterns()
         except PluginError:  # the folder is gone; a run is refused with the reason
@@ -102,9 +103,10 @@ CHANGED = "its file was changed or damaged on the disk"
 
 
 class Candidate(Struct, frozen=True):
-    """Code that is being tried, for the request `id`.
+    """Code in its trial, for the request `id`.
 
-    `is_passed`: its trial succeeded, and it is being written. `is_accepted`: it is on the disk.
+    `is_passed`: the trial succeeded, and the version is being written. `is_accepted`: the version
+    is on disk.
     """
 
     id: str
@@ -115,11 +117,12 @@ class Candidate(Struct, frozen=True):
 
 
 class PatternVersions:
-    """The pushed patterns of `robot`. `operators` None: code needs no signature.
+    """The pushed patterns of `robot`, in memory and on disk; a thread writes the newest state.
 
-    Else code without a signature of these operators is neither stored nor loaded. Patterns of
-    packages and of `plugin_dir` are the owner's and need no signature. `candidate`: code in its
-    trial. `pinned`: what the last run of each name began with. A thread writes the newest state.
+    `operators` returns the public keys of the operators whose code is stored and loaded; None: code
+    needs no signature. Patterns of packages and of `plugin_dir` belong to the owner of the robot
+    and need no signature. `candidate`: code in its trial. `pinned`: by name, the version with which
+    the last run began.
     """
 
     def __init__(
@@ -129,11 +132,11 @@ class PatternVersions:
         self._writer = RecordWriter(files, lambda text: self.control.fault(text))
         self.robot, self.swarm = robot, swarm
         self.operators = operators
-        self.control: PatternControl  # from `open` on
+        self.control: PatternControl  # set by `open`
         self.table: pattern_manifest.Table = ()
         self.versions: dict[str, PushedPattern] = {}
         self.digest = b""
-        self.changes = 0  # of the table or the versions
+        self.changes = 0  # count of changes of the table or the versions
         self.candidate: Candidate | None = None
         self.pinned: dict[str, Version] = {}
         self._adopting: tuple[pattern_manifest.Entry, Version] | None = None
@@ -141,7 +144,7 @@ class PatternVersions:
     # On the disk
 
     async def open(self, control: PatternControl) -> None:
-        """Read what is on the disk, and check it; call it once, before the robot may run."""
+        """Read and check the state on disk; called once, before the robot may run."""
         self.control = control
         record = await asyncio.to_thread(self.files.read)
         table, versions = pattern_manifest.read_table(record.table), record.versions
@@ -163,7 +166,7 @@ class PatternVersions:
         self._writer.store(self._record())
 
     def _record(self) -> CodeRecord:
-        """What the disk is to have."""
+        """The record to write: the present state, or during `adopt` the adopted state."""
         table, versions = self.table, dict(self.versions)
         if self._adopting is not None:
             table, versions = self._adopted(*self._adopting)
@@ -193,9 +196,10 @@ class PatternVersions:
     async def adopt(
         self, entry: pattern_manifest.Entry, version: Version, is_wanted: Callable[[], bool]
     ) -> str:
-        """The same once it is on the disk; why nothing has changed, empty if it is done.
+        """As `apply`, but first write the new state to disk.
 
-        `is_wanted` is asked when it is on the disk. One entry is adopted at a time.
+        Returns why nothing has changed; empty on success. `is_wanted` is asked after the write;
+        False undoes it. Only one entry is adopted at a time.
         """
         assert self._adopting is None
         self._adopting = entry, version
@@ -208,29 +212,32 @@ class PatternVersions:
         elif not is_wanted() or entry not in pattern_manifest.merged(self.table, [entry]):
             fault = "another request came while it was written"
         if fault:
-            self.save()  # the disk may have it
+            self.save()  # the disk may have the adopted state: overwrite it
         else:
             self.apply(entry, version)
         return fault
 
     async def close(self) -> None:
-        """Wait until the newest state is on the disk, or could not be written once more."""
+        """Wait until the newest state is on disk, or one more try has failed."""
         await self._writer.close()
 
     def in_use(self) -> set[tuple[str, bytes]]:
         """Names and digests of the code that may be loaded."""
-        found = {
+        loadable = {
             (name, version.digest)
             for name, code in self.versions.items()
             for version in (code.current, code.before)
             if version is not None
         }
-        return found | {(name, version.digest) for name, version in self.pinned.items()}
+        return loadable | {(name, version.digest) for name, version in self.pinned.items()}
 
     # Trust
 
     async def check_again(self) -> None:
-        """The roster or a file has changed: what operators did not sign is not loaded any more."""
+        """Check all code again, after a change of the roster or of a file.
+
+        Code that no operator of the roster signed is not loaded any more.
+        """
         versions = dict(self.versions)
         foreign, checked = await asyncio.to_thread(self._check, self.table, versions)
         self.set_table(tuple(entry for entry in self.table if entry not in foreign))
@@ -252,9 +259,9 @@ class PatternVersions:
         return foreign, {name: self._checked(code) for name, code in versions.items()}
 
     def _checked(self, code: PushedPattern) -> PushedPattern:
-        """Without versions whose files are damaged or that no operator of the roster signed.
+        """`code` without damaged versions, and without versions that no operator has signed.
 
-        Damaged code is missing: it is pulled from another robot.
+        Damaged code counts as missing, so that it is pulled from another robot.
         """
         current, before = code.current, code.before
         if before is not None and not (self._is_signed(before) and self._is_whole(before)):
@@ -263,7 +270,7 @@ class PatternVersions:
             fault = "no operator of the roster has signed it"
             return PushedPattern(current=before, failed=current, fault=fault)
         if current is not None and not self._is_whole(current):
-            # No return to `before`: who runs the name wants the code that was pushed last.
+            # No return to `before`: a run of this name means the code that was pushed last.
             fault = f"{CHANGED}: {current.label}"
             return PushedPattern(before=before, fault=fault, is_damaged=True)
         return replace(code, before=before)
@@ -287,7 +294,10 @@ class PatternVersions:
         return self.files.code(manifest.name, manifest.digest) is not None
 
     def is_trusted(self, entry: pattern_manifest.Entry) -> bool:
-        """True if an operator of the roster has signed it, or without keys; takes some 4 ms."""
+        """True if an operator of the roster signed the entry; takes some 4 ms.
+
+        Without keys True for each entry of this swarm.
+        """
         operators, manifest = self.operators(), entry.manifest
         if manifest.swarm != self.swarm:
             return False
@@ -304,37 +314,37 @@ class PatternVersions:
         self.table, self.digest = table, pattern_manifest.digest_of(table)
 
     def wanted(self) -> Mapping[str, pattern_manifest.Entry]:
-        """What this robot is to have, by name, removals included."""
+        """By name: the newest entry that targets this robot, removals included."""
         return pattern_manifest.wanted_by(self.robot, self.control.labels(), self.table)
 
     def has(self, entry: pattern_manifest.Entry) -> bool:
-        """True if the code of an entry is the current one."""
+        """True if the code of an entry is the current code."""
         code = self.versions.get(entry.manifest.name)
         current = None if code is None else code.current
         return current is not None and current.digest == entry.manifest.digest
 
     def is_taken(self, manifest: pattern_manifest.PatternManifest) -> bool:
-        """True if the robot has a pattern of that name by other means, which is not replaced."""
+        """True if the robot has an own (not pushed) pattern of that name that must stay."""
         if manifest.replaces or manifest.kind == "removed":
             return False
         return manifest.name in self.control.own_patterns()
 
     def note_failed(self, entry: pattern_manifest.Entry, version: Version, text: str) -> None:
-        """Note that a version did not pass: the same push is not tried again."""
+        """Note a failed trial of `version`: the same push is not tried again."""
         name = entry.manifest.name
         self.versions[name] = self.versions.get(name, PushedPattern()).refuse(version, text)
         self.save()
         self.control.event(f"{entry.manifest.label} is refused: {text}")
 
     def tell_of_return(self, name: str, code: PushedPattern) -> None:
-        """An event for the return from a version."""
+        """Log the return of a pattern from its failed version to the version before."""
         assert code.failed is not None
         to = "nothing pushed" if code.current is None else code.current.label
         self.control.event(f"{name}: returned from {code.failed.label} to {to}: {code.fault}")
 
     def missing(self) -> list[pattern_manifest.Entry]:
-        """The pushed patterns that this robot is to have and does not have."""
-        found = []
+        """The entries that target this robot and whose code this robot lacks."""
+        lacking = []
         for name, entry in self.wanted().items():
             if entry.is_removal or not self.versions.get(name, PushedPattern()).lacks(entry):
                 continue
@@ -342,8 +352,8 @@ class PatternVersions:
                 text = f"the robot has a pattern {name!r} of its own"
                 self.note_failed(entry, Version.of(entry, "another robot"), text)
             else:
-                found.append(entry)
-        return found
+                lacking.append(entry)
+        return lacking
 
     def report(self) -> PushedPatternsReply:
         """All pushed patterns, for operators."""
@@ -364,7 +374,7 @@ class PatternVersions:
         )
 
     def shared_code(self, digest: str) -> bytes | None:
-        """The code with that SHA-256, for other robots; it is called in a thread."""
+        """The current code with that SHA-256 (hex), None without; called in a thread."""
         for name, code in list(self.versions.items()):
             current = code.current
             if current is not None and current.digest.hex() == digest:
@@ -393,7 +403,7 @@ def _report(
     )
 
 
-MAX_LOADS = 8  # loads of which the code is known
+MAX_LOADS = 8  # last loads whose version is remembered
 
 
 @dataclass(frozen=True, slots=True)
@@ -415,10 +425,11 @@ class PushedRuns:
     def overlay(
         self, found: Mapping[str, Origin], load: Load, is_trial: bool
     ) -> Mapping[str, Origin]:
-        """The patterns for a load: the robot's own, and what was pushed.
+        """The patterns for a load, by name: the robot's own (`found`) and the pushed patterns.
 
-        A restart takes the code that the run began with; a trial takes the candidate. Raises
-        ChangedCodeError if the code of the pattern is damaged: nothing else of that name is loaded.
+        A restart takes the version with which the run began, a trial the candidate. Raises
+        ChangedCodeError if the pushed code of the pattern is damaged; an own pattern of the same
+        name is not loaded instead.
         """
         origins = dict(found)
         candidate = self._state.candidate if is_trial else None
@@ -441,7 +452,7 @@ class PushedRuns:
     def _lay(
         self, origins: dict[str, Origin], name: str, version: Version, own: Mapping[str, Origin]
     ) -> bool:
-        """Add a version to the origins; False if the robot's own pattern counts."""
+        """Add a version to the origins; False if the robot's own pattern must stay."""
         manifest = pattern_manifest.read_entry(version.signed).manifest
         if name in own and not manifest.replaces:
             return False
@@ -461,7 +472,7 @@ class PushedRuns:
             state.save()
 
     def is_provisional(self, generation: int) -> bool:
-        """True if the load of that generation has the current version, and that is provisional."""
+        """True if that generation loaded the current version, and this version is provisional."""
         loaded = self._loads.get(generation)
         code = None if loaded is None else self._state.versions.get(loaded.name)
         if loaded is None or code is None or code.current is None:
@@ -469,9 +480,9 @@ class PushedRuns:
         return code.is_provisional and code.current.digest == loaded.digest
 
     def granted(self, event: HostEvent) -> HostEvent:
-        """An event of the pattern host without what a pushed pattern may not ask.
+        """An event of the pattern host without permissions that a pushed pattern may not get.
 
-        It may not go on with scans that hold other patterns: no configuration grants that by name.
+        A pushed pattern may not continue with late scans: no configuration grants that by name.
         """
         if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
             text = "its `scan_delay` does not count, since it was pushed"
@@ -480,7 +491,7 @@ class PushedRuns:
         return event
 
     def on_failed(self, failed: FailedCode) -> None:
-        """Provisional code has failed: return to the version before. The robot stands already."""
+        """Return from failed provisional code to the version before; the robot has stopped."""
         loaded = self._loads.get(failed.generation)
         if loaded is None or not self.is_provisional(failed.generation):
             return
@@ -492,7 +503,7 @@ class PushedRuns:
         self._state.tell_of_return(loaded.name, code)
 
     def advance(self, now: float, generation: int | None, *, is_running: bool) -> None:
-        """Time passes; `generation`: of the pattern that runs or is being loaded."""
+        """Count the time of the run; `generation`: of the present run or load, None without."""
         last, at = self._ran_to
         running = generation if is_running else None
         self._ran_to = (-1 if running is None else running), now

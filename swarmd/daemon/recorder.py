@@ -1,9 +1,10 @@
-"""Recordings of a daemon: on request, by a process of its own, handed out piece by piece.
+"""Records a robot by a process of its own, and hands recordings to operators.
 
-The recorder hands what happens to that process, and never blocks the loop. Entries are gathered and
-sent twice a second: a process that wakes at each tick finds its code out of the caches, and costs
-twice as much. A batch for which the socket has no room is dropped and counted: the disk is slower
-than the robot. A recorder process that ends is reported, and the robot drives on.
+The recorder sends entries (inputs, decisions, events) to that process by a socket, and never blocks
+the loop. Entries are gathered and sent twice a second: a process that wakes at each tick finds its
+code out of the caches, and costs twice as much. If the disk is slower than the robot, the socket
+fills; then a batch is dropped and counted. If the process ends, an event says so and the robot
+continues.
 """
 
 from __future__ import annotations
@@ -79,7 +80,10 @@ MAX_FILES = 500
 
 
 class _Process:
-    """One recorder process and the daemon's end of its socket; `has_failed`: it has said why."""
+    """One recorder process and the daemon's end of its socket.
+
+    `has_failed`: the process has reported the fault that ends the recording.
+    """
 
     has_failed = False
 
@@ -105,22 +109,24 @@ class _Process:
 
 
 class Recorder:
-    """Records one robot while it is started. `on_event` takes a line for the robot's log.
+    """Records one robot between `start` and `stop`. `on_event` takes a line for the robot's log.
 
-    `dropped`: entries that the recording lost. `fault`: why it ended, if not by `stop`.
+    `dropped`: the count of entries that the recording lost. `fault`: why the recording ended, empty
+    after `stop`.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, on_event: Callable[[str], None]) -> None:
         self._loop = loop
         self._on_event = on_event
-        self.began = 0.0  # s; when the present recording was started, or the last one
+        self.began = 0.0  # s; start of the present or last recording
         self._open: _Process | None = None
         self._ending: list[_Process] = []
         self._entries: list[frames.Entry] = []
-        self._lasting: dict[type[Input], Input] = {}  # those with which a recording begins
-        self._scans: dict[type[Input], Scan] = {}  # the last one of each kind
-        self._is_memory_due = False  # the next input is preceded by what the robot knows
-        self._logged_to = -1.0  # s since the daemon started: the last event that is recorded
+        # The last input of each lasting kind; a recording begins with these inputs.
+        self._lasting: dict[type[Input], Input] = {}
+        self._scans: dict[type[Input], Scan] = {}  # the last scan of each kind
+        self._is_memory_due = False  # record the robot's memory before the next input
+        self._logged_to = -1.0  # s since the start of the daemon: time of the last recorded event
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
         self._unreported = self._unrecorded = 0
@@ -134,13 +140,13 @@ class Recorder:
         return self._open is not None
 
     def start(self, folder: Path, name: str, about: Mapping[str, str], limits: FileLimits) -> None:
-        """Start a process that records; OSError if that fails. Call it only while `is_on` is false.
+        """Start a recording process; called only while `is_on` is False. OSError if that fails.
 
-        `about`: texts on the robot.
+        `about`: texts on the robot, for the head of each file.
         """
-        one = self._open = _Process()
-        self._loop.add_reader(one.socket, self._on_report, one)
-        self._loop.add_reader(one.pidfd, self._on_end, one)
+        recorder = self._open = _Process()
+        self._loop.add_reader(recorder.socket, self._on_report, recorder)
+        self._loop.add_reader(recorder.pidfd, self._on_end, recorder)
         self._scans, self._entries = {}, []
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
@@ -161,19 +167,19 @@ class Recorder:
         self._is_memory_due = True
 
     def stop(self) -> None:
-        """Send what is left; the process finishes its file and ends."""
+        """Send the remaining entries; the process finishes its file and ends."""
         self.flush()
         self._disconnect()
 
     def close(self, timeout: float = 2.0) -> None:
         """Stop, and wait for the processes; kill a process that takes longer than `timeout` s."""
         self.stop()
-        for one in list(self._ending):
+        for recorder in list(self._ending):
             try:
-                one.process.wait(timeout)
+                recorder.process.wait(timeout)
             except subprocess.TimeoutExpired:
-                one.process.kill()
-            self._on_end(one)
+                recorder.process.kill()
+            self._on_end(recorder)
 
     def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
         """Step `robot`; record the input and the decision that follows from it."""
@@ -192,7 +198,7 @@ class Recorder:
         return actions
 
     def input(self, input: Input, now: float) -> None:
-        """An input of the robot; a scan without its geometry if the last one had the same."""
+        """Record an input; a scan whose geometry equals that of the last scan omits it."""
         if type(input) in _LASTING:
             self._lasting[type(input)] = input
         if isinstance(input, ScanInput | RangesInput):
@@ -203,11 +209,11 @@ class Recorder:
         self.add(frames.input_entry(input, now))
 
     def _memory(self, robot: Robot, now: float) -> None:
-        """What the robot knows before the present input; 4 ms of CPU."""
+        """Record the memory of the robot before the present input; takes 4 ms of CPU."""
         self._is_memory_due = False
         try:
             data = remember(robot, MAX_MEMORY)
-        except CodecError as error:  # the robot drives on; a replay tells that it lacks the memory
+        except CodecError as error:  # the robot continues; a replay reports the missing memory
             self._on_event(f"recording: {error}")
             return
         parts = [data[at : at + MAX_BATCH] for at in range(0, len(data), MAX_BATCH)]
@@ -229,11 +235,11 @@ class Recorder:
             if event.at > self._logged_to:
                 self._logged_to = event.at
                 at = now - status.uptime + event.at
-                if at >= self.began:  # else the file would begin with an empty time
+                if at >= self.began:  # an older event would give the file an empty beginning
                     self.add(frames.EventEntry(at, event.text))
 
     def add(self, entry: frames.Entry) -> None:
-        """Take one entry; nothing happens while nothing is recorded."""
+        """Add an entry to the next batch; ignored while nothing is recorded."""
         if self._open is None:
             return
         self._entries.append(entry)
@@ -257,7 +263,8 @@ class Recorder:
             encoded = frames.encode_entry(entry)
             if size + len(encoded) > MAX_BATCH and part:
                 if not self._send(part):
-                    self._drop(len(entries) - number)  # they may need what was just dropped
+                    # Later entries may depend on the dropped part (scans without geometry).
+                    self._drop(len(entries) - number)
                     return
                 part, size = [], 0
             if len(encoded) > frames.MAX_ENTRY:
@@ -284,8 +291,12 @@ class Recorder:
         return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
-        self._scans = {}  # the directions of rays may have been among them
-        self._is_memory_due = True  # from which a replay goes on
+        """Count dropped entries. The next scan gets its geometry, and the memory is recorded anew.
+
+        From that memory a replay can continue after the gap.
+        """
+        self._scans = {}
+        self._is_memory_due = True
         self.dropped += count
         self._unreported += count
         self._unrecorded += count
@@ -295,38 +306,38 @@ class Recorder:
             count, self._unreported = self._unreported, 0
             self._on_event(f"recording: {count} entries dropped: the disk is slow")
 
-    def _on_report(self, one: _Process) -> None:
+    def _on_report(self, recorder: _Process) -> None:
         try:
-            frame = one.socket.recv(1 << 16)
+            frame = recorder.socket.recv(1 << 16)
             report = frames.decode_report(frame) if frame else None
         except (BlockingIOError, CodecError):
             return
         except OSError:
             report = None
-        if report is None:  # closed: the pidfd tells how it ended
-            self._loop.remove_reader(one.socket)
+        if report is None:  # the socket is closed; `_on_end` follows by the pidfd
+            self._loop.remove_reader(recorder.socket)
             return
-        # A file may outlive those before it.
+        # A new file gets the memory, since the files before may be removed.
         self._is_memory_due |= report.path != self.report.path and bool(self.report.path)
         self.report = report
         if report.fault:
-            one.has_failed = True
+            recorder.has_failed = True
             self._fail(f"{report.path or 'no file'}: {report.fault}")
 
-    def _on_end(self, one: _Process) -> None:
-        if one.pidfd < 0:
+    def _on_end(self, recorder: _Process) -> None:
+        if recorder.pidfd < 0:
             return
-        self._loop.remove_reader(one.pidfd)
-        os.close(one.pidfd)
-        one.pidfd = -1
-        code = one.process.wait()
-        if one is self._open:
-            self._on_report(one)
-        if one is self._open:
+        self._loop.remove_reader(recorder.pidfd)
+        os.close(recorder.pidfd)
+        recorder.pidfd = -1
+        code = recorder.process.wait()
+        if recorder is self._open:  # `_on_report` may call `_fail`, which disconnects
+            self._on_report(recorder)
+        if recorder is self._open:
             self._fail(f"its process {how_it_ended(code)}")
-        elif code and not one.has_failed:  # after a stop, such as a disk that is full only now
+        elif code and not recorder.has_failed:  # failed after `stop`, for instance on a full disk
             self._tell_fault(f"its file is not whole: its process {how_it_ended(code)}")
-        self._ending.remove(one)
+        self._ending.remove(recorder)
 
     def _fail(self, fault: str) -> None:
         self._disconnect()
@@ -337,16 +348,16 @@ class Recorder:
         self._on_event(f"recording ends: {fault}")
 
     def _disconnect(self) -> None:
-        one, self._open = self._open, None
-        if one is not None:
-            self._loop.remove_reader(one.socket)
-            one.socket.close()
-            self._ending.append(one)
+        recorder, self._open = self._open, None
+        if recorder is not None:
+            self._loop.remove_reader(recorder.socket)
+            recorder.socket.close()
+            self._ending.append(recorder)
         self._entries = []
 
 
 class RecordingService:
-    """The recordings of one robot, as its settings say. `on_event` takes lines for its log."""
+    """Answers the requests on recordings of one robot. `on_event` takes a line for its log."""
 
     def __init__(
         self,
@@ -363,7 +374,7 @@ class RecordingService:
 
     @property
     def summary(self) -> RecordingSummary | None:
-        """What is being recorded; None: nothing."""
+        """The present recording; None while nothing is recorded."""
         recorder = self.recorder
         if not recorder.is_on:
             return None
@@ -395,7 +406,7 @@ class RecordingService:
         answer(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text[:300]))
 
     def start_if_wanted(self) -> None:
-        """Record from the start of the daemon if its settings say so; a failure is an event."""
+        """Start to record if the settings say so; a failure is logged as an event."""
         if self._section.from_start:
             try:
                 self._start()
@@ -409,11 +420,11 @@ class RecordingService:
     # Recordings for operators
 
     def on_recordings(self, _: verbs.Nothing) -> Callable[[], verbs.RecordingsReply]:
-        """The recordings that there are; listed in a thread."""
+        """List the recordings on disk; the returned function runs in a thread."""
         return self._list
 
     def on_fetch(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
-        """Bytes of a recording; read in a thread."""
+        """Bytes of a recording file; the returned function runs in a thread."""
         return partial(self._fetch, query)
 
     def close(self) -> None:
@@ -463,17 +474,20 @@ class RecordingService:
 
 
 def _is_told(name: str) -> bool:
-    """True if operators can ask for a file of this name."""
+    """True if operators may ask for a file of this name."""
     with suppress(msgspec.ValidationError):
         return msgspec.convert(name, FileName).isprintable()
     return False
 
 
 def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
-    """One file; `lost`: entries that were dropped so far if it is being written, else None."""
+    """The entry of a file; `lost`: dropped entries so far if the file is being written, else None.
+
+    None if the file has been removed meanwhile.
+    """
     try:
         size = path.stat().st_size
-    except OSError:  # it was removed meanwhile
+    except OSError:  # the file was removed meanwhile
         return None
     name = path.name
     try:
@@ -488,7 +502,7 @@ def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
             begin=begin,
             end=end,
         )
-    except (OSError, ValueError, KeyError, ConfigError):  # it is being written, or was cut off
+    except (OSError, ValueError, KeyError, ConfigError):  # being written, or cut off
         return verbs.RecordingFile(
             name=name, size=size, is_open=lost is not None, dropped=lost or 0
         )

@@ -1,8 +1,8 @@
-"""Reads what operators ask, hands it to the robot or to a service, and sends the replies.
+"""Decodes the requests of operators, hands them to the robot or a service, and sends the replies.
 
-The table of `core/verbs.py` names who answers a verb. The daemon refuses a request of another
-version, or with a field that is missing, of a wrong type or out of bounds, if its payload is a map
-that targets the robot.
+The table of `core/verbs.py` names the part of the daemon that answers a verb. The daemon refuses a
+request of another version, or with a missing, mistyped or out-of-bounds field. It drops a payload
+that is no map, or that does not target the robot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from swarmd.daemon.tools import FieldTools
 
 MAX_PENDING = 64
-MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out before those
+MAX_REPLIES = 64  # kept for repeated requests; the epoch refuses repeats of older requests
 MAX_ID = 63
 MAX_OPERATOR = 128
 MAX_TEXT = 300
@@ -68,11 +68,11 @@ class SendReply(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Services:
-    """What answers the verbs of a daemon: each field is named by a `Handler` of core/verbs.py.
+    """The services of a daemon that answer verbs; a `Handler` of core/verbs.py names each field.
 
-    A service has a method `on_<verb>` for each of its verbs: `on_<verb>(request, answer)` carries a
-    request out, and `on_<verb>(question)` returns the answer, or a function that makes the answer
-    in a thread.
+    A service has a method `on_<verb>` for each of its verbs. `on_<verb>(request, answer)` carries
+    out a request. `on_<verb>(question)` returns the answer to a question, or a function that makes
+    the answer in a thread.
     """
 
     recording: RecordingService
@@ -88,14 +88,16 @@ class Services:
 
 
 class RequestServer:
-    """Answers what is asked of one robot. `on_request` hands a request to the robot.
+    """Answers the requests and questions to one robot. `on_request` hands a request to the robot.
 
-    An operator repeats a request until it has the reply. A repeat is not carried out again: it gets
-    the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
-    Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
-    `audit` takes each request that was answered: operator, address, request, result. `drops` counts
-    requests that cannot be handled: they are refused. If the swarm `is_secured`, the operator is
-    the asker that the link has proved, not the name in the request.
+    1. An operator repeats a request until a reply comes. A repeat is not carried out again: it gets
+       the reply of its id, as soon as there is one. Stop and estop are carried out each time.
+    2. Beyond MAX_PENDING requests without a reply, further requests are dropped, except stop and
+       estop.
+    3. `audit` takes each answered request.
+    4. A request whose handler raises is refused, and counted in `drops`.
+    5. If the swarm `is_secured`, the operator is the name that the link has proved, not the name in
+       the request.
     """
 
     def __init__(
@@ -122,19 +124,20 @@ class RequestServer:
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
         self._audit = audit
         self._pending: dict[str, _Pending] = {}
-        self._replies: dict[str, Reply] = {}  # the last MAX_REPLIES, by request id
+        self._replies: dict[str, Reply] = {}  # by request id, the last MAX_REPLIES replies
 
     def serve(self, bus: ZenohBus) -> None:
-        """Answer all verbs on a bus that was opened, but those that the bus itself answers."""
+        """Answer all verbs on a newly opened bus, except verbs that the bus itself answers."""
         for row in verbs.VERBS.values():
             if row.handler is not verbs.Handler.NETWORK:
                 handle = self.handle if row.is_request else self.ask
                 bus.serve(CONTROL, row.name, partial(handle, row.name))
 
     def reply(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
-        """Send a reply. `is_stored` False: the latches could not be written to disk.
+        """Send a reply to the pending request of its id, and audit the request.
 
-        `is_audited` False: it is one of many parts of a request.
+        `is_stored` False: the latches could not be written to disk; the text then says so.
+        `is_audited` False: the reply answers only a part of a request.
         """
         pending = self._pending.pop(reply.id, None)
         if pending is None:
@@ -145,7 +148,7 @@ class RequestServer:
         is_repeat = self._keep(reply)
         with self._drops.refusing("control/reply"):
             pending.answer(reply)
-        # In a block of its own: what was carried out is audited also without its ack.
+        # A separate block: a request is audited also if its reply could not be sent.
         with self._drops.refusing("control/audit"):
             if is_audited and not is_repeat:
                 request = pending.request
@@ -163,9 +166,9 @@ class RequestServer:
                 )
 
     def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
-        """Carry out a stop or estop that came as a datagram, if it is for this robot.
+        """Carry out a stop or estop that came as a datagram and targets this robot.
 
-        Each repeat is carried out and answered; the first of an id gives a line in the log.
+        Each repeat is carried out and answered; only the first of an id is audited.
         """
         targets = None if stop.targets is None else dict.fromkeys(stop.targets)
         if targets is not None and self._robot not in targets:
@@ -226,7 +229,7 @@ class RequestServer:
         is_pending = request.id in self._pending
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
         if isinstance(request, verbs.EstopRequest):
-            # As `swarmctl` asks: other robots take over no latch of an estop of named ones.
+            # As in `swarmctl`: a latch of an estop of named robots does not spread to other robots.
             scope = request.scope if request.targets is None else "robots"
             request = msgspec.structs.replace(request, is_relayed=False, scope=scope)
         is_dropped = not is_pending and not is_stop and len(self._pending) >= MAX_PENDING
@@ -235,7 +238,7 @@ class RequestServer:
         elif request.id in self._replies and not is_stop:
             query.reply(encode(self._replies[request.id]))
         else:
-            # The newest query of an id gets the reply: the link of an older one may be closed.
+            # The newest query of an id gets the reply: the link of an older query may be closed.
             self._pending[request.id] = _Pending(
                 request, lambda reply: query.reply(encode(reply)), lambda: query.source, query=query
             )
@@ -243,7 +246,10 @@ class RequestServer:
                 self._handlers[request.verb](request, self.reply)
 
     def _keep(self, reply: Reply) -> bool:
-        """Keep a reply for repeats; True if the id had one, and does not fail with this one."""
+        """Keep a reply for repeats; True for a repeat, which is not audited again.
+
+        A failure after an earlier reply of the same id is no repeat.
+        """
         earlier = self._replies.get(reply.id)
         keep_newest(self._replies, reply.id, reply, MAX_REPLIES)
         if earlier is None:
@@ -251,10 +257,10 @@ class RequestServer:
         return reply.code is not Code.FAILED or earlier.code is Code.FAILED
 
     def _refuse(self, verb: str, query: Query, code: Code, text: str) -> None:
-        """Refuse a request that is malformed or of another version, or tell that it has failed.
+        """Refuse a malformed request or a request of another version, or reply a failure.
 
-        The reply is not kept if its id is that of another request that is pending or was answered,
-        or cannot be read. The reply then has the id UNREADABLE.
+        An unreadable id becomes UNREADABLE. The reply is kept for repeats only if the id is
+        readable and belongs to no pending or answered request.
         """
         try:
             header = _header(query.payload)
@@ -270,7 +276,7 @@ class RequestServer:
         is_readable = isinstance(header.id, str) and 0 < len(header.id) <= MAX_ID
         id = str(header.id) if is_readable else UNREADABLE
         pending = self._pending.get(id) if is_readable else None
-        if pending is not None and pending.query is query:  # its handler has failed
+        if pending is not None and pending.query is query:  # the handler of this request failed
             del self._pending[id]
             pending = None
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]

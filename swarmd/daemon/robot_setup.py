@@ -1,4 +1,4 @@
-"""The robot of a daemon, made of its settings and files, and the head of its recordings."""
+"""Makes the robot of a daemon from settings and files, and the head of its recordings."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from swarmd.settings.settings import DaemonSettings
 def make_robot(
     settings: DaemonSettings, instance: str, seed: int, *, latches: LatchRecord, goals: GoalRecord
 ) -> Robot:
-    """The robot of the daemon's life `instance`. `latches` and `goals`: as its files have them."""
+    """The robot for the life `instance` of the daemon; `latches` and `goals` come from files."""
 
     def layers(pattern: str) -> Layers:
-        return settings.pattern_layers(pattern, robot.labels)  # by the present labels
+        return settings.pattern_layers(pattern, robot.labels)  # labels may change during a life
 
     robot = Robot(
         settings.id,
@@ -54,7 +54,10 @@ def make_robot(
 def recording_head(
     settings: DaemonSettings, robot: Robot, instance: str, seed: int, pushed: Iterable[str]
 ) -> RecordingHead:
-    """What recordings tell of a robot. `pushed`: the names of the pushed patterns."""
+    """The head of a recording: all that a replay needs to make the same robot.
+
+    `pushed`: the names of the pushed patterns.
+    """
     names = {*pattern_names(settings.plugin_dir), *pushed}
     layers = {name: settings.pattern_layers(name, robot.labels) for name in sorted(names)}
     return RecordingHead(

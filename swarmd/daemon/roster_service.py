@@ -1,7 +1,7 @@
-"""Takes rosters that operators send or peers hand over, and hands out the daemon's own.
+"""Takes rosters from operators and peers, and hands the own roster to peers.
 
-Checks and files take their time in a thread. What follows happens on the loop in this order: the
-robot stands, the request is answered, and the network opens anew with the other roster.
+A thread checks and writes a roster. Then, on the loop and in this order: the robot stops, the
+request is answered, and the network is reopened with the new roster.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ log = logging.getLogger(__name__)
 
 
 class RosterService:
-    """The roster of one daemon. `on_taken` makes it take effect; it is called on the loop.
+    """The roster of one daemon. `on_taken` applies a new roster; called on the loop.
 
-    One roster is taken at a time; others wait. `drops` counts rosters that cannot be handled.
+    Rosters are taken in turn. `drops` counts rosters whose handling raised an error.
     """
 
     def __init__(
@@ -50,14 +50,14 @@ class RosterService:
 
     @property
     def summary(self) -> KeySummary | None:
-        """The roster that it has; None without keys."""
+        """The present roster in short; None without keys."""
         identity = self.identity
         if identity is None:
             return None
         return KeySummary(generation=identity.roster.generation, expires=identity.info.expires)
 
     def on_roster(self, request: RosterRequest, answer: SendReply) -> None:
-        """Take the roster of a request; the reply follows when the robot stands."""
+        """Take the roster of a request; the reply follows after the robot has stopped."""
 
         def tell(code: Code, refusal: Refusal | None, text: str) -> None:
             answer(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
@@ -78,22 +78,22 @@ class RosterService:
         self._start(run())
 
     def on_pulled(self, blob: bytes | None, why: str) -> None:
-        """Take what a peer handed over, or log why it did not."""
+        """Take the roster that a peer handed over; `blob` None: log the reason `why`."""
         if blob is None:
             log.info("no newer roster: %s", why)
             return
         self._start(self._take_pulled(blob))
 
     def share(self, name: str, asker: str) -> bytes | None:
-        """The blob for `asker`, whose name the link has proved; called in a thread."""
+        """The own roster as bytes for `asker`, whose name the link has proved; in a thread."""
         return None if self.identity is None else share_roster(self.identity, asker)
 
     async def take(
         self, shared: SharedRoster, certificate: bytes = b""
     ) -> tuple[Refusal | None, str]:
-        """Take a roster if it is valid and newer; (None, text), or why it was refused.
+        """Take a roster if it is valid and newer; returns (None, text), or (refusal, why).
 
-        NOT_WRITTEN: it may count, and is not on the disk.
+        NOT_WRITTEN: the roster is valid, but could not be written to disk.
         """
         async with self._one_at_a_time:
             if self.identity is None:
@@ -112,7 +112,7 @@ class RosterService:
             return None, (taken.text if taken.is_changed else f"{taken.text}, as before")[:300]
 
     def close(self) -> None:
-        """Take nothing any more."""
+        """Take no roster any more."""
         for task in self._tasks:
             task.cancel()
 

@@ -1,6 +1,6 @@
-"""What a robot keeps on its disk: latches, goals with labels, stop counters, pushed patterns.
+"""The files of a robot: latches, goals with labels, stop counters, pushed patterns.
 
-Each file is whole or absent, also after a power cut. In the folder of one robot::
+Each file is whole or absent, also after a power cut. In the state folder of one robot::
 
     latches                                    emergency stops; written before their ack
     goal                                       goals and labels
@@ -35,15 +35,15 @@ from swarmd.robot.pushed_pattern import PushedPattern
 
 log = logging.getLogger(__name__)
 
-RETRY_PERIOD = 5.0  # s between two tries to write a record that could not be written
+RETRY_PERIOD = 5.0  # s between two tries to write a record
 
 T = TypeVar("T", bound=Struct)
 
 
 class StateFile(Generic[T]):
-    """A file that holds one record of the type `kind`; `lost`: what follows if it is unreadable.
+    """A file that contains one record of the type `kind`.
 
-    `limit`: bytes that are read.
+    `lost`: the consequence of an unreadable file, for the log. `limit`: the most bytes to read.
     """
 
     def __init__(self, path: Path, kind: type[T], lost: str, limit: int = MAX_CONTROL) -> None:
@@ -53,7 +53,7 @@ class StateFile(Generic[T]):
         self._written: T | None = None
 
     def read(self) -> T:
-        """The record that was written last; an empty one without a file."""
+        """The record that was written last; an empty record without a file."""
         try:
             return self._decoded(self.path.read_bytes())
         except FileNotFoundError:
@@ -63,12 +63,12 @@ class StateFile(Generic[T]):
             return self._unreadable(error)
 
     def write(self, record: T) -> None:
-        """Write the record and wait until it is on the disk. OSError if that fails.
+        """Write the record and wait until it is on disk. OSError if that fails.
 
-        An unchanged record is not written again: an operator repeats an estop on every link.
+        An unchanged record is not written again: an operator sends copies of an estop by each link.
         """
         if record != self._written:
-            self._written = None  # a write that fails may leave the new content
+            self._written = None  # after a failed write the content of the file is unknown
             self.path.parent.mkdir(parents=True, exist_ok=True)
             write_whole(self.path, encode(record))
             self._written = record
@@ -83,11 +83,10 @@ class StateFile(Generic[T]):
 class LatchFile(StateFile[LatchRecord]):
     """The file `latches` in a robot's state folder, which the daemon writes on its loop.
 
-    A latch is on the disk before it is acknowledged. The robot does not run when its latches
-    change, so that a slow disk ends no run. The command zero is sent before. An unreadable file
-    latches.
+    A latch is on disk before it is acknowledged. A new latch has stopped the robot, and zero has
+    been sent, so a slow disk ends no run. An unreadable file counts as a latch.
 
-    `fault`: why what is latched now would be lost by a restart; empty if it would not.
+    `fault`: why a restart would lose the present latches; empty if it would not.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -96,7 +95,7 @@ class LatchFile(StateFile[LatchRecord]):
         self.fault = ""
 
     def check(self) -> bool:
-        """Write what could not be written before, else try the folder; True if `fault` changed."""
+        """Write a record that failed before, else test the folder; True if `fault` changed."""
         before = self.fault
         if self._unwritten is not None:
             self.store(self._unwritten)
@@ -127,35 +126,34 @@ class LatchFile(StateFile[LatchRecord]):
 class RecordWriter(Generic[T]):
     """Writes the newest record of `file` in a thread, since a disk may take seconds.
 
-    A record that cannot be written is tried again, or a newer one. `on_event` takes a line when
-    records cannot be written, and when they can be written again. All methods are called on the
-    loop.
+    After a failure the newest record is tried again every RETRY_PERIOD. `on_event` takes a line at
+    the first failure, and at the first success after it. All methods are called on the loop.
     """
 
     def __init__(self, file: StateFile[T], on_event: Callable[[str], None]) -> None:
         self._file = file
         self._on_event = on_event
         self._newest: T
-        self._tried: asyncio.Future[str] | None = None  # of the try that is to begin
-        self._last: asyncio.Future[str] | None = None  # of the try that takes the newest record
+        self._tried: asyncio.Future[str] | None = None  # the result of the next try
+        self._last: asyncio.Future[str] | None = None  # the result of the try of the newest record
         self._task: asyncio.Task[None] | None = None
         self._asked = asyncio.Event()  # there is a newer record, or the writer closes
         self._is_closed = False
         self._fault = ""
 
     def store(self, record: T) -> None:
-        """Write the record soon; a later one replaces it."""
+        """Write the record soon; a later record replaces it."""
         self._begin(record)
 
     async def write(self, record: T) -> str:
-        """Write the record, or a later one; why it could not be written, empty if it is on disk.
+        """Write the record, or a later record; returns why the try failed, empty if it is on disk.
 
-        It returns after one try; later tries follow without the caller.
+        Returns after one try; the writer makes later tries by itself.
         """
         return await asyncio.shield(self._begin(record))
 
     async def is_written(self, seconds: float) -> bool:
-        """True once all records are on the disk; False after `seconds`, or while writes fail."""
+        """True once all records are on disk; False after `seconds`, or while writes fail."""
         if self._last is None or self._fault or not self.is_busy:
             return not self.is_busy
         with suppress(TimeoutError):
@@ -163,7 +161,7 @@ class RecordWriter(Generic[T]):
         return False
 
     async def close(self) -> None:
-        """Wait until the newest record is on the disk, or could not be written once more."""
+        """Wait until the newest record is on disk, or one more try has failed."""
         self._is_closed = True
         self._asked.set()
         if self._task is not None:
@@ -171,7 +169,7 @@ class RecordWriter(Generic[T]):
 
     @property
     def is_busy(self) -> bool:
-        """True while the newest record is not on the disk."""
+        """True while the newest record is not on disk."""
         return self._task is not None and not self._task.done()
 
     def _begin(self, record: T) -> asyncio.Future[str]:
@@ -186,7 +184,7 @@ class RecordWriter(Generic[T]):
         return self._tried
 
     async def _run(self) -> None:
-        """Write until the newest record is on the disk."""
+        """Write until the newest record is on disk."""
         while True:
             self._asked.clear()
             tried, self._tried = self._tried, None
@@ -216,7 +214,7 @@ class RecordWriter(Generic[T]):
 
 
 def _raise(task: asyncio.Task[None]) -> None:
-    """Hand what `write` raised beside OSError to the loop's handler of exceptions."""
+    """Raise an exception of the writer task (not OSError) to the loop's exception handler."""
     if not task.cancelled():
         task.result()
 
@@ -227,14 +225,14 @@ MAX_CODE_RECORD = 16 * 1024 * 1024  # bytes
 
 
 class CodeRecord(Struct, frozen=True):
-    """The manifests of the swarm, and how the versions on this robot stand, by name."""
+    """The signed manifests of the swarm, and by name the versions on this robot."""
 
     table: Manifests = ()
     versions: dict[str, PushedPattern] = {}
 
 
 class PatternFiles(StateFile[CodeRecord]):
-    """The folder of the pushed patterns of one robot; nothing is made before it is needed."""
+    """The folder of the pushed patterns of one robot; made at the first write."""
 
     def __init__(self, folder: Path) -> None:
         lost = "pushed patterns are pulled again"
@@ -247,7 +245,7 @@ class PatternFiles(StateFile[CodeRecord]):
         return record
 
     def add(self, manifest: PatternManifest, code: bytes) -> None:
-        """Write code that a manifest names. PluginError if it is no such code, OSError."""
+        """Write the code of a manifest. PluginError if the code differs from it, OSError."""
         if len(code) != manifest.size or hashlib.sha256(code).digest() != manifest.digest:
             raise PluginError(f"{manifest.label}: the code has not the SHA-256 of its manifest")
         folder = self._folder_of(manifest.name, manifest.digest)
@@ -271,7 +269,7 @@ class PatternFiles(StateFile[CodeRecord]):
             raise
 
     def code(self, name: str, digest: bytes) -> bytes | None:
-        """The code of a version; None if it is not here or damaged."""
+        """The code of a version; None if missing or damaged."""
         folder = self._folder_of(name, digest)
         for path in (folder / f"{name}.py", folder / WHEEL):
             with suppress(OSError):
@@ -280,14 +278,14 @@ class PatternFiles(StateFile[CodeRecord]):
         return None
 
     def place(self, manifest: PatternManifest) -> tuple[str, bool]:
-        """Where a pattern host finds the code, as in `Load.origins`."""
+        """The place of the code for a pattern host, as in `Load.origins`."""
         folder = self._folder_of(manifest.name, manifest.digest)
         if manifest.kind == "file":
             return str(folder / f"{manifest.name}.py"), True
         return f"{folder / WHEEL}{IN_WHEEL}{manifest.value}", False
 
     def prune(self, kept: Collection[tuple[str, bytes]]) -> None:
-        """Remove all code but that of the names and digests in `kept`."""
+        """Remove all code except the names and digests in `kept`."""
         folders = {self._folder_of(name, digest) for name, digest in kept}
         with suppress(OSError):
             for one in (self.folder / CODE).glob("*/*"):

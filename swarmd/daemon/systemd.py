@@ -22,7 +22,7 @@ _LEVELS = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR:
 
 
 class Notifier:
-    """Writes to `$NOTIFY_SOCKET`, if that is set."""
+    """Sends notices to systemd by `$NOTIFY_SOCKET`; does nothing if the variable is not set."""
 
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")
@@ -37,9 +37,9 @@ class Notifier:
                 notify.sendto(message.encode(), self._address)
 
     def feed_watchdog(self, decided_at: float, now: float) -> None:
-        """Tell systemd's watchdog that protection decides, if it did so just now.
+        """Feed systemd's watchdog if protection has decided recently (`decided_at`, s).
 
-        A loop that runs while protection does not decide is no living daemon. Times in s.
+        A loop that runs without decisions of protection must count as dead.
         """
         if self._is_watched and now - decided_at <= DECISION_TIMEOUT:
             self("WATCHDOG=1")
@@ -50,7 +50,7 @@ class Notifier:
 
 
 class JournalFormatter(logging.Formatter):
-    """Formats for the journal, which adds time and host itself: `<level>` before each line."""
+    """Formats for the journal: `<level>` before each line, without time and host."""
 
     def format(self, record: logging.LogRecord) -> str:
         """The lines of a record, each with its level (sd-daemon(3))."""
@@ -84,12 +84,12 @@ m {USER} {SERIAL_GROUP}
 
 
 def unit_text(program: Path, config: Path = CONFIG_FILE) -> str:
-    """The unit `swarmd.service` of this package. `program`: the absolute path of `swarmd` there."""
+    """The unit `swarmd.service` of this package, for the absolute path `program` of `swarmd`."""
     text = (files("swarmd.daemon") / "swarmd.service").read_text()
     return text.replace("@PROGRAM@", _quoted(program)).replace(str(CONFIG_FILE), _quoted(config))
 
 
 def _quoted(path: Path) -> str:
-    """The path as systemd reads it: a `%` begins a specifier, a space ends a word."""
+    """The path quoted for systemd, in which `%` begins a specifier and a space ends a word."""
     text = str(path).replace("%", "%%")
     return f'"{text}"' if " " in text else text

@@ -17,9 +17,9 @@ RESTING_PERIODS = 2
 
 
 class TickTimer:
-    """Calls `tick` every 50 ms or, at rest, 100 ms, and at the time that `wake_in` has set.
+    """Calls `tick` every 50 ms (every 100 ms at rest), and at the wake-up that `wake_in` sets.
 
-    `periods`: the periods of 50 ms that have passed at the last tick; a wake-up counts none.
+    `periods`: the count of 50 ms periods up to the last tick; a wake-up adds none.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
@@ -36,7 +36,7 @@ class TickTimer:
 
     @property
     def p99(self) -> float:
-        """The 99th percentile of how late the last ticks were, in s."""
+        """The 99th percentile of the lateness of the last ticks, in s."""
         ranked = sorted(self._lateness)
         return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
 
@@ -50,7 +50,7 @@ class TickTimer:
             self._handle = self._loop.call_at(at, self._on_time)
 
     def wake_in(self, seconds: float | None) -> None:
-        """Set the wake-up, replacing the one before; None: the ticks are enough."""
+        """Set the wake-up in place of the wake-up before; None: no wake-up between ticks."""
         if self._wake is not None:
             self._wake.cancel()
             self._wake = None
@@ -78,7 +78,7 @@ class TickTimer:
         self._tick()
 
     def _arm(self) -> None:
-        """Arm the wake-up once it comes before the next tick."""
+        """Set the loop's timer for the wake-up if it comes before the next tick."""
         at = self._wake_at
         if at is not None and at < self._next:
             self._wake_at, self._wake = None, self._loop.call_at(at, self._tick)

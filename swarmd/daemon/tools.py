@@ -1,6 +1,6 @@
-"""The questions of operators that look after a robot: audit log, logs, links and doctor.
+"""Answers operators' questions about a robot's condition: audit log, logs, links and doctor.
 
-These questions change nothing. What needs a disk or takes time is answered from threads.
+These questions change nothing. Slow answers, such as reads of the disk, are made in threads.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PATTERN = "pattern"
 
 
 class LogCapture(logging.Handler):
-    """Puts each record into a ring, from any thread; on the root logger until `close`."""
+    """Puts each log record into a ring, from any thread; on the root logger until `close`."""
 
     def __init__(self, ring: LogRing) -> None:
         super().__init__()
@@ -64,14 +64,14 @@ MAX_LINKS = 512  # in an answer
 MAX_PINGS = 20  # round trips that one question measures
 PUBLISH_PERIOD = 0.2  # s between two batches of records
 MAX_BATCH = 48 * 1024  # bytes of records in a batch or an answer
-CACHE_TIME = 2.0  # s for which facts of the machine are not measured again
+CACHE_TIME = 2.0  # s for which measured facts of the machine are reused
 
 
 class FieldTools:
-    """The answers of one daemon, whose life is `instance`; `version` is that of its package.
+    """Answers such questions for the life `instance` of a daemon of the package version `version`.
 
-    `keys` are those that it has now. `audit` is its audit log. `storage`: why latches would be lost
-    by a restart, as in `Health`. `sandbox`: of the pattern host.
+    `keys` returns the present roster, `sandbox` the sandbox of the pattern host. `audit`: the audit
+    log. `storage`: why a restart would lose latches, as in `Health`.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class FieldTools:
         self._network.publish("log", lambda: encode(self._batch(self._ring.since(since))))
 
     def close(self) -> None:
-        """Write what the audit log has to write, and keep no more records."""
+        """Write the queued entries of the audit log, and keep no more log records."""
         self.audit.close()
         self._capture.close()
 
@@ -155,11 +155,11 @@ class FieldTools:
     # Logs
 
     def on_logs(self, query: verbs.LogsQuery) -> verbs.LogBatch:
-        """The newest records that match."""
+        """The newest log records that match the query."""
         return self._batch(self._ring.matching(query))
 
     def _batch(self, records: list[verbs.LogRecord]) -> verbs.LogBatch:
-        """The newest records that fit."""
+        """The newest records that fit into MAX_BATCH."""
         room, first = MAX_BATCH, max(len(records) - verbs.LOG_PAGE, 0)
         for number in range(len(records) - 1, first - 1, -1):
             room -= len(records[number].text.encode()) + 64
@@ -178,7 +178,7 @@ class FieldTools:
     # Links
 
     def on_links(self, query: verbs.LinksQuery) -> verbs.LinksReply:
-        """How well this robot hears others; pings some of them if the query asks for that."""
+        """The quality of the links from other robots to this robot; pings them on request."""
         links = sorted(self._network.links(), key=lambda link: link[1].age)
         if query.measures and links:
             names = [robot for robot, _, _ in sorted(links)]

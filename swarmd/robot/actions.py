@@ -1,4 +1,7 @@
-"""The effects of one event on a robot, handed to the shell; `Effects` (effects.py) gathers them."""
+"""`Actions`: the work that one event leaves to the shell (the daemon or the lockstep simulator).
+
+`Effects` (effects.py) gathers this work while the robot handles the event.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from swarmd.robot.latches import LatchRecord
 
 
 class FailedCode(Struct, frozen=True):
-    """Provisional code that failed: the generation of its load, and why."""
+    """A failure of provisional code: the generation of the failed load, and the fault as text."""
 
     generation: int
     text: str
@@ -24,15 +27,18 @@ class FailedCode(Struct, frozen=True):
 class Actions(Struct, frozen=True, eq=False):
     """The work of the shell after one event, in this order.
 
-    Hand `twist` to the driver, write `latches` and `goals` to disk, send `trial` and `host` to the
-    pattern host, publish `messages` (by `<pattern>/<channel>`), the status and `replies`.
-    `requested_scan_seq` is the scan behind `twist` (-1: none). `is_idle`: the state is idle and the
-    base is connected. `is_stopped`: the state is stopped, estopped or faulted. `replies` may answer
-    earlier requests: a run is answered when its pattern has been loaded. A `trial` has a process of
-    its own and leaves the running pattern alone. `has_status`: publish `Robot.status`. `is_quiet`:
-    there is nothing but the command, and `wake_at` is as before. `failed_code`: provisional code
-    has failed. `ended`: state and reason after the end of a run; empty if none ended. `grip`: close
-    the gripper, or open it.
+    1. Hand `twist` to the driver.
+    2. Write `latches` and `goals` to disk.
+    3. Send `trial` and `host` to the pattern host. A trial runs in a process of its own and leaves
+       the running pattern alone.
+    4. Publish `messages` (by `<pattern>/<channel>`), the status if `has_status`, and `replies`. A
+       reply may answer an earlier request: a run is answered after its pattern has been loaded.
+
+    `requested_scan_seq`: the scan from which the pattern computed its command; -1 without a scan.
+    `is_idle`: the state is idle and the base is connected. `is_stopped`: the state is stopped,
+    estopped or faulted. `is_quiet`: only `twist` and `decision` count, and `Robot.wake_at` has not
+    changed. `ended`: state and reason after the end of a run; empty if no run ended. `grip`: True
+    closes the gripper, False opens the gripper, None leaves the gripper alone.
     """
 
     twist: Twist

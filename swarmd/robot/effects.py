@@ -1,4 +1,4 @@
-"""The effects of one event on a robot, gathered before they become `Actions`.
+"""`Effects`: what one event changes for the shell, gathered before it becomes `Actions`.
 
 A kernel (see `core/kernels.py`), in one library with ticker.py.
 """
@@ -26,8 +26,8 @@ _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 class Effects:
     """The effects of one event at `now`, gathered until the robot settles them into `Actions`.
 
-    `is_routine`: the event is a tick, a scan or the answer to a step, and has not changed the
-    lifecycle, but for the requested command. The others are as in `Actions`.
+    `is_routine`: the event is a tick, a scan or the answer to a step, and of the lifecycle has
+    changed at most the requested command. The fields from `trial` on mean the same as in `Actions`.
     """
 
     now = cython.declare(cython.double, visibility="readonly")
@@ -50,9 +50,9 @@ class Effects:
     def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
         """Choose the one command of this event for the pattern host.
 
-        KillHost and Load decide which pattern the host holds, so the later of them wins; a Load
-        after a KillHost asks for a fresh host. SetParams and Step are meant for the pattern that
-        the host holds now, so they never replace another command.
+        KillHost and Load decide which pattern the host holds. Of several such commands the last
+        one wins, and a Load after a KillHost asks for a fresh host. SetParams and Step are meant
+        for the pattern that the host holds now, so they never replace another command.
         """
         if isinstance(command, (SetParams, Step)) and self.host is not None:
             return

@@ -1,12 +1,12 @@
-"""What goals do to a robot: those that peers hand on, and the requests of operators on goals. Pure.
+"""Applies goals to one robot: goals received from peers, and operators' requests on goals. Pure.
 
-A greater goal for this robot ends its run. Only a request starts a run, but for a goal with
-`on_join: run`, see goals.py.
+A greater goal that targets this robot ends the present run. Only a request starts a run, with one
+exception: a goal with `on_join: run` (the rules are in goals.py).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError
@@ -21,60 +21,69 @@ if TYPE_CHECKING:
     from swarmd.robot.effects import Effects
 
 
+class _PeerGoal(NamedTuple):
+    """The last goal for this robot that came from a peer, and the epochs around its adoption."""
+
+    goal: Goal
+    epoch_before: Epoch
+    revision_after: int
+
+
 class GoalHandler:
     """Applies goals to the lifecycle of one robot."""
 
     def __init__(self, lifecycle: Lifecycle) -> None:
         self._lifecycle = lifecycle
         self._goals = lifecycle.goals
-        # The goal that was found last, the epoch before that, and the revision that it led to.
-        self._found: tuple[Goal, Epoch, int] | None = None
-        self._is_settled = False  # what the other peers hold is known since the own goal was found
+        self._peer_goal: _PeerGoal | None = None
+        # True once the goals of all other peers are known, after the own goal came from a peer.
+        self._is_settled = False
 
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
-        """A peer holds this goal, set `age` s ago (None: not known).
+        """Take in a goal that a peer holds; `age`: s since the goal was set, None if unknown.
 
-        `may_join`: what the other peers hold is known, too, so that the robot may join a run.
+        `may_join`: the goals of all other peers are known, too, so that the robot may join a run.
         """
         goals, now = self._goals, effects.now
-        found = goals.judge(goal)
-        if found is Found.OWN:
-            before = self._lifecycle.epoch
+        relation = goals.judge(goal)
+        if relation is Found.OWN:
+            epoch_before = self._lifecycle.epoch
             self._take_over(goal, age, effects, may_join=True)
-            self._found = goal, before, self._lifecycle.revision
+            self._peer_goal = _PeerGoal(goal, epoch_before, self._lifecycle.revision)
             self._is_settled = False
-        elif found is Found.OTHER:
+        elif relation is Found.OTHER:
             goals.adopt(goal, age, now, may_join=False)
-        elif found is Found.AGED or goals.is_held(goal):
+        elif relation is Found.AGED or goals.is_held(goal):
             goals.learn_age(age, now)
         if may_join:
             self._is_settled = True
             self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
-        """True for a run or a goal that came from a peer sooner than by this request.
+        """True if the goal of this run or goal request came from a peer before the request came.
 
-        Nothing else has changed the robot since the operator looked at it, at the epoch `quoted`.
+        True only if nothing else has changed the robot since `quoted`, the epoch that the operator
+        saw.
         """
-        if self._found is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
+        known = self._peer_goal
+        if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
             return False
-        goal, before, after = self._found
-        return (request.goal, quoted, self._lifecycle.revision) == (goal, before, after)
+        return (request.goal, quoted, self._lifecycle.revision) == known
 
     def on_new_code(self, pattern: str, effects: Effects) -> None:
-        """A pushed pattern has passed its trial: the robot may join a goal that waited for it."""
+        """Join the own goal if the goal waited for `pattern`, which has passed its trial."""
         own, run = self._goals.own, self._lifecycle.pattern_run
         if own is not None and own.goal.pattern == pattern and run.loading is None:
             self._goals.offer_again(run.generation)
             self.join_if_settled(effects)
 
     def on_stop(self, request: verbs.StopRequest | verbs.EstopRequest, effects: Effects) -> None:
-        """A stop or estop was carried out: one of all robots makes a goal without a pattern."""
+        """After a stop or estop: if the request targets all robots, make a goal without pattern."""
         if request.targets is None:
             self._goals.stand(request.id, request.operator, request.age, effects.now)
 
     def resume(self, request: verbs.ResumeRequest, wish: Wish, effects: Effects) -> None:
-        """Run the own goal; the caller has checked that the robot may run."""
+        """Run the own goal, or refuse; the caller has checked that the robot may start a run."""
         lifecycle, own = self._lifecycle, self._goals.own
         if own is None or own.goal.pattern is None:
             text = "there is no goal for it" if own is None else f"{own.goal.text}: nothing to run"
@@ -93,20 +102,20 @@ class GoalHandler:
             self._start(own.goal, effects, wish, own.goal.seconds, request)
 
     def set_goal(self, request: verbs.GoalRequest, effects: Effects) -> None:
-        """Take a goal over without a run."""
+        """Adopt the goal of the request without a run, or refuse."""
         lifecycle, goals, goal = self._lifecycle, self._goals, request.goal
         if refusal := goals.overtaken_by(goal):
             lifecycle.refuse(effects, request, *refusal)
             return
-        found = goals.judge(goal)
-        if found is Found.OWN:
+        relation = goals.judge(goal)
+        if relation is Found.OWN:
             self._take_over(goal, request.age, effects, may_join=False)
-        elif found is Found.OTHER:
+        elif relation is Found.OTHER:
             goals.adopt(goal, request.age, effects.now, may_join=False)
         lifecycle.applied(effects, request, f"holds {goal.text}")
 
     def set_labels(self, request: verbs.LabelRequest, effects: Effects) -> None:
-        """Set the labels; the held goal may target the robot by its new labels."""
+        """Set the labels; adopt the held goal if that goal targets the robot by these labels."""
         lifecycle, goals = self._lifecycle, self._goals
         lifecycle.raise_revision(f"{request.operator} (label)")
         goals.set_labels(request.labels)
@@ -119,19 +128,19 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Adopt a greater goal for this robot; a run of a lesser one ends.
+        """Adopt `goal`, which is greater than the own goal; a run for the lesser goal ends.
 
-        A requested run that is being loaded for a goal greater than this one goes on loading.
+        A load for a goal that is still greater than `goal` continues.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
-        if loading is not None and loading.goal == goal:  # asked for, and heard of from a peer
+        if loading is not None and loading.goal == goal:  # the load was requested, or joined
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        wanted = None if loading is None else loading.goal
+        loading_goal = None if loading is None else loading.goal
         order = HeldGoal.of(goal, None).order
-        keeps_load = wanted is not None and HeldGoal.of(wanted, None).order > order
+        keeps_load = loading_goal is not None and HeldGoal.of(loading_goal, None).order > order
         is_active = lifecycle.is_running or (loading is not None and not keeps_load)
         is_free = is_active or lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
@@ -142,29 +151,32 @@ class GoalHandler:
         goals.adopt(goal, age, now, may_join=may_join and is_free and not keeps_load)
 
     def join_if_settled(self, effects: Effects) -> None:
-        """Run the own goal, which was found, if it wants that and is young enough.
+        """Run the own goal, which came from a peer, if `Goals.joins` permits.
 
-        A load or a trial that is under way delays the run until its end.
+        The run waits for the end of a present load or trial.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         if not self._is_settled:
             return
-        own, trial, found = goals.own, lifecycle.trial, self._found
+        own, trial, known = goals.own, lifecycle.trial, self._peer_goal
         if own is None or not goals.joins(now) or lifecycle.pattern_run.loading or trial:
             return
         if lifecycle.duplicate is not None or lifecycle.revoked or fault_of(own.goal.conditions):
             return
         if lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED):
             return
-        is_found = found is not None and found[0] == own.goal
-        is_unchanged = found is not None and found[2] == lifecycle.revision
+        is_unchanged = (
+            known is not None
+            and known.goal == own.goal
+            and known.revision_after == lifecycle.revision
+        )
         seconds, age = own.goal.seconds, own.age(now) or 0.0
         lifecycle.raise_revision(own.goal.text)
         lifecycle.log(f"joins {own.goal.text}, set {age:.1f} s ago", now)
-        if found is not None and is_found and is_unchanged:
-            self._found = found[0], found[1], lifecycle.revision
-        left = None if seconds is None else seconds - age
-        self._start(own.goal, effects, Wish(now - age, own.goal.text), left, None)
+        if known is not None and is_unchanged:  # a late request for this goal stays acceptable
+            self._peer_goal = known._replace(revision_after=lifecycle.revision)
+        seconds_left = None if seconds is None else seconds - age
+        self._start(own.goal, effects, Wish(now - age, own.goal.text), seconds_left, None)
 
     def _start(
         self,
@@ -189,7 +201,7 @@ class GoalHandler:
 
 
 def fault_of(until: tuple[str, ...]) -> str:
-    """What is wrong with the conditions that end a run; empty if nothing."""
+    """The parse error of the conditions that end a run; empty if all are valid."""
     try:
         if until:
             parse_conditions(until)

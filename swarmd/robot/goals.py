@@ -1,20 +1,20 @@
-"""The goals that one robot knows, and what it does about its own one. Pure.
+"""The goals that one robot knows: which goal counts, and whether the robot may run it. Pure.
 
-The robot holds the greatest goal that it has seen, and its own one: the greatest that targets it.
-Goals are ordered by generation, issuer and signed bytes, so that all robots that have seen the same
-goals hold the same one. The age of a goal is handed on from robot to robot without wall clocks:
-after a restart it is unknown until a peer reports it.
+The robot keeps two goals. The held goal is the greatest goal that the robot has seen. The own goal
+is the greatest goal that targets this robot. Goals are ordered by generation, issuer and signed
+bytes, so that all robots that have seen the same goals hold the same goal. Robots hand on the age
+of a goal, without wall clocks. After a restart the age is unknown until a peer reports it.
 
-A goal that is found, and was not asked for by a request to this robot, does not start a run: it is
-offered. The exception is a goal with `on_join: run` of a known age below its `valid`, while the
-robot may join: it was idle when the goal came, or ran for a lesser goal, and nothing ended a run
-since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it. A
-goal with a lease is joined only while its operator is heard.
-No goal that was set before the last stop, emergency stop or reset of the robot is joined.
-
-A stop or emergency stop of all robots makes a goal without a pattern that follows the held one,
-unless the held one is newer. While that is not known, since the age of the held goal is not, the
-stop is remembered until a peer tells the age or a greater goal.
+1. A goal that comes from a peer, without a request to this robot, starts no run: it is offered.
+2. Exception: the robot joins (runs without a request) a goal with `on_join: run` whose age is known
+   and below `valid`. The robot must have been idle, or must have run for a lesser goal, when the
+   goal came, and no run may have ended since.
+3. A robot that lacks the pattern of the goal joins once more after the pattern is pushed to it.
+4. The robot joins a goal with a lease only while the operator of that goal is heard.
+5. The robot joins no goal that was set before its last stop, emergency stop or reset.
+6. A stop or emergency stop of all robots makes a goal without a pattern that follows the held goal,
+   unless the held goal is newer than the stop. If the age of the held goal is unknown, the stop
+   stays undecided until a peer reports that age, or a greater goal.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ OFFERED_WITH_LEASE = "offered: resume takes it while {} is heard"
 
 
 class Found(Enum):
-    """What a goal that came is to a robot."""
+    """The relation of a received goal to the goals that a robot knows."""
 
-    OLD = "old"  # it is held already, or lesser than the held one
-    AGED = "aged"  # the held goal, whose age was not known until now
-    OTHER = "other"  # the greatest one, for other robots
-    OWN = "own"  # the greatest one for this robot
+    OLD = "old"  # the held goal itself, or a lesser goal
+    AGED = "aged"  # the held goal, whose age the robot does not know yet
+    OTHER = "other"  # greater than the held goal; targets other robots
+    OWN = "own"  # greater than the own goal; targets this robot
 
 
 class _Undecided(NamedTuple):
-    """A stop of all robots that may be older than the held goal, issued at a time in s."""
+    """A stop of all robots that may be older than the held goal; `issued` in s, own clock."""
 
     operator: str
     issued: float
 
 
 class Goals:
-    """The goals of `robot`; `labels` are those of the swarm file, `record` that of its disk.
+    """The goals of `robot`. `labels`: from the swarm file. `record`: from disk, None without one.
 
-    `now`: when the robot starts.
+    `now`: the time at which the robot starts, in s.
     """
 
     def __init__(
@@ -83,13 +83,14 @@ class Goals:
         self._lease_count = -1
         self._stops: dict[str, None] = {}
         self._undecided: dict[str, _Undecided] = {}
-        self._held_since = now  # the held goal is not newer than this
-        # When the robot was stopped, emergency-stopped or reset last, on the own clock.
+        self._held_since = now  # the held goal was set before this time
+        # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._stood = -math.inf if record.stood is None else record.stood
-        self._ran = record.ran  # the own goal was run when the robot was restarted
-        self._stopped = b""  # the held goal after which a stop of all came, and made no goal
+        self._ran = record.ran  # the daemon ended during a run of the own goal
+        # Content of the held goal if a stop of all robots came later and could make no goal.
+        self._stopped = b""
         self.is_changed = False
-        # The load that failed since the robot has no such pattern, and whether it was repeated.
+        # The load that failed since the robot lacks the pattern, and whether the load was repeated.
         self._awaits_code: int | None = None
         self._has_retried = False
         if self.own is not None:
@@ -97,16 +98,16 @@ class Goals:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The labels of the robot: those that an operator set, else those of the file."""
+        """The labels that an operator set, else the labels of the swarm file."""
         return self._file_labels if self._set_labels is None else self._set_labels
 
     @property
     def lease_ends(self) -> float | None:
-        """When the run of the own goal ends unless its operator is heard, in s."""
+        """When the run of the own goal ends unless the operator is heard, in s; None without."""
         return self.lease_until if self.state is GoalState.RUNNING else None
 
     def forget(self, counts: Callable[[Goal], bool]) -> None:
-        """Drop the goals that do not count any more, such as those of a revoked operator."""
+        """Drop each goal for which `counts` is False, such as the goals of a revoked operator."""
         held, own, before = self.held, self.own, self.before
         self.held = None if held is None or not counts(held.goal) else held
         self.own = None if own is None or not counts(own.goal) else own
@@ -118,7 +119,7 @@ class Goals:
         self.is_changed |= (held, own, before) != (self.held, self.own, self.before)
 
     def take_record(self) -> GoalRecord | None:
-        """The record for the disk, if it has changed since it was taken last."""
+        """The record for the disk; None if nothing has changed since the last call."""
         if not self.is_changed:
             return None
         self.is_changed = False
@@ -139,7 +140,7 @@ class Goals:
         )
 
     def status(self, now: float) -> GoalStatus | None:
-        """The goals for the status; None before there is one."""
+        """The goals for the status; None while the robot knows no goal."""
         if self.held is None:
             return None
         lease_ends = self.lease_ends
@@ -153,10 +154,10 @@ class Goals:
             lease_left=None if lease_ends is None else max(lease_ends - now, 0.0),
         )
 
-    # Goals that come
+    # Received goals
 
     def judge(self, goal: Goal) -> Found:
-        """What a goal is to this robot; nothing changes."""
+        """The relation of `goal` to the known goals; nothing changes."""
         new, held, own = HeldGoal.of(goal, None), self.held, self.own
         if held is not None and new.content == held.content:
             return Found.AGED if held.issued is None else Found.OLD
@@ -166,23 +167,26 @@ class Goals:
         return Found.OTHER if held is None or new.order > held.order else Found.OLD
 
     def judge_held(self) -> Found:
-        """What the held goal is to this robot, whose labels have changed."""
+        """After a change of labels: OWN if the held goal becomes the own goal, else OLD."""
         held, own = self.held, self.own
         if held is None or not held.goal.is_for(self._robot, self.labels):
             return Found.OLD
         return Found.OWN if own is None or held.order > own.order else Found.OLD
 
     def is_held(self, goal: Goal) -> bool:
-        """True if it is the held goal."""
+        """True if `goal` is the held goal."""
         return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
 
     def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
-        """Take over a greater goal; an own one is offered, or the robot stands."""
+        """Hold a greater goal; if it targets this robot, it becomes the own goal and is offered.
+
+        `age`: s since the goal was set, None if unknown.
+        """
         is_own = goal.is_for(self._robot, self.labels)
         new = HeldGoal.of(goal, None if age is None else now - age)
         if self.held is None or new.order > self.held.order:
             before = None if self.held is None else self.held.goal
-            # Of two stops the second keeps what `undo` sets again.
+            # After two stops in a row, `undo` restores the goal before the first stop.
             are_stops = before is not None and before.pattern is None and goal.pattern is None
             if before is not None and before.id != goal.id and not are_stops:
                 self.before = before
@@ -196,7 +200,7 @@ class Goals:
         self._decide_stops(now)
 
     def learn_age(self, age: float | None, now: float) -> None:
-        """A peer reports the age of the held goal: the greatest age counts."""
+        """Take in the age of the held goal that a peer reports; the greatest report counts."""
         held = self.held
         if held is None or age is None or held.content == self._stopped:
             return
@@ -207,19 +211,19 @@ class Goals:
         self._decide_stops(now)
 
     def refusal_of(self, request: RunRequest) -> tuple[Refusal, str] | None:
-        """Why a run is refused because of its goal."""
+        """Why a run request is refused because of its goal; None if it is not."""
         goal = request.goal
         if goal is None:
             return None
-        wanted = (goal.pattern, goal.params, goal.seconds, goal.conditions)
-        if wanted != (request.pattern, request.params, request.seconds, request.until):
+        run_of_goal = (goal.pattern, goal.params, goal.seconds, goal.conditions)
+        if run_of_goal != (request.pattern, request.params, request.seconds, request.until):
             return Refusal.INVALID_GOAL, f"{goal.text} is of another run than the request"
         if not goal.is_for(self._robot, self.labels):
             return Refusal.INVALID_GOAL, f"{goal.text} does not target {self._robot}"
         return self.overtaken_by(goal)
 
     def overtaken_by(self, goal: Goal) -> tuple[Refusal, str] | None:
-        """Why a goal does not count: it is too long, or a greater one is held."""
+        """Why `goal` does not count: too long, or the held goal is greater. None if it counts."""
         try:
             new = HeldGoal.of(goal, None)
         except CodecError as error:
@@ -229,10 +233,11 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """A stop of all robots makes a goal without a pattern; False if it makes no goal now.
+        """Make the goal without a pattern that follows a stop of all robots; False without a goal.
 
-        `stop`: its id, `age` in s since it was issued. All robots that hold the same goal make the
-        same one. A repeat makes no goal, nor does a stop that is older than the held goal.
+        `stop`: the id of the stop. `age`: s since the stop was issued. All robots that hold the
+        same goal make the same new goal. A repeated stop makes no goal, and a stop that is older
+        than the held goal makes no goal.
         """
         if stop in self._stops:
             return False
@@ -243,34 +248,37 @@ class Goals:
 
     def _decide_stops(self, now: float) -> None:
         undecided, self._undecided = self._undecided, {}
-        for stop, one in undecided.items():
-            self._stand_since(stop, one, now)
+        for stop, details in undecided.items():
+            self._stand_since(stop, details, now)
 
-    def _stand_since(self, stop: str, one: _Undecided, now: float) -> bool:
-        """Make the goal of a stop, if the stop is known to be newer than the held goal."""
+    def _stand_since(self, stop: str, details: _Undecided, now: float) -> bool:
+        """Make the goal of a stop if the stop is newer than the held goal; True if it is made.
+
+        If the order of both is unknown, adds the stop to the undecided stops.
+        """
         held, generation = self.held, 1
         if held is not None:
-            is_newer = held.issued is not None and held.issued > one.issued
+            is_newer = held.issued is not None and held.issued > details.issued
             if is_newer or held.goal.id == stop:
                 return False
-            if held.issued is None and self._held_since > one.issued:
-                self._undecided[stop] = one
+            if held.issued is None and self._held_since > details.issued:
+                self._undecided[stop] = details
                 while len(self._undecided) > MAX_STOPS:
                     del self._undecided[next(iter(self._undecided))]
                 return False
-            if held.goal.generation >= MAX_UNSIGNED:  # no goal without a signature can follow it
+            if held.goal.generation >= MAX_UNSIGNED:  # no unsigned goal can follow the held goal
                 self._stopped = held.content
-                self.held = held._replace(issued=None)  # without an age no robot joins its run
+                self.held = held._replace(issued=None)  # no robot joins a goal of unknown age
                 return False
             generation = held.goal.generation + 1
-        goal = Goal(generation=generation, issuer=one.operator[:MAX_ISSUER], id=stop)
-        self.adopt(goal, now - one.issued, now, may_join=False)
+        goal = Goal(generation=generation, issuer=details.operator[:MAX_ISSUER], id=stop)
+        self.adopt(goal, now - details.issued, now, may_join=False)
         return True
 
     # The robot's runs
 
     def joins(self, now: float) -> bool:
-        """True if the robot is to run its own goal, which it found, without being asked."""
+        """True if the robot is to run its own goal without a request (rules 2 to 5 of the file)."""
         own = self.own
         if own is None or not self._may_join or self.state is not GoalState.OFFERED:
             return False
@@ -279,24 +287,24 @@ class Goals:
             return False
         if not self._ran and now - age <= self._stood:
             return False
-        if self.refusal_to_resume(now):  # the operator of its run lease is not heard
+        if self.refusal_to_resume(now):  # the operator of the run lease is not heard
             return False
         return goal.seconds is None or age < goal.seconds
 
     def on_loading(self) -> None:
-        """The run of the own goal is being loaded."""
+        """Note that the pattern of the own goal is being loaded for a run."""
         self.state, self._reason, self._may_join = GoalState.LOADING, "", False
         self._undecided.clear()
 
     def await_code(self, generation: int) -> None:
-        """The load `generation` of the own goal has failed: the robot has no such pattern yet."""
+        """Note that load `generation` of the own goal failed for lack of the pattern."""
         if self.state is GoalState.ENDED and not self._has_retried:
             self._awaits_code = generation
 
     def offer_again(self, generation: int) -> None:
-        """The awaited pattern has come: the robot may join once more, if nothing happened since.
+        """Offer the own goal once more, since the awaited pattern has been pushed.
 
-        `generation`: of the last load.
+        `generation`: of the last load of the robot. Nothing is offered after a later load.
         """
         if self._awaits_code == generation:
             self._has_retried = True
@@ -304,7 +312,7 @@ class Goals:
             self.is_changed = True
 
     def refusal_to_resume(self, now: float) -> str:
-        """Why the run of the own goal is not resumed: its lease has ended; empty if it may be."""
+        """Why the own goal may not be resumed (its lease has ended); empty if it may be resumed."""
         own = self.own
         if own is None or own.goal.lease is None:
             return ""
@@ -315,12 +323,13 @@ class Goals:
     def on_running(
         self, goal: Goal | None, what: str, age: float, now: float, *, is_resumed: bool = False
     ) -> None:
-        """A run began, for `goal`, asked for `age` s ago, or without one. `what`: in words.
+        """Note the begin of a run; `goal` None: a run without a goal.
 
-        `is_resumed`: no request set the goal now, so that its lease is not renewed.
+        `what`: the pattern, for the status. `age`: s since the run was requested. `is_resumed`: no
+        run request set the goal now, so the lease is not renewed.
         """
         self._may_join, self._awaits_code = False, None
-        self._undecided.clear()  # the run was asked for later
+        self._undecided.clear()  # the run was requested after these stops
         if goal is None:
             if self.own is not None:
                 self._end(f"runs {what}, without a goal")
@@ -333,7 +342,10 @@ class Goals:
         self.is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
-        """The operator of the goal with this id was heard; old and repeated counts are ignored."""
+        """Renew the lease: the operator of the goal with id `goal` was heard.
+
+        `count` rises with each message of the operator. An old or repeated count is ignored.
+        """
         own = self.own
         if own is None or own.goal.id != goal or own.goal.lease is None:
             return
@@ -342,11 +354,11 @@ class Goals:
             self.lease_until = now + own.goal.lease
 
     def bar(self, now: float) -> None:
-        """The robot was stopped or reset: it joins no goal that was set before."""
+        """After a stop or reset: join no goal that was set before `now`."""
         self._stood, self._ran, self.is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
-        """A run ended, or an event came after which no found goal may start one."""
+        """End the run of the own goal with the reason `why`; no known goal is joined any more."""
         self.is_changed |= self._may_join
         self._may_join, self._awaits_code = False, None
         own = self.own
@@ -358,12 +370,12 @@ class Goals:
             self._end(why)
 
     def note(self, text: str) -> None:
-        """The robot differs from its own goal, which it runs, for this reason."""
+        """Set the reason why the robot, which runs its own goal, differs from that goal."""
         if self.state is GoalState.RUNNING:
             self._reason = text
 
     def set_labels(self, labels: tuple[str, ...] | None) -> None:
-        """Set the labels; None: those of the file."""
+        """Set the labels; None: take the labels of the swarm file."""
         self._set_labels = labels
         self._awaits_code = None
         self.is_changed = True

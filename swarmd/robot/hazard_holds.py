@@ -1,13 +1,15 @@
-"""How the hazards of a base hold a robot, and how each hold ends. Pure.
+"""The holds that follow from hazards of the base, and the end of each hold. Pure.
 
-The holds of scans, odometry and peers are in `InputAges.hold` (input_ages.py).
+A hold is a reason for which protection sends zero. `InputAges.hold` (input_ages.py) has the holds
+that follow from scans, odometry and peers.
 
-| kind                          | while it is reported | ends                              |
-|-------------------------------|----------------------|-----------------------------------|
-| bump, cliff, stall, not_heard | holds                | CLEAR_TIME after its last report  |
-| wheel_drop, lifted            | holds, ends the run  | the same; motion needs a new run  |
+| kind of hazard                | while reported          | the hold ends                        |
+|-------------------------------|-------------------------|--------------------------------------|
+| bump, cliff, stall, not_heard | holds the robot         | CLEAR_TIME after the last report     |
+| wheel_drop, lifted            | holds and ends the run  | CLEAR_TIME after the last report;    |
+|                               |                         | motion needs a new run               |
 
-The robot ends a run under any hold that lasts (`MAX_HOLD_TIME`).
+Any hold that lasts for MAX_HOLD_TIME ends the run.
 """
 
 from __future__ import annotations
@@ -32,11 +34,11 @@ class HazardHolds:
         self._until: dict[Hazard, float] = {}
 
     def take(self, hazards: tuple[Hazard, ...], now: float) -> None:
-        """Take in all present hazards; those of before that are not among them have gone."""
+        """Replace the present hazards; the hold of each earlier hazard ends after CLEAR_TIME."""
         self._forget(now)
         for gone in self.present:
             self._until[gone] = now + CLEAR_TIME
-        ending_first = sorted(hazards, key=lambda one: one.kind not in ENDS_RUN)
+        ending_first = sorted(hazards, key=lambda hazard: hazard.kind not in ENDS_RUN)
         self.present = tuple(ending_first[:MAX_HAZARDS])
         for hazard in self.present:
             self._since.setdefault(hazard, now)
@@ -44,26 +46,26 @@ class HazardHolds:
 
     @property
     def until(self) -> float:
-        """When the last hold ends; -inf without one, inf while a hazard is reported."""
+        """When the last hold ends, in s; -inf without a hold, inf while a hazard is reported."""
         return max(self._until.values(), default=-math.inf)
 
     def holds(self, now: float) -> bool:
-        """True while a hazard is reported, or was less than CLEAR_TIME ago."""
+        """True while a hazard is reported, and for CLEAR_TIME after the last report."""
         return now < self.until
 
     @property
     def ends_run(self) -> bool:
-        """True while a hazard is reported with which no run may go on or begin."""
-        return any(one.kind in ENDS_RUN for one in self.present)
+        """True while a reported hazard forbids a run (wheel drop or lift)."""
+        return any(hazard.kind in ENDS_RUN for hazard in self.present)
 
     def text(self, now: float) -> str:
         """Each hazard that holds, with its age: `bump front left, 0.4 s; cliff, 1.2 s`."""
         return "; ".join(
-            f"{one.text[:MAX_TEXT]}, {now - self._since[one]:.1f} s"
-            for one, until in self._until.items()
+            f"{hazard.text[:MAX_TEXT]}, {now - self._since[hazard]:.1f} s"
+            for hazard, until in self._until.items()
             if now < until
         )
 
     def _forget(self, now: float) -> None:
-        for hazard in [one for one, until in self._until.items() if now >= until]:
+        for hazard in [ended for ended, until in self._until.items() if now >= until]:
             del self._until[hazard], self._since[hazard]

@@ -1,8 +1,8 @@
 """The ages of a robot's inputs: the holds that follow from them, and the context of decisions.
 
-A kernel (see `core/kernels.py`), in one library with ticker.py; `Sensors` extends it by the work
-that is rarer than a tick. Times are in s on the robot's clock. The time of an input that has not
-arrived is -inf.
+A kernel (see `core/kernels.py`), compiled into one library with ticker.py. `Sensors` extends
+`InputAges` by the work that is rarer than a tick. Times are in s on the robot's clock. The time of
+an input that has not arrived is -inf.
 """
 
 from __future__ import annotations
@@ -34,10 +34,11 @@ _Inputs = cython.declare(object, Inputs)
 
 @cython.cclass
 class InputAges:
-    """The arrival of inputs, the holds that follow, and the context of decisions.
+    """The arrival times of inputs, the holds that follow, and the context of decisions.
 
-    `problem`: why the last scan does not count. `peers_due`: the time until which no peer holds the
-    robot, `hazards_until` that until which a hazard does. `ring`: that of range sensors, or None.
+    `_problem`: why the last scan does not count. `_peers_due`: no peer holds the robot until this
+    time. `_hazards_until`: a hazard holds the robot until this time. `_teller`: the `Peers` that
+    know the places of peers, None without a place. `_ring`: the ring of range sensors, or None.
     """
 
     odometry = cython.declare(object, visibility="public")
@@ -69,7 +70,7 @@ class InputAges:
     _inbox = cython.declare(object, visibility="public")
     _neighbors = cython.declare(tuple, visibility="public")
     _neighbors_at = cython.declare(cython.double, visibility="public")
-    # The neighbours with their ages, and how often they were brought up to date.
+    # The neighbours with their ages, and how often these ages were computed anew.
     _aged = cython.declare(tuple, visibility="public")
     _renewals = cython.declare(cython.double, visibility="public")
     _context = cython.declare(object, visibility="public")
@@ -84,7 +85,8 @@ class InputAges:
     def on_odometry(self, odometry, now: cython.double):
         """Take in a measured pose and twist.
 
-        A reading with an old stamp does not renew the age. The robot ignores an invalid reading.
+        A reading with an old stamp does not renew the age of odometry. An invalid reading is
+        ignored.
         """
         is_new = self._history.take(odometry, now)
         if is_new is None:
@@ -95,7 +97,7 @@ class InputAges:
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple:
-        """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
+        """The neighbours; each age is exact to 0.5 s. Empty after 3 s without an update."""
         past: cython.double = now - self._neighbors_at
         if past > _NEIGHBOR_TIMEOUT:
             return ()
@@ -112,7 +114,10 @@ class InputAges:
 
     @cython.ccall
     def inputs(self, now: cython.double, dt: cython.double):
-        """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
+        """The inputs of one step of the pattern; `dt`: s since the last step.
+
+        Each message, and the mark of a new scan, appears in the inputs of a single step.
+        """
         inputs = _Inputs(
             now,
             dt,
@@ -147,7 +152,7 @@ class InputAges:
 
     @cython.ccall
     def hold(self, now: cython.double) -> Reason | None:
-        """The reason why the sensors forbid motion; None if they do not."""
+        """The reason why the inputs forbid motion; None if they permit motion."""
         if not self.is_driver_up:
             return Reason.DRIVER_LOST
         if self.driver_hold is not None:
@@ -171,7 +176,7 @@ class InputAges:
 
     @cython.ccall
     def hold_due_at(self) -> float:
-        """A time until which `hold` stays None, if it is None now and nothing arrives."""
+        """A time until which `hold` stays None, if `hold` is None now and no input arrives."""
         due: cython.double = self._peers_due
         if self._scan_at > -INFINITY:
             due = min(due, self._scan_at + self._stale_after - self._added)
@@ -185,9 +190,9 @@ class InputAges:
 
     @cython.ccall
     def stale_at(self) -> float | None:
-        """The time at which the present scan, or that of the ring, becomes too old.
+        """The time at which the first of the present scans (lidar and ring) becomes too old.
 
-        None before the first.
+        None before the first scan.
         """
         if self._scan_at == -INFINITY:
             return None
@@ -198,9 +203,10 @@ class InputAges:
     @cython.cfunc
     @cython.exceptval(check=False)
     def _longest_age(self) -> cython.double:
-        """The age in s beyond which a scan is stale: age and delay count together.
+        """The age in s since arrival beyond which a scan is stale.
 
-        A permitted delay beyond the platform's bound takes nothing more of it.
+        The platform's limit less the scan delay. A pattern may permit a delay above the platform's
+        bound. Then the limit shrinks by that bound only.
         """
         added: cython.double = self._added
         if added <= self.permitted_delay and self._max_delay < added:

@@ -1,4 +1,4 @@
-"""The latches of a robot: emergency stops that hold it, and ids that were reset."""
+"""The latches of a robot (emergency stops that wait for a reset), and the ids of reset latches."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
 
 
 class Latches:
-    """Held latches by id. Cleared ids are remembered, so that no older view of a peer returns them.
+    """The held latches by id, and the cleared (reset) ids.
 
-    An explicit estop with a cleared id latches again: a stop is always obeyed.
+    A peer may still report a latch that was reset here; its cleared id keeps that latch away. An
+    estop request with a cleared id latches again: a stop is always obeyed.
     """
 
     def __init__(self, record: LatchRecord | None = None) -> None:
         record = record or LatchRecord()
         self._held = dict(record.held)
         self._cleared = dict.fromkeys(record.cleared)
-        # The ids that were folded into OVERFLOW: their repeats are not new.
+        # The ids of the latches that OVERFLOW stands for: a repeat of such a latch is not new.
         self._folded = dict.fromkeys(record.folded)
 
     @property
@@ -55,13 +56,13 @@ class Latches:
         return is_new
 
     def adopt(self, latches: Mapping[str, Latch]) -> tuple[str, ...]:
-        """Hold the swarm-wide latches of a peer that were not reset here; returns the new ids."""
+        """Hold the swarm-wide latches of a peer except those reset here; returns the new ids."""
         wanted = [
             latch_id
             for latch_id, latch in latches.items()
             if latch.scope == "swarm" and latch_id not in self._cleared
         ]
-        if OVERFLOW in self._held:  # the others may be folded into it
+        if OVERFLOW in self._held:  # which may stand for any latch that is not held by its own id
             wanted = [latch_id for latch_id in wanted if latch_id in self._held]
         return tuple(latch_id for latch_id in wanted if self.add(latch_id, latches[latch_id]))
 
@@ -75,7 +76,7 @@ class Latches:
         return latch_id in self._cleared and latch_id not in self._held
 
     def clear(self, latch_ids: Iterable[str]) -> None:
-        """Reset the latches with these ids; ids that were never held are remembered, too."""
+        """Reset the latches with these ids; an id that was never held is remembered as cleared."""
         named = list(latch_ids)
         if OVERFLOW in named and OVERFLOW in self._held:
             named += self._folded

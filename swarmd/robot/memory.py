@@ -1,11 +1,14 @@
-"""All that a robot knows as bytes, so that a replay goes on from any instant of a run.
+"""Serialises the whole state of a robot, so that a replay can start at any instant of a run.
 
-The bytes are MessagePack: a table of kinds, and nodes of these kinds with their parts. A part is an
-atom or the place of a node, so that what objects share is shared again. A recording comes from
-another machine: `recall` makes values, and objects of the classes of a robot with these fields. No
-class, function or module is within reach of the bytes, and each node is read once.
+The bytes are compressed MessagePack: a table of kinds (types), and nodes. A node is one object or
+value: the index of its kind, and its parts. A part is an atom (bool, float, int, str, None) or the
+index of another node (its place). Two objects that share a third object share it again when read.
 
-The layout is that of one version of swarmd, with kernels compiled or interpreted as they were.
+A recording may come from an untrusted machine. `recall` therefore makes only plain values and
+objects of the listed modules of a robot, with the fields of these classes. The bytes can name no
+other class, no function and no module, and each node is read once.
+
+Bytes can be read by the same version of swarmd only, with the same kernels compiled.
 """
 
 from __future__ import annotations
@@ -38,16 +41,16 @@ from swarmd.robot.settings import RobotSettings
 
 FORMAT = 2
 MAX_BYTES = 1 << 22
-"""Of a memory before it is packed."""
+"""Size of a memory before compression."""
 MAX_RATIO = 100
-"""Of bytes before they are packed to those after it; a robot has 8 at most."""
+"""Bytes before compression per byte after compression; a robot has a ratio of 8 at most."""
 MAX_OBJECTS = 1000
 """Objects in a memory, each with up to 40 kB of buffers; a robot has some 60."""
 MAX_DEPTH = 32
-"""Of values within values; a robot has 6."""
+"""Nesting depth of values; a robot has 6."""
 MAX_SIZE = 1 << 22
-"""Parts of all values, with those of the values in them: comparing them takes so long."""
-_MAX_KEY = 64  # parts of a key or a member of a set: its hash takes so long
+"""Parts of all values, nested parts included: a bound on the time that a comparison takes."""
+_MAX_KEY = 64  # parts of a dict key or a set member: a bound on the time that its hash takes
 
 _PACKAGES = ("swarmd.robot.", "swarmd.protection.", "swarmd.sensing.")
 _VALUES = frozenset(
@@ -57,15 +60,15 @@ _VALUES = frozenset(
         *("message_limits", "pattern_manifest", "record", "token_bucket", "values", "verbs"),
     )
 )
-"""Modules of the core with values and pure classes alone."""
+"""Modules of the core that contain only values and pure classes."""
 _ATOMS = frozenset({bool, float, int, str, type(None)})
 _NUMBERS = frozenset({"<f8", "<f4", "<i8", "<i4", "<i2", "|i1", "<u8", "<u4", "<u2", "|u1", "|b1"})
 _FAULTS = (
     *(ArithmeticError, AssertionError, AttributeError, BufferError, ImportError, LookupError),
     *(MemoryError, MsgspecError, RuntimeError, TypeError, ValueError, zlib.error),
-    PickleError,  # of Cython, for a checksum of other fields
+    PickleError,  # raised by Cython if the checksum of a class's fields differs
 )
-"""Raised for damaged bytes, and for those of another version."""
+"""Raised for damaged bytes, and for bytes of another version."""
 
 _Index = Annotated[int, Meta(ge=0)]
 _Place = tuple[_Index]
@@ -73,7 +76,7 @@ _Part = bool | float | int | str | _Place | None
 
 
 class _Kind(Struct, frozen=True, array_like=True):
-    """What a node is: a type of Python, or a class with its fields or Cython's checksum of them."""
+    """The type of a node: a built-in type, or a class with field names or Cython's checksum."""
 
     name: str
     fields: tuple[str, ...] = ()
@@ -81,14 +84,17 @@ class _Kind(Struct, frozen=True, array_like=True):
 
 
 class _Node(Struct, array_like=True):
-    """An object or a value: the place of its kind, and its parts."""
+    """An object or a value: the index of its kind, and its parts."""
 
     kind: _Index
     parts: list[_Part]
 
 
 class _Memory(Struct, array_like=True):
-    """Node 0 is the robot. `numbers`: what arrays and bytes hold, in the order of the nodes."""
+    """A whole memory; node 0 is the robot.
+
+    `numbers`: the contents of all arrays and bytes, joined in the order of their nodes.
+    """
 
     format: int
     kinds: list[_Kind]
@@ -97,10 +103,10 @@ class _Memory(Struct, array_like=True):
 
 
 def remember(robot: Robot, limit: int = MAX_BYTES) -> bytes:
-    """All that `robot` knows now, but for its settings; CodecError beyond `limit` bytes."""
+    """The state of `robot` without its settings; CodecError if it exceeds `limit` bytes."""
     try:
         content = msgspec.msgpack.encode(_Writer(robot).memory())
-    except _FAULTS as error:  # such as a value of another library
+    except _FAULTS as error:  # for instance for a value of another library
         raise CodecError(f"the memory of the robot cannot be written: {error!r:.300}") from error
     data = zlib.compress(content, 1)
     if len(data) > limit or len(content) > MAX_BYTES:
@@ -112,7 +118,7 @@ def remember(robot: Robot, limit: int = MAX_BYTES) -> bytes:
 
 
 def recall(data: bytes, settings: RobotSettings) -> Robot:
-    """The robot of `remember`, with these settings; CodecError if the bytes are none for it."""
+    """The robot that `remember` serialised, with `settings`; CodecError if it cannot be read."""
     most = min(MAX_BYTES, MAX_RATIO * len(data))
     try:
         packed = zlib.decompressobj()
@@ -131,7 +137,11 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
 
 
 class _Writer:
-    """Writes one memory. Objects wait for their turn, since they may hold each other."""
+    """Writes one memory.
+
+    An object first gets an empty node, and its parts later, since objects may refer to each other
+    in circles. A value cannot: its parts are written at once.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
@@ -139,24 +149,26 @@ class _Writer:
         self._nodes: list[_Node] = []
         self._numbers: list[bytes] = []
         self._places: dict[int, tuple[int]] = {}
-        self._buffers: dict[int, tuple[int]] = {}  # of bases that are no arrays
-        self._kept: list[object] = []  # no other object may get the id of one of them
+        # By id: the place of each buffer that is neither a numpy array nor an `array`.
+        self._buffers: dict[int, tuple[int]] = {}
+        # Keeps written objects alive, so that Python gives their ids to no other object.
+        self._kept: list[object] = []
         self._objects: list[tuple[_Node, Any]] = []
         self._classes: dict[type, tuple[str, tuple[str, ...] | None]] = {}
 
     def memory(self) -> _Memory:
         """The memory of the robot."""
         self._place(self._robot)
-        for node, one in self._objects:  # their number rises meanwhile
-            name, _ = self._class_of(type(one))
-            if _unpickler_of(type(one)) is not None:
-                _, (_, checksum, state), *more = one.__reduce__()
-                node.kind = self._kind(name, (), checksum)
+        for node, obj in self._objects:  # `_parts` appends further objects to this list
+            class_name, _ = self._class_of(type(obj))
+            if _unpickler_of(type(obj)) is not None:
+                _, (_, checksum, state), *more = obj.__reduce__()
+                node.kind = self._kind(class_name, (), checksum)
                 node.parts = self._parts(more[0] if more else state)
             else:
-                names = (*_slots_of(type(one)), *getattr(one, "__dict__", ()))
-                node.kind = self._kind(name, names)
-                node.parts = self._parts([getattr(one, name) for name in names])
+                names = (*_slots_of(type(obj)), *getattr(obj, "__dict__", ()))
+                node.kind = self._kind(class_name, names)
+                node.parts = self._parts([getattr(obj, name) for name in names])
         kinds = [_Kind(*kind) for kind in self._kinds]
         return _Memory(FORMAT, kinds, self._nodes, b"".join(self._numbers))
 
@@ -164,7 +176,7 @@ class _Writer:
         return self._kinds.setdefault((name, names, checksum), len(self._kinds))
 
     def _class_of(self, kind: type) -> tuple[str, tuple[str, ...] | None]:
-        """The name of a class, and the fields if it is one of values."""
+        """The name of a class, and its fields if it is a class of values (else None)."""
         if kind not in self._classes:
             module = _source_of(kind)
             if not _is_ours(module):
@@ -175,11 +187,11 @@ class _Writer:
     def _parts(self, values: Iterable[Any]) -> list[Any]:
         parts = list(values)
         if not _ATOMS.issuperset(map(type, parts)):
-            parts = [one if type(one) in _ATOMS else self._place(one) for one in parts]
+            parts = [part if type(part) in _ATOMS else self._place(part) for part in parts]
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place of the node of an object, or of a value that is no atom."""
+        """The place of the node of an object or value; adds the node if there is none yet."""
         place = self._places.get(id(value))
         if place is not None:
             return place
@@ -201,7 +213,7 @@ class _Writer:
         if names is not None:
             parts = self._parts([getattr(value, field) for field in names])
             return self._add(value, self._kind(name, names), parts)
-        place = self._add(value, 0, [])
+        place = self._add(value, 0, [])  # `memory` sets kind and parts of this node
         self._objects.append((self._nodes[-1], value))
         return place
 
@@ -212,7 +224,7 @@ class _Writer:
         return place
 
     def _array(self, value: Any) -> tuple[int]:
-        """The place of an array, or of a view with that of its base, whose numbers it shares."""
+        """The place of an array, or of a view. A view refers to the node of its base array."""
         base, given = _base_of(value), np.asarray(value)
         is_fixed = not given.flags.writeable
         if base is value:
@@ -230,7 +242,7 @@ class _Writer:
         return self._add(value, self._kind("view"), parts)
 
     def _buffer(self, base: Any) -> tuple[int]:
-        """The place of the numbers of a base that is no array of numpy."""
+        """The place of the bytes of a buffer that is neither a numpy array nor an `array`."""
         if id(base) not in self._buffers:
             self._buffers[id(base)] = self._place(np.array(memoryview(base).cast("B")))
             self._kept.append(base)
@@ -238,7 +250,7 @@ class _Writer:
 
 
 class _Reader:
-    """Makes the robot of one memory; one of `_FAULTS` if it is none."""
+    """Makes the robot of one memory; raises one of `_FAULTS` for an invalid memory."""
 
     def __init__(self, memory: _Memory, settings: RobotSettings) -> None:
         self._memory = memory
@@ -251,14 +263,18 @@ class _Reader:
             "settings": lambda parts: settings,
             "handlers": lambda parts: HANDLERS,
         }
-        self._at = 0  # in the numbers
-        self._fixed: list[Array] = []
+        self._at = 0  # the next unread byte of `numbers`
+        self._fixed: list[Array] = []  # arrays that become read-only in the end
         self._made: list[Any] = [None] * len(memory.nodes)
         self._extents: list[tuple[int, int] | None] = [None] * len(memory.nodes)
         self._size = 0
 
     def robot(self) -> Robot:
-        """The robot: empty objects first, then values in their order, then the objects' fields."""
+        """Make all nodes in three passes and return node 0, the robot.
+
+        Empty objects come first, since values may refer to them. Values follow in the order of
+        their nodes, since a value refers only to values before it. The fields of objects are last.
+        """
         nodes, kinds = self._memory.nodes, [self._maker(kind) for kind in self._memory.kinds]
         objects: list[tuple[Any, Callable[[Any, list[Any]], None], list[Any]]] = []
         for place, node in enumerate(nodes):
@@ -274,13 +290,13 @@ class _Reader:
                 extent = self._extent(node.parts, self._memory.kinds[node.kind].name)
                 self._made[place] = kinds[node.kind][1](self._resolved(node.parts))
                 self._extents[place] = extent
-        for one, fill, parts in objects:
-            fill(one, self._resolved(parts))
+        for obj, fill, parts in objects:
+            fill(obj, self._resolved(parts))
         for fixed in self._fixed:
             fixed.flags.writeable = False
-        for one, *_ in objects:
-            if hasattr(one, "check_indices"):
-                one.check_indices()
+        for obj, *_ in objects:
+            if hasattr(obj, "check_indices"):
+                obj.check_indices()
         robot = self._made[0]
         if not isinstance(robot, Robot):
             raise TypeError(f"it is a {type(robot).__name__}; expected a Robot")
@@ -290,7 +306,10 @@ class _Reader:
         return [self._made[part[0]] if type(part) is tuple else part for part in parts]
 
     def _extent(self, parts: list[Any], name: str) -> tuple[int, int]:
-        """The number of a value's parts, with those of the values in it, and how deep it is."""
+        """The number of a value's parts, nested parts included, and its nesting depth.
+
+        Adds that number to the total. ValueError if a bound of this module is exceeded.
+        """
         size, depth = 1 + len(parts), 0
         for number, part in enumerate(parts):
             if type(part) is not tuple:
@@ -307,19 +326,23 @@ class _Reader:
         return size, depth + 1
 
     def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
-        """True for a class of objects; and what makes a value, or an object and what fills it."""
+        """Whether `kind` is a class of objects, and the function that makes such a node.
+
+        For a value the function returns the value. For an object it returns the empty object and
+        the function that sets the fields of that object.
+        """
         if kind.name in self._makers:
             return False, self._makers[kind.name]
-        found = _class_named(kind.name)
-        names = _fields_of(found)
+        cls = _class_named(kind.name)
+        names = _fields_of(cls)
         if names is None:
-            return True, _object_maker(found, kind)
+            return True, _object_maker(cls, kind)
         if names != kind.fields:
             raise ValueError(f"{kind.name} has the fields {kind.fields}; expected {names}")
-        return False, partial(_value, found, names)
+        return False, partial(_value, cls, names)
 
     def _bytes(self, parts: list[Any]) -> bytes:
-        """The next bytes of all numbers."""
+        """The next bytes of `numbers`; the only part is their count."""
         (size,) = parts
         at, numbers = self._at, self._memory.numbers
         if not 0 <= size <= len(numbers) - at:
@@ -342,7 +365,7 @@ class _Reader:
         if isinstance(base, np.ndarray) and not base.flags.c_contiguous:
             base = base.T
         made: Any = np.ndarray(spans[:half], _numbers(kind), base, start, spans[half:])
-        if made.nbytes > memoryview(base).nbytes:  # strides of 0 make a large one of a few bytes
+        if made.nbytes > memoryview(base).nbytes:  # with strides of 0 few bytes fill a huge array
             raise ValueError(f"a view of {made.nbytes} bytes beyond its array")
         if is_view:
             return memoryview(made).toreadonly() if is_fixed else memoryview(made)
@@ -352,25 +375,26 @@ class _Reader:
 
 
 def _source_of(kind: type) -> str:
-    """The module of a class, as it is named where it is interpreted."""
-    classes = getattr(sys.modules[kind.__module__], "CLASSES", {})  # of a library of several files
+    """The source module of a class, also if the class is compiled."""
+    # A compiled library of several source files lists the source of each class in `CLASSES`.
+    classes = getattr(sys.modules[kind.__module__], "CLASSES", {})
     return classes.get(kind.__name__) or kind.__module__.replace("._", ".")
 
 
 def _is_ours(module: str) -> bool:
-    """True for the modules whose classes are in a memory."""
+    """True if a memory may contain objects of the classes of `module`."""
     return module in _VALUES or (module.startswith(_PACKAGES) and module != __name__)
 
 
 def _class_named(name: str) -> type:
     module, _, title = name.rpartition(".")
-    found = None
+    cls = None
     if _is_ours(module):
-        found = vars(load_kernel(module) if module in KERNELS else import_module(module)).get(title)
-    # A module holds the classes of others, too, such as Path, which writes files.
-    if not isinstance(found, type) or _source_of(found) != module:
+        cls = vars(load_kernel(module) if module in KERNELS else import_module(module)).get(title)
+    # The names of a module include imported classes, such as Path, which writes files.
+    if not isinstance(cls, type) or _source_of(cls) != module:
         raise ValueError(f"{name} is no part of a robot's memory")
-    return found
+    return cls
 
 
 def _fields_of(kind: Any) -> tuple[str, ...] | None:
@@ -401,7 +425,7 @@ def _value(kind: Any, names: tuple[str, ...], parts: list[Any]) -> Any:
 
 
 def _object_maker(kind: type, row: _Kind) -> Callable[[list[Any]], Any]:
-    """What makes an empty object of a class, and tells what sets its fields."""
+    """The function that makes an empty object of `kind`, with the function that sets its fields."""
     make = _unpickler_of(kind)
     if make is not None:
         return lambda parts: (make(kind, row.checksum, None), _set_state)
@@ -414,27 +438,27 @@ def _object_maker(kind: type, row: _Kind) -> Callable[[list[Any]], Any]:
 
 
 def _unpickler_of(kind: type) -> Callable[[type, int, None], Any] | None:
-    """What makes an object of a compiled class without its fields; None if none is compiled."""
+    """Cython's function that makes an empty object of a compiled class; None if interpreted."""
     bases = (
-        (sys.modules[one.__module__], f"__pyx_unpickle_{one.__name__}") for one in kind.__mro__
+        (sys.modules[base.__module__], f"__pyx_unpickle_{base.__name__}") for base in kind.__mro__
     )
     return next((getattr(module, name) for module, name in bases if hasattr(module, name)), None)
 
 
 def _slots_of(kind: type) -> tuple[str, ...]:
-    return tuple(name for one in kind.__mro__ for name in vars(one).get("__slots__", ()))
+    return tuple(name for base in kind.__mro__ for name in vars(base).get("__slots__", ()))
 
 
-def _set_fields(slots: tuple[str, ...], names: tuple[str, ...], one: Any, parts: list[Any]) -> None:
+def _set_fields(slots: tuple[str, ...], names: tuple[str, ...], obj: Any, parts: list[Any]) -> None:
     values = dict(zip(names, parts, strict=True))
     for name in slots:
-        object.__setattr__(one, name, values.pop(name))
+        object.__setattr__(obj, name, values.pop(name))
     if values:
-        vars(one).update(values)
+        vars(obj).update(values)
 
 
-def _set_state(one: Any, parts: list[Any]) -> None:
-    one.__setstate__(tuple(parts))
+def _set_state(obj: Any, parts: list[Any]) -> None:
+    obj.__setstate__(tuple(parts))
 
 
 def _items_of(mapping: Mapping[Any, Any]) -> Iterable[Any]:
@@ -465,19 +489,19 @@ def _array(parts: list[Any]) -> array[Any]:
 
 
 def _numbers(kind: str) -> np.dtype[Any]:
-    """A type of numbers; not that of objects, whose bytes are addresses in memory."""
+    """The numpy dtype of a listed number type; never dtype object, whose bytes are pointers."""
     if kind not in _NUMBERS:
         raise ValueError(f"an array of {kind!r}; expected numbers")
     return np.dtype(kind)
 
 
 def _is_view(obj: Any) -> bool:
-    """True for a view of memory: of Python, or of the kernels."""
+    """True for a memoryview of Python or of Cython."""
     return type(obj).__name__ in ("memoryview", "_memoryviewslice")
 
 
 def _base_of(obj: Any) -> Any:
-    """The object that holds the numbers of an array or a view."""
+    """The object that owns the bytes of an array or a view."""
     while True:
         if _is_view(obj):
             obj = obj.obj if isinstance(obj, memoryview) else obj.base
@@ -503,6 +527,6 @@ _TYPES: Mapping[type, tuple[Callable[[Any], Iterable[Any]], Callable[[list[Any]]
     Random: (_state_of, _random),
     array: (lambda value: (value.typecode, value.tobytes()), _array),
 }
-"""The types of Python in a memory: the parts of a value, and what makes a value of them again."""
+"""By built-in type: the function that splits a value into parts, and its inverse."""
 _KEYED = {"dict": 2, "Counter": 2, "mappingproxy": 2, "set": 1, "frozenset": 1}
-"""By type, of how many parts the first is hashed."""
+"""By type: every n-th part, from the first, is hashed (the keys of a dict, all of a set)."""

@@ -1,4 +1,4 @@
-"""How many messages a pattern may send, and how many repeated events a robot reports. Pure."""
+"""Limits of the messages that a pattern sends, and of repeated events in a robot's log. Pure."""
 
 from __future__ import annotations
 
@@ -18,12 +18,14 @@ if TYPE_CHECKING:
 EVENT_BURST = 3
 """Events of one kind that pass at once."""
 EVENT_PERIOD = 60.0
-"""Seconds after which one more passes."""
+"""Seconds after which one more event of a kind passes."""
 
 
 class Outbox:
-    """Passes the messages of a pattern on declared channels within the limits of each channel and
-    of the robot; `dropped` counts the others."""
+    """Passes messages of a pattern on declared channels, within the limits of channel and robot.
+
+    `dropped`: the count of all other messages.
+    """
 
     def __init__(self) -> None:
         self._limits = SenderLimits()
@@ -45,14 +47,14 @@ class Outbox:
         try:
             size = len(encode_value(value))
         except CodecError:
-            size = 0  # the shell cannot send it either, and counts it
+            size = 0  # the shell cannot encode the value either, and counts the message as dropped
         return self._limits.passes(channel, size, now)
 
 
 class EventLimit:
-    """Hands events to the robot's log; of those beyond the limit of their kind, their number.
+    """Hands events to the robot's log; counts the events beyond the limit of each kind.
 
-    So `describe` keeps room for other events.
+    The log of `swarmctl describe` is short: a repeated event must not displace all other events.
     """
 
     def __init__(self, lifecycle: Lifecycle) -> None:
@@ -68,7 +70,7 @@ class EventLimit:
             self._left_out[kind] += 1
 
     def advance(self, now: float) -> None:
-        """Log how many events were left out, of each kind of which one more passes."""
+        """For each kind of which one more event may pass, log the count of events left out."""
         for kind, count in list(self._left_out.items()):
             if self._passes(kind, now):
                 del self._left_out[kind]

@@ -1,4 +1,4 @@
-"""A load and a trial of a pattern, with the wish behind them; `pattern_run.py` has the run."""
+"""A load and a trial of a pattern, with the request behind them; `pattern_run.py` has the run."""
 
 from __future__ import annotations
 
@@ -14,24 +14,26 @@ from swarmd.core.verbs import ReloadRequest, ResumeRequest, RunRequest
 
 
 class Wish(Struct, frozen=True):
-    """When a run was asked for, in s on the own clock, and the name of the issuer.
+    """When and by whom a run was requested. A stop issued before `at` does not end the run.
 
-    For a run of a goal that was found: when the goal was set. A reload with a new run counts from
-    its request. A restart after a fault keeps the wish of the run. A stop that was issued before
-    does not end the run.
+    A joined goal counts from the time at which the goal was set. A reload with a new run counts
+    from the reload request. A restart after a fault keeps the wish of the failed run.
     """
 
     at: float
+    """s on the own clock"""
     by: str
+    """the operator, or the goal as text"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """A pattern that is being loaded; the running one stays, without steps, until then.
+    """A pattern that is being loaded; the running pattern stays, without steps, until the end.
 
-    `until`: conditions of which any ends the run. `request` is answered when it runs.
-    `goal`: the goal of the run. `start_at`: s on the own clock before which it does not begin;
-    `loaded`: the host's answer, which waits for that time.
+    `seconds`: the longest time of the run; None without a limit. `since`: s on the own clock.
+    `request`: answered once the pattern runs. `until`: conditions; the first that holds ends the
+    run. `goal`: the goal of the run. `start_at`: s on the own clock before which the run must not
+    begin. `loaded`: the host's answer, kept until `start_at`.
     """
 
     generation: int
@@ -48,13 +50,13 @@ class Loading:
 
     @property
     def is_restart(self) -> bool:
-        """True if it restarts a pattern that failed: no request and no goal asks for it."""
+        """True if a failed pattern is loaded again: neither a request nor a goal is behind it."""
         return self.request is None and self.goal is None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A trial of new code, under way for a reload request; `wish`: of the run that may follow."""
+    """A present trial of new code for a reload request; `wish`: of the run that may follow."""
 
     generation: int
     since: float

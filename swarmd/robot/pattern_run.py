@@ -1,14 +1,15 @@
 """The load and the run of a pattern: steps, the expiry of its command, faults, backoff of restarts.
 
-A kernel (see `core/kernels.py`), in one library with ticker.py. Times are in s on the robot's
-clock. A deadline that is not set is inf.
+A kernel (see `core/kernels.py`), compiled into one library with ticker.py. Times are in s on the
+robot's clock. A deadline that is not set is inf.
 
-1. A requested command expires three steps after the step that gave it began, MIN_EXPIRY at least.
-2. A step is due after a period, or with a new scan. One step is under way at a time: a step that
-   is due meanwhile stays due.
-3. After a fault the pattern waits FIRST_BACKOFF for its restart, after each further fault within
-   FAULT_WINDOW twice as long as before. FAULTS_BEFORE_QUARANTINE of them end it.
-4. A run request forgets the faults; a restart keeps them, and the time at which the run ends.
+1. A requested command expires three periods after the start of the step that returned it, and
+   never before MIN_EXPIRY.
+2. A step is due after a period, or with a new scan. The host computes one step at a time: a step
+   that becomes due during another step stays due.
+3. After a fault the pattern is restarted after FIRST_BACKOFF. Each further fault within
+   FAULT_WINDOW doubles the wait. FAULTS_BEFORE_QUARANTINE faults within FAULT_WINDOW end the run.
+4. A run request clears the faults. A restart keeps the faults, and the end time of the run.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ else:
 _STEP_TIMEOUT = cython.declare(cython.double, timeouts.STEP_TIMEOUT)
 _STEP_TOLERANCE = cython.declare(cython.double, timeouts.STEP_TOLERANCE)
 ROUNDING = cython.declare(cython.double, timeouts.ROUNDING)
-# A name of C is found at once, one of the module in a dict.
+# Constants as C variables: Cython looks up a Python global in a dict at each use.
 NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
 
 
@@ -43,10 +44,11 @@ NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
 class Running:
     """The running pattern.
 
-    `permit`: what it permits while it is not held. `period`: s between two steps. `expiry`: s for
-    which a requested command holds: three steps, at least MIN_EXPIRY. `requested` is the command
-    that it requests, None to stand; `requested_at` when the step that gave it began, `scan_seq` the
-    scan that it used (-1: none). `finish_at`: inf without an end.
+    `permit`: what the pattern permits protection to do while no hold is present. `period`: s
+    between two steps. `expiry`: s for which a requested command is valid (rule 1). `requested`: the
+    requested command, None to stand. `requested_at`: the start of the step that returned this
+    command. `scan_seq`: the scan which that step used, -1 without a scan. `finish_at`: the end of
+    the run, inf without an end.
     """
 
     generation = cython.declare(object, visibility="readonly")
@@ -66,7 +68,7 @@ class Running:
     scan_seq = cython.declare(cython.Py_ssize_t, visibility="readonly")
 
     def __init__(self, loading, event, finish_at: cython.double, now: cython.double) -> None:
-        """`loading` is the load that has ended with `event`, at `now`."""
+        """Start the run of `loading`, whose load ended with `event` at `now`."""
         self.generation, self.pattern, self.params = (
             loading.generation,
             loading.pattern,
@@ -79,14 +81,14 @@ class Running:
         self.requested, self.requested_at, self.scan_seq = None, now, -1
 
     def channel(self, name: str) -> str | None:
-        """The pattern's own name of `<pattern>/<channel>`; None if it does not declare it."""
+        """The channel name in the pattern for `<pattern>/<channel>`; None if undeclared."""
         if name in self.channels:
             return name
         pattern, _, channel = name.partition("/")
         return channel if pattern == self.pattern and channel in self.channels else None
 
     def full_name(self, channel: str) -> str:
-        """The `<pattern>/<channel>` under which a channel is published."""
+        """The name `<pattern>/<channel>` under which a channel is published."""
         return channel if "/" in channel else f"{self.pattern}/{channel}"
 
 
@@ -95,8 +97,9 @@ class Running:
 class PatternRun:
     """The load and the run of a pattern, the answer awaited from its host, and its faults.
 
-    `awaiting_since`: when the step began whose answer is due. `is_due`: a step was due while the
-    host was busy. `is_outdated`: the host may hold code that has been replaced.
+    `awaiting_since`: the start of the present step; inf while the host is free. `is_due`: a step
+    became due while the host was busy. `is_outdated`: the host may contain replaced code.
+    `stepped_generation`: the generation of the last step. `restarts`: the count of all faults.
     """
 
     running = cython.declare(Running, visibility="public")
@@ -118,7 +121,7 @@ class PatternRun:
 
     @property
     def wish(self) -> Wish | None:
-        """The newest wish behind what runs or is being loaded; None if the robot stands."""
+        """The wish of the load, or without a load of the run; None if the robot stands."""
         present = self.running if self.loading is None else self.loading
         return None if present is None else present.wish
 
@@ -135,7 +138,7 @@ class PatternRun:
         return loading
 
     def stepped(self, outputs, scan_seq: cython.Py_ssize_t, now: cython.double) -> None:
-        """Take the requested command of a step; its age counts from the start of the step."""
+        """Take the requested command that a step returned; it ages from the start of that step."""
         running = self.running
         asked_at = self.awaiting_since
         running.requested_at = now if asked_at == INFINITY else asked_at
@@ -150,7 +153,7 @@ class PatternRun:
     @cython.ccall
     @cython.exceptval(check=False)
     def may_step(self, now: cython.double, is_new_scan: cython.bint) -> cython.bint:
-        """True if a step is due and the host is free; while the host is busy the step stays due."""
+        """True if a step is due and the host is free. Sets `is_due` if the host is busy."""
         running = self.running
         if running is None or self.restart_at < INFINITY or self.loading is not None:
             return False
@@ -164,7 +167,7 @@ class PatternRun:
 
     @cython.ccall
     def stepping(self, now: cython.double) -> float:
-        """Mark the start of a step; returns the seconds since the last one (0 at the first)."""
+        """Mark the start of a step; returns the s since the start of the step before (first: 0)."""
         self.stepped_generation = self.running.generation
         dt = 0.0 if self.last_step < 0.0 else now - self.last_step
         self.last_step = self.awaiting_since = now
@@ -178,7 +181,7 @@ class PatternRun:
         return self.restart_at < INFINITY or is_reloading
 
     def fault(self, now: cython.double) -> bool:
-        """Count a fault; True if the pattern must be quarantined, else its restart is scheduled."""
+        """Count a fault; True if the pattern must be quarantined. Else sets `restart_at`."""
         self.awaiting_since = self.restart_at = INFINITY
         self.loading = None
         self.restarts += 1
@@ -192,7 +195,7 @@ class PatternRun:
         return False
 
     def end(self) -> None:
-        """End the run and any load; a step under way is still awaited."""
+        """End the run and any load; the answer to a present step is still awaited."""
         self.end_running()
         self.loading = None
 
@@ -203,9 +206,10 @@ class PatternRun:
     @cython.cfunc
     @cython.exceptval(check=False)
     def lifecycle_due_at(self) -> cython.double:
-        """A time before which no deadline passes but that of a step; inf without one.
+        """A time before which no deadline passes, the start of a step aside; inf without one.
 
-        -inf during a load. A restart is a hold, which its caller looks at.
+        -inf during a load. `restart_at` does not count: a restart is a hold, and the caller checks
+        holds in each tick.
         """
         running = self.running
         if self.loading is not None:
@@ -218,11 +222,11 @@ class PatternRun:
     @cython.cfunc
     @cython.exceptval(check=False)
     def step_due_at(self) -> cython.double:
-        """A time before which `may_step` does nothing without a new scan; inf without one."""
+        """A time before which `may_step` stays False without a new scan; inf without a run."""
         running = self.running
         if running is None:
             return INFINITY
-        if self.is_due:  # a busy host is asked again after its answer
+        if self.is_due:  # the due step follows the answer of the busy host
             return -INFINITY if self.awaiting_since == INFINITY else INFINITY
         return self.last_step + running.period - _STEP_TOLERANCE
 
@@ -249,5 +253,5 @@ class PatternRun:
 @cython.inline
 @cython.exceptval(check=False)
 def later(at: cython.double, now: cython.double) -> cython.double:
-    """The time `at` if it is to come, else inf."""
+    """The time `at` if it lies after `now`, else inf."""
     return at if now < at else INFINITY

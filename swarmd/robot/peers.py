@@ -1,4 +1,9 @@
-"""The peers of one robot: which of them it does not see, and where others tell them to be."""
+"""The peers of one robot: which peers its lidar may miss, and their places by message or by radio.
+
+A place comes from one of two sources: range and bearing that the own sensors measure to the peer,
+or the pose that the peer reports in a shared frame. Protection avoids such a place as a disc that
+no scan shows (`ToldObstacle`).
+"""
 
 from __future__ import annotations
 
@@ -26,19 +31,19 @@ from swarmd.protection.compatibility import (
 )
 from swarmd.protection.decision import ToldObstacle
 
-TOLD_TIMEOUT = 1.0  # s after which a place that a neighbour was told at says nothing any more
+TOLD_TIMEOUT = 1.0  # s after which the place of a neighbour is no longer used
 BLIND_RING = 0.1  # m around the outline: a robot does not fit into less
 # Errors of range and bearing: three standard deviations of the boards that the simulator models.
 DISTANCE_ERROR, DISTANCE_SHARE, ANGLE_ERROR = 0.06, 0.06, math.radians(6.0)
 
-POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither told nor used
-FASTEST_POSE = 0.1  # s that the fastest own pose takes at most to arrive: no clock shows it
+POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither sent nor used
+FASTEST_POSE = 0.1  # s: upper bound of the least delay of own poses, which no clock can measure
 
 
 class _Figure(NamedTuple):
-    """A disc in m in the base frame at the time `at` in s; `until` s it tells where the peer is.
+    """A disc around a peer, in m in the base frame at the time `at` (s); valid until `until` (s).
 
-    Of two figures from one source, that with the later `until` is the newer.
+    Of two figures from one source, the figure with the later `until` is newer.
     """
 
     x: float
@@ -49,8 +54,11 @@ class _Figure(NamedTuple):
 
 
 class _OwnPose(NamedTuple):
-    """The own pose in a shared frame at the time `at` in s, which is right within half of
-    FASTEST_POSE: that shifts the pose by `shift` m and turns it by `turn` rad at most."""
+    """The own pose in a shared frame at the time `at` in s.
+
+    `at` is uncertain by half of FASTEST_POSE. During that time the robot moves by at most `shift`
+    m and turns by at most `turn` rad.
+    """
 
     shared: SharedPose
     at: float
@@ -59,10 +67,11 @@ class _OwnPose(NamedTuple):
 
 
 class Peers:
-    """Findings about peers, and the places of those that are not seen for certain.
+    """Findings about peers, and the places of the peers that the lidar may miss.
 
-    All times are in s on the robot's monotonic clock and come with each call. With `tells_pose`
-    the robot tells its pose to all peers, else only if one of them may not see it.
+    A finding is a property of a peer that protection does not assume, such as a body below the
+    scan plane. All times are in s on the robot's monotonic clock and come with each call. With
+    `tells_pose` the robot sends its pose to all peers, else only if a peer may not see this robot.
     """
 
     def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
@@ -74,38 +83,42 @@ class Peers:
         self._limits = platform.limits
         self._pose_delay = ArrivalDelay()
         self._own_pose: _OwnPose | None = None
-        self._is_missed = False  # by a peer that may not see this robot
+        self._is_missed = False  # a peer's lidar may miss this robot
         self._bodies: Mapping[str, Body | None] = {}
         self._findings: tuple[PeerFinding, ...] = ()
-        self._radii: dict[str, float] = {}  # of peers whose places matter
-        # A peer that the lidar sees may still vanish in its blind zone.
+        self._radii: dict[str, float] = {}  # m, of the peers whose places are used
+        # m; a peer that the lidar sees may still vanish in the blind zone near the sensor.
         self._blind_within = _blind_within(platform)
         self._seen: frozenset[str] = frozenset()  # peers that are seen beyond the blind zone
         self._told_within = _told_within(platform)
-        # By source, then by peer. A false place of one source must not hide the other's obstacle.
-        self._sensed: dict[str, _Figure] = {}  # by range and bearing
-        self._located: dict[str, _Figure] = {}  # in the shared frame
-        self._unseen: tuple[str, ...] = ()  # not accepted: each must be told
+        # By peer, one dict per source: a false place of one source must not displace a true place.
+        self._sensed: dict[str, _Figure] = {}  # from range and bearing
+        self._located: dict[str, _Figure] = {}  # from poses in the shared frame
+        # Peers that the lidar misses and that `accepts` does not list: each needs a known place.
+        self._unseen: tuple[str, ...] = ()
         self._holds_always = False
-        self._due = math.inf  # until when all of `_unseen` are told
+        self._due = math.inf  # s, until which each of `_unseen` has a known place
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
-        """Take in all peers that are known, alive or gone; the findings that are new."""
+        """Replace the bodies of all known peers, alive or gone; returns the new findings.
+
+        A body is None while the peer has not reported it.
+        """
         if bodies == self._bodies:
             return []
         before = set(self._findings)
         self._bodies = dict(bodies)
-        found = [
+        present = [
             finding
             for robot, body in sorted(bodies.items())
             for finding in findings(self.own, self._others_speed, robot, body, self._accepts)
         ]
         if self._is_off:
-            found = [structs.replace(finding, holds=False) for finding in found]
-        self._findings = tuple(found)
+            present = [structs.replace(finding, holds=False) for finding in present]
+        self._findings = tuple(present)
         self._radii = {
             finding.robot: body.radius
-            for finding in found
+            for finding in present
             if finding.kind != "faster" and (body := bodies[finding.robot]) is not None
         }
         if self._blind_within:
@@ -117,13 +130,16 @@ class Peers:
         for figures in (self._sensed, self._located):
             for robot in figures.keys() - self._radii.keys():
                 del figures[robot]
-        self._unseen = tuple(f.robot for f in found if f.kind == "unseen" and f.holds)
-        self._holds_always = any(f.kind == "faster" and f.holds for f in found)
+        self._unseen = tuple(f.robot for f in present if f.kind == "unseen" and f.holds)
+        self._holds_always = any(f.kind == "faster" and f.holds for f in present)
         self._find_due()
-        return [finding for finding in found if finding not in before]
+        return [finding for finding in present if finding not in before]
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
-        """Take in the places of neighbours that are not seen for certain; True if there are any."""
+        """Take in range and bearing of the neighbours that the lidar may miss.
+
+        True if the place of any such neighbour is known.
+        """
         if not self._radii:
             return False
         for neighbor in neighbors:
@@ -148,9 +164,10 @@ class Peers:
         return bool(self._sensed)
 
     def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
-        """Take in the own pose; `twist` is the measured one.
+        """Take in the own pose; `twist` is measured, None without fresh odometry.
 
-        The time of the pose; None, and it is ignored, if it is not valid or no news.
+        Returns the time of the pose in s. None if the pose is invalid or not newer than the last
+        pose; such a pose is ignored.
         """
         if not pose.is_valid:
             return None
@@ -166,23 +183,24 @@ class Peers:
         return at
 
     def shared_pose(self, now: float) -> tuple[SharedPose, float] | None:
-        """The own pose in a shared frame and its age in s; None without a fresh one."""
+        """The own pose in a shared frame and its age in s; None without a fresh pose."""
         own = self._own_pose
         age = 0.0 if own is None else max(now - own.at, 0.0)
         return None if own is None or age > POSE_TIMEOUT else (own.shared, age)
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
-        """The own pose and its highest age in s, if peers are to know it."""
+        """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         if not (self._is_missed or self._tells_pose) or self._own_pose is None:
             return None
         age = now - self._own_pose.at + 0.5 * FASTEST_POSE
         return (self._own_pose.shared, age) if age <= POSE_TIMEOUT else None
 
     def on_place(self, place: PeerPlace, now: float) -> bool:
-        """Take in where a peer is by its own word; True if that tells where it is.
+        """Take in the place that a peer reports; True if the place can be used.
 
-        Needs an own pose in the same frame. The peer's motion until the time of that pose, the
-        errors of both and that of the time of the own pose enlarge the circle.
+        The robot needs a fresh own pose in the same frame. The disc grows by the motion of the peer
+        until the time of the own pose, by the errors of both poses, and by the uncertain time of
+        the own pose.
         """
         own, radius = self._own_pose, self._radii.get(place.robot)
         body = self._bodies.get(place.robot)
@@ -211,22 +229,27 @@ class Peers:
         return True
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
-        """The near peers that are told and not seen for certain: not there, or in a blind zone.
+        """The places of near peers that the lidar may miss, as obstacles with their ages.
 
-        A peer with a place from each source appears twice.
+        A peer that the lidar sees is listed only inside the blind zone. A peer with a place from
+        each source is listed twice.
         """
         if not (self._sensed or self._located):
             return ()
         return tuple(
-            ToldObstacle(one.x, one.y, one.radius, max(now - one.at, 0.0))
-            for robot, one in chain(self._sensed.items(), self._located.items())
-            if now <= one.until
-            and math.hypot(one.x, one.y) - one.radius
+            ToldObstacle(figure.x, figure.y, figure.radius, max(now - figure.at, 0.0))
+            for robot, figure in chain(self._sensed.items(), self._located.items())
+            if now <= figure.until
+            and math.hypot(figure.x, figure.y) - figure.radius
             <= (self._blind_within if robot in self._seen else self._told_within)
         )
 
     def holds(self, now: float) -> bool:
-        """True if a peer that is not accepted is faster than assumed, or neither seen nor told."""
+        """True if a peer holds the robot, unless `accepts` lists the peer's platform.
+
+        A peer holds the robot if it is faster than assumed, or if the lidar misses the peer and no
+        place of the peer is known.
+        """
         return self._holds_always or now > self._due
 
     def hold_due_at(self) -> float:
@@ -235,18 +258,18 @@ class Peers:
 
     @property
     def has_places(self) -> bool:
-        """True if `told` may give anything."""
+        """True if `told` may return an obstacle."""
         return bool(self._sensed or self._located)
 
     def _find_due(self) -> None:
         self._due = min(map(self._told_until, self._unseen), default=math.inf)
 
     def _told_until(self, robot: str) -> float:
-        found = (figures.get(robot) for figures in (self._sensed, self._located))
-        return max((figure.until for figure in found if figure is not None), default=-math.inf)
+        figures = (source.get(robot) for source in (self._sensed, self._located))
+        return max((figure.until for figure in figures if figure is not None), default=-math.inf)
 
     def findings(self, now: float) -> tuple[PeerFinding, ...]:
-        """The findings at `now`: one that is told does not hold the robot."""
+        """The findings at `now`; an unseen peer with a known place does not hold the robot."""
         if not self._unseen:
             return self._findings
         return tuple(
@@ -258,16 +281,16 @@ class Peers:
 
 
 def _keep_newer(figures: dict[str, _Figure], robot: str, figure: _Figure) -> None:
-    """Replace the figure of a peer unless it is the newer one."""
+    """Store the figure of a peer unless the stored figure is newer."""
     known = figures.get(robot)
     if known is None or figure.until >= known.until:
         figures[robot] = figure
 
 
 def _told_within(platform: Platform) -> float:
-    """m from the axle to the rim of a disc beyond which it constrains no command while it counts.
+    """The distance in m from axle to disc rim beyond which a disc constrains no command.
 
-    -inf in a mode that regards no told obstacle.
+    Holds for the whole time in which the disc is valid. -inf in a mode that ignores such discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:
@@ -277,7 +300,7 @@ def _told_within(platform: Platform) -> float:
 
 
 def _blind_within(platform: Platform) -> float:
-    """m from the axle within which the lidar may lose a peer; 0 without a blind zone outside.
+    """The distance in m from the axle within which the lidar may lose a peer; 0 if it cannot.
 
     A blind zone that ends within BLIND_RING of the outline has no room for a robot.
     """

@@ -1,15 +1,15 @@
-"""The versions of one pushed pattern on one robot, and what makes a version current. Pure.
+"""The versions of one pushed pattern on one robot, and the rules for the current version. Pure.
 
 ::
 
-    push that passed its trial     -> provisional, current
-    60 s of runs without a fault   -> held
-    fault while provisional        -> returned: the version before is current again
-    3 ends of the daemon in a run  -> returned, likewise
-    removal                        -> gone
+    push that passed its trial               -> provisional, current
+    60 s of runs without a fault             -> held
+    fault while provisional                  -> returned: the version before is current again
+    3 ends of the daemon during a run        -> returned: the version before is current again
+    removal                                  -> gone
 
-A fault of a version that is held changes nothing here: the pattern is restarted and quarantined as
-any other.
+A fault of a held version changes nothing here: the pattern is restarted and quarantined like any
+other pattern.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MAX_ENDS = 3
 
 
 class Standing(StrEnum):
-    """How a pushed pattern stands on a robot."""
+    """Whether the newest push of a pattern is on trial, kept, or was given up on a robot."""
 
     PROVISIONAL = "provisional"
     HELD = "held"
@@ -38,9 +38,10 @@ class Standing(StrEnum):
 
 
 class Version(Struct, frozen=True, kw_only=True):
-    """A version on this robot: its manifest, where it came from, and how it did.
+    """A version on this robot: manifest, source and record of its runs.
 
-    `ran`: seconds of its runs without a fault. `ends`: how often the daemon ended in a run of it.
+    `source`: the operator or robot that handed the version over. `ran`: seconds of runs without a
+    fault. `ends`: how often the daemon ended during a run of this version.
     """
 
     signed: Signed
@@ -53,7 +54,7 @@ class Version(Struct, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, entry: Entry, source: str) -> Version:
-        """A provisional version; `source`: the operator or robot that handed it over."""
+        """The provisional version of `entry`, handed over by `source`."""
         manifest = entry.manifest
         return cls(signed=entry.signed, digest=manifest.digest, label=manifest.label, source=source)
 
@@ -61,10 +62,11 @@ class Version(Struct, frozen=True, kw_only=True):
 class PushedPattern(Struct, frozen=True, kw_only=True):
     """The versions of one pushed pattern.
 
-    `before`: to which the robot returns while `current` is provisional. `failed`: the version that
-    it returned from, or that did not pass its trial here, for the reason `fault`. `is_running`: a
-    run of the current version has begun and not ended. `is_damaged`: the files of the version that
-    was current are not what was pushed; nothing is current until that or another one is accepted.
+    `before`: the version to which the robot returns if the provisional `current` fails. `failed`:
+    the version that failed on this robot, in a run or in its trial, with the reason `fault`.
+    `is_running`: a run of the current version has begun and not ended. `is_damaged`: the files of
+    the current version differed from the pushed files; no version is current until a version is
+    accepted.
     """
 
     current: Version | None = None
@@ -81,32 +83,32 @@ class PushedPattern(Struct, frozen=True, kw_only=True):
 
     @property
     def standing(self) -> Standing:
-        """Returned if the newest push is not the current version because it failed here."""
+        """RETURNED if the newest push failed here, else whether the current version is held."""
         if self.failed is not None:
             return Standing.RETURNED
         return Standing.PROVISIONAL if self.is_provisional else Standing.HELD
 
     def lacks(self, entry: Entry) -> bool:
-        """True if the version of this manifest is not current here, and has not failed here."""
+        """True if the version of this manifest is neither current nor failed on this robot."""
         known = (self.current, self.failed)
-        return not any(one is not None and one.signed.content == entry.content for one in known)
+        return not any(v is not None and v.signed.content == entry.content for v in known)
 
     def accept(self, version: Version) -> PushedPattern:
         """The state after a trial that `version` passed.
 
-        A newer manifest of the present code changes nothing but the manifest.
+        If the code of `version` equals the current code, only the manifest is replaced.
         """
-        now = self.current
-        if now is not None and now.digest == version.digest:
-            kept = replace(now, signed=version.signed, label=version.label)
+        current = self.current
+        if current is not None and current.digest == version.digest:
+            kept = replace(current, signed=version.signed, label=version.label)
             return replace(self, current=kept, failed=None, fault="")
-        # What was held is kept over several provisional versions: the robot returns to known code.
-        is_known = now is not None and (now.is_held or self.before is None)
-        before = now if is_known else self.before
+        # A held version stays `before` over several provisional versions, as known good code.
+        is_known = current is not None and (current.is_held or self.before is None)
+        before = current if is_known else self.before
         return PushedPattern(current=version, before=before)
 
     def refuse(self, version: Version, fault: str) -> PushedPattern:
-        """The state after a trial that `version` did not pass: the same code is not tried again."""
+        """The state after a failed trial of `version`: the same code is not tried again."""
         return replace(self, failed=version, fault=fault[:300])
 
     def ran(self, seconds: float) -> PushedPattern:
@@ -119,21 +121,21 @@ class PushedPattern(Struct, frozen=True, kw_only=True):
         return replace(self, current=current, before=None if is_held else self.before)
 
     def begin(self) -> PushedPattern:
-        """A run of the current version begins."""
+        """The state after the begin of a run of the current version."""
         return replace(self, is_running=True)
 
     def end(self) -> PushedPattern:
-        """The run has ended."""
+        """The state after the end of the run."""
         return replace(self, is_running=False)
 
     def failed_with(self, fault: str) -> PushedPattern:
-        """The state after a fault of the current version: a provisional one gives way."""
+        """The state after a fault of the current version; a provisional version is given up."""
         if not self.is_provisional:
             return self
         return PushedPattern(current=self.before, failed=self.current, fault=fault[:300])
 
     def restarted(self) -> PushedPattern:
-        """The state at a start of the daemon: an end within a run counts against the version."""
+        """The state at a start of the daemon; an unfinished run counts against the version."""
         if not self.is_running or self.current is None:
             return self
         current = replace(self.current, ends=min(self.current.ends + 1, 1000))

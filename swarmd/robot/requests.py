@@ -1,24 +1,27 @@
-"""What operators can ask of one robot, and when the robot refuses. Pure.
+"""Carries out the requests of operators on one robot, or refuses them. Pure.
 
 No late request starts motion: run, reset, reload and param quote the epoch that the operator saw,
-and the robot refuses any other. It obeys stop and estop in every state, whatever they quote.
+and the robot refuses any other epoch. The robot obeys stop and estop in every state and at every
+epoch.
 
-A stop that arrives late is compared with the `Wish` of what runs or is being loaded:
+A stop may arrive late. The robot compares the time at which the stop was issued with the `Wish` of
+the present run or load (the time at which that run was requested):
 
 =====================================  ==========================================================
-the robot stands                       stands; what was asked since this stop, or a later one or
-                                       a reset, goes on
-the stop is as new as the wish         the run and the load end
-the stop is older                      refused (`overtaken`): the run and the load go on
-newer than the run, older than a load  refused; the run ends, the load goes on
+no run and no load                     the robot stays stopped; a trial or reset requested after
+                                       this stop, or after a later stop, continues
+stop issued after the wish             run and load end
+stop issued before the wish            refused (`overtaken`): run and load continue
+stop issued after the wish of the run  refused: the run ends, the load continues
+and before the wish of the load
 =====================================  ==========================================================
 
-The age of a stop lacks the time on its way. So a stop may seem later than it was, never earlier: in
-doubt it acts.
+The age of a stop does not include its time on the network. A stop may therefore seem to be issued
+later than it was, never earlier: in doubt the robot stops.
 
-Reload replaces a pattern's code. The new code is first tried in a process of its own, for this
-robot and with the parameters in force. Until the trial ends nothing else changes; a stop, or a
-trial that fails, leaves everything as it is.
+Reload replaces the code of a pattern. A trial runs the new code first, in a process of its own, for
+this robot and with the parameters in force. Nothing else changes until the trial has passed. A stop
+or a failed trial leaves the running pattern and its code as they are.
 """
 
 from __future__ import annotations
@@ -45,8 +48,11 @@ TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
 STOP_TIME = 2.0
 """Seconds after a stop in which a base comes to rest: all platforms need less."""
-_RESPONSE = 0.2  # s after it in which odometry may show a base that has yet to respond
-_REST = 0.02, 0.05  # m/s and rad/s: a base that rests shows at most that
+_RESPONSE = 0.2  # s after the last command to move, in which the base may not have responded yet
+_REST_SPEED, _REST_TURN = (
+    0.02,
+    0.05,
+)  # m/s and rad/s, at most, that odometry shows of a base at rest
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
@@ -68,15 +74,15 @@ class RequestHandler:
         self._lifecycle = lifecycle
         self._sensors = sensors
         self._trials = 0
-        self._heard_by = now + STOP_TIME  # until then a base may be there that is not heard yet
-        self._executed: dict[str, float] = {}  # ids of stops, and when each was carried out first
-        # A robot that stands has stood since stops that were issued before this time.
+        self._heard_by = now + STOP_TIME  # a base may move unheard until this time
+        self._executed: dict[str, float] = {}  # by id of a stop: when it was first carried out
+        # A robot without a run or load has obeyed all stops that were issued before this time.
         self._stood = -math.inf
-        self._stopped = -math.inf  # when a stop, an emergency stop or a reset raised the epoch last
-        self.reset_at = -math.inf  # when the robot was reset last
+        self._stopped = -math.inf  # when a stop, an estop or a reset last raised the epoch
+        self.reset_at = -math.inf  # the time of the last reset
 
     def answer(self, request: verbs.Request, effects: Effects) -> None:
-        """Carry the request out or refuse it; no reply if it targets only other robots."""
+        """Carry the request out or refuse it; no reply if the request targets only other robots."""
         if request.targets is not None and self._robot not in request.targets:
             return
         if verbs.VERBS[request.verb].needs_epoch and (refusal := self._refusal_of(request)):
@@ -85,11 +91,11 @@ class RequestHandler:
             getattr(self, f"on_{request.verb}")(request, effects)
 
     def _refusal_of(self, request: verbs.Request) -> tuple[Refusal, str] | None:
-        """Why a request of another epoch, or to a revoked robot, is refused."""
+        """Why a request is refused: the robot is revoked, or another epoch is quoted. Else None."""
         revoked, quoted = self._lifecycle.revoked, (request.targets or {})[self._robot]
         if revoked and not isinstance(request, verbs.ResetRequest):
             return Refusal.REVOKED, f"{revoked}; it is no longer a robot of this swarm"
-        # Nothing but the goal of this request may have changed the robot since the epoch quoted.
+        # Only the goal of this same request, received from a peer, may have changed the epoch.
         is_same = quoted == self._lifecycle.epoch
         if not is_same and not self._goals.is_of_found_goal(request, quoted):
             text = f"robot changed since you looked, by {self._lifecycle.changed_by}"
@@ -99,10 +105,11 @@ class RequestHandler:
     # Requests, by the names of their verbs
 
     def on_stop(self, request: verbs.StopRequest, effects: Effects) -> None:
-        """Stop, unless what runs was asked for after the stop was issued."""
+        """Stop, unless the present run was requested after the stop (table of the module)."""
         lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
-        # A copy of a stop that was carried out is at least as old as the time since then. The age
-        # of a refused copy is not kept: a forged one would make the true stop look older.
+        # A copy of an executed stop was issued before that execution, whatever age the copy
+        # states. The age of a refused copy is not kept: a forged copy would make the true stop
+        # look older.
         issued = min(now - request.age, self._executed.get(request.id, math.inf))
         detail = f"by {request.operator}"
         is_copy = request.id in self._executed
@@ -111,7 +118,8 @@ class RequestHandler:
             return issued < wish.at or (is_copy and issued == wish.at)
 
         if run.wish is not None and is_older(run.wish):
-            if run.running is not None and not is_older(run.running.wish):  # the load is newer
+            # The stop is older than the load, and may still be newer than the run.
+            if run.running is not None and not is_older(run.running.wish):
                 lifecycle.raise_revision(f"{request.operator} (stop)")
                 lifecycle.stop(Reason.OPERATOR, detail, effects, keeps_load=True)
             text = f"run again since, by {run.wish.by}"
@@ -119,8 +127,8 @@ class RequestHandler:
             return
         is_known = is_copy or issued <= self._stood
         self._stood = max(self._stood, issued)
-        # Robots hand a stop on for a minute, and operators repeat it: what was asked of a robot
-        # that has stood since, such as a trial or a reset, goes on.
+        # Robots relay a stop for a minute, and operators repeat it. Such a copy must not end a
+        # trial or reset that was requested after the first copy of the stop.
         if run.wish is not None or not is_known:
             self._stopped = now
             lifecycle.raise_revision(f"{request.operator} (stop)")
@@ -129,8 +137,9 @@ class RequestHandler:
         self._answer_stop(request, effects)
 
     def on_estop(self, request: verbs.EstopRequest, effects: Effects) -> None:
-        """Latch, unless a relayed copy of this emergency stop was reset."""
-        # A common name would be known as reset from the second time on, and latch no peer.
+        """Latch the emergency stop; a relayed copy of an estop that was reset is refused."""
+        # An id that is no valid name becomes its hash. A common stand-in for all such ids would
+        # count as reset from the second estop on, and peers would not adopt that latch.
         is_name = is_id(request.id)
         latch_id = request.id if is_name else sha256(request.id.encode()).hexdigest()[:32]
         if request.is_relayed and self._lifecycle.latches.is_cleared(latch_id):
@@ -144,7 +153,7 @@ class RequestHandler:
         self._answer_stop(request, effects)
 
     def on_run(self, request: verbs.RunRequest, effects: Effects) -> None:
-        """Load the pattern; the reply follows when the pattern is ready."""
+        """Load the pattern, or refuse; the reply follows once the pattern is loaded."""
         lifecycle = self._lifecycle
         why = self._refusal_to_start() or self._refusal_to_run(request, effects.now)
         if why is not None:
@@ -179,33 +188,40 @@ class RequestHandler:
         self._goals.set_labels(request, effects)
 
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
-        """Acknowledge a stop, and never a base that zero does not reach, or that moves on.
+        """Acknowledge a stop; `is_moving` of the reply: the base is not known to rest yet.
 
-        A base that the driver has not reached yet may move on from an earlier life of the daemon.
+        After STOP_TIME a base that is not known to rest makes the stop fail (NOT_STOPPED): zero
+        does not reach the base, or the base moves on. A base that the driver has not reached yet
+        may still move by a command of an earlier daemon process.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
-        began = self._executed.setdefault(request.id, now)
+        executed_at = self._executed.setdefault(request.id, now)
         while len(self._executed) > MAX_STOPS:
             del self._executed[next(iter(self._executed))]
         text, gets_zero = self._stop_text(now), sensors.is_driver_up or sensors.gets_zero
         is_moving = not (gets_zero and self._is_at_rest(now))
-        if is_moving and now >= began + STOP_TIME:
+        if is_moving and now >= executed_at + STOP_TIME:
             lifecycle.fail(effects, request, Refusal.NOT_STOPPED, f"{text}: not known to rest")
         else:
             lifecycle.applied(effects, request, text, is_moving=is_moving)
 
     def _is_at_rest(self, now: float) -> bool:
-        """Whether odometry shows that the base rests; True without odometry, which the ack says."""
+        """Whether odometry shows the base at rest.
+
+        Without odometry: True once the robot is older than STOP_TIME; the text of the
+        acknowledgement then says that there is no odometry.
+        """
         odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
         if odometry is None or age is None:
             return now >= self._heard_by
         twist = odometry.twist
-        speeds = math.hypot(twist.linear, twist.lateral), abs(twist.angular)
-        is_slow = speeds[0] <= _REST[0] and speeds[1] <= _REST[1]
-        return is_slow and now - age >= self._protection.moved_at + _RESPONSE
+        speed = math.hypot(twist.linear, twist.lateral)
+        is_slow = speed <= _REST_SPEED and abs(twist.angular) <= _REST_TURN
+        measured_at = now - age
+        return is_slow and measured_at >= self._protection.moved_at + _RESPONSE
 
     def _stop_text(self, now: float) -> str:
-        """The text that acknowledges a stop: what was sent, and the measured speed with its age."""
+        """The text that acknowledges a stop: the sent command, and the measured speed and age."""
         sensors = self._sensors
         why = sensors.driver_text[:MAX_WHY]
         if sensors.is_driver_up:
@@ -224,7 +240,7 @@ class RequestHandler:
         return f"{sent}; measured {moves}, {age:.1f} s ago"
 
     def _refusal_to_start(self) -> tuple[Refusal, str] | None:
-        """Why no run can start in the present state."""
+        """Why no run can start in the present state; None if a run can start."""
         machine = self._lifecycle.state_machine
         if machine.state in (State.ESTOPPED, State.FAULTED):
             is_estopped = machine.state is State.ESTOPPED
@@ -236,14 +252,15 @@ class RequestHandler:
     def _wish_of(
         self, request: verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest, now: float
     ) -> Wish:
-        """The time at which the operator issued the request.
+        """The time at which the operator issued the request, and the operator.
 
-        The epoch that the request quotes began after the last stop, so the request did, too.
+        The request quotes an epoch that began after the last stop. It was issued after that stop,
+        even if its stated age says otherwise.
         """
         return Wish(max(now - request.age, self._stopped), request.operator)
 
     def _refusal_to_run(self, request: verbs.RunRequest, now: float) -> tuple[Refusal, str] | None:
-        """Why a run is refused because of its conditions, its time or its goal."""
+        """Why a run is refused for its conditions, start time or goal; None if it is accepted."""
         if fault := fault_of(request.until):
             return Refusal.INVALID_CONDITION, fault
         ahead = request.at.get(self._robot, now) - now
@@ -255,7 +272,12 @@ class RequestHandler:
         return self._lifecycle.goals.refusal_of(request)
 
     def on_reset(self, request: verbs.ResetRequest, effects: Effects) -> None:
-        """Clear the named latches and a fault; moves nothing."""
+        """Clear the named latches and findings, and a fault; the robot becomes idle.
+
+        The robot never moves after a reset. The cases, in order: a duplicate id or a run under a
+        finding refuses the reset; a latch that stays refuses it after the named latches are
+        cleared; a running or idle robot stays as it is; any other robot becomes idle.
+        """
         lifecycle = self._lifecycle
         if lifecycle.duplicate is not None:
             text = f"this id is still held by {lifecycle.duplicate}"
@@ -267,7 +289,8 @@ class RequestHandler:
             text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
-        loading = lifecycle.pattern_run.loading  # of a found goal: no request wants it to run
+        loading = lifecycle.pattern_run.loading
+        # The robot is about to join a goal of a peer, without a request: a reset ends that load.
         joins = loading is not None and loading.goal is not None and loading.request is None
         named = [latch_id for latch_id in request.ids if latch_id in lifecycle.latches.held]
         if named:
@@ -301,14 +324,14 @@ class RequestHandler:
     def _end_findings(
         self, ended: list[str], request: verbs.ResetRequest, effects: Effects
     ) -> None:
-        """End findings of the assumption monitor, with an event for each."""
+        """End findings of the assumption monitor, and log an event for each."""
         self._protection.forget_findings(ended)
         by = f"{request.operator} ({request.reason})" if request.reason else request.operator
         for text in ended:
             self._lifecycle.log(f"ended by {by}: {text}", effects.now)
 
     def on_param(self, request: verbs.ParamRequest, effects: Effects) -> None:
-        """Set parameters; the reply follows when the pattern has taken them."""
+        """Set parameters, or refuse; the reply follows once the pattern has taken them."""
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
         if run.running is None or not lifecycle.is_running or run.is_restarting:
             lifecycle.refuse(effects, request, Refusal.NOT_RUNNING, "no pattern is running")
@@ -360,7 +383,7 @@ class RequestHandler:
         else:
             effects.command_host(KillHost())
             lifecycle.applied(effects, trial.request, f"{new_code}; {state}, as before")
-            if request.keeps_running:  # it was pushed
+            if request.keeps_running:  # the code was pushed: a goal may have waited for it
                 self._goals.on_new_code(request.pattern, effects)
             self._goals.join_if_settled(effects)
 
@@ -373,7 +396,11 @@ class RequestHandler:
             self._goals.join_if_settled(effects)
 
     def _replace(self, trial: Trial, effects: Effects) -> None:
-        """Stop the running pattern and its host; run the new code in a fresh host if asked to."""
+        """Stop the running pattern and end its host.
+
+        If the request wants a new run (`is_rerun`), run the new code in a fresh host, with the
+        parameters, conditions, goal and remaining seconds of the old run.
+        """
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
         request, running, goals = trial.request, run.running, lifecycle.goals
         assert running is not None
@@ -382,7 +409,7 @@ class RequestHandler:
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = math.inf  # the host that owes a step is gone
+        run.awaiting_since = math.inf  # the host that owed an answer ends
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,
@@ -401,7 +428,7 @@ class RequestHandler:
 
 
 def under_way(lifecycle: Lifecycle) -> str:
-    """The request that the pattern host has not answered yet, in words; empty if there is none."""
+    """The load or trial request that is not answered yet, in words; empty if there is none."""
     loading, trial = lifecycle.pattern_run.loading, lifecycle.trial
     if loading is not None and loading.request is not None:
         return f"still loading {loading.pattern}, by {loading.request.operator}"

@@ -1,7 +1,8 @@
-"""One robot without I/O: values and times in, `Actions` out.
+"""One robot without I/O: it takes inputs and times, and returns `Actions`.
 
-Two shells drive it: the daemon and the lockstep simulator. Every method is O(1) and never waits.
-`wake_at` gives the next deadline, at which `tick` must be called even between two ticks.
+Two shells drive a `Robot`: the daemon and the lockstep simulator. Every method is O(1) and never
+waits. `wake_at` returns the next deadline; the shell must then tick the robot, even between two
+regular ticks.
 """
 
 from __future__ import annotations
@@ -56,9 +57,9 @@ else:
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `seed` makes the random choices of its patterns repeatable, `instance` identifies this life of
-    the daemon, `now` is in s on a monotonic clock, `earlier` is what earlier instances left.
-    `decision` is the last one, made at `decided_at`.
+    `seed` makes the random choices of patterns repeatable. `instance` identifies this life of the
+    daemon. `now` is in s on a monotonic clock. `earlier`: what earlier instances left. `decision`:
+    the last decision of protection, made at `decided_at`.
     """
 
     decision: Decision
@@ -115,7 +116,7 @@ class Robot(Ticker):
 
     @property
     def reason(self) -> Reason | None:
-        """The one reason why the robot does not move; None while it moves."""
+        """The one reason why the robot does not move; None while the robot moves."""
         machine = self._machine
         return self.decision.reason if machine.state is State.RUNNING else machine.reason
 
@@ -126,7 +127,7 @@ class Robot(Ticker):
 
     @property
     def generation(self) -> int:
-        """How many patterns were loaded so far."""
+        """The count of pattern loads so far."""
         return int(self._run.generation)
 
     @property
@@ -159,18 +160,18 @@ class Robot(Ticker):
 
     @property
     def wished(self) -> float:
-        """When the present run, or the next one, was asked for, in s; -inf if the robot stands."""
+        """When the present load or run was requested, in s; -inf if the robot stands."""
         wish = self._run.wish
         return -math.inf if wish is None else float(wish.at)
 
     @property
     def reset_at(self) -> float:
-        """When the robot was reset last, in s; -inf if it was not."""
+        """The time of the last reset in s; -inf without a reset."""
         return self._requests.reset_at
 
     @property
     def goals(self) -> GoalRecord:
-        """The goals and labels as they are kept on disk."""
+        """The goals and labels as written to disk."""
         return self._lifecycle.goals.record()
 
     @property
@@ -203,9 +204,9 @@ class Robot(Ticker):
         self._sensors.on_neighbors(one.neighbors, now)
 
     def _on_peers(self, one: events.PeersInput, now: float) -> None:
-        robots: dict[tuple[str, str], list[str]] = {}  # a swarm of one kind is one event
-        for found in self._sensors.on_peers(one.bodies):
-            robots.setdefault((found.kind, found.text), []).append(found.robot)
+        robots: dict[tuple[str, str], list[str]] = {}  # peers with an equal finding share an event
+        for finding in self._sensors.on_peers(one.bodies):
+            robots.setdefault((finding.kind, finding.text), []).append(finding.robot)
             self._due_at = self._quiet_until = -math.inf
         for (kind, text), names in robots.items():
             self._events.log(f"peers {kind}", f"peer {', '.join(names)}: {text}", now)
@@ -218,7 +219,7 @@ class Robot(Ticker):
         self._sensors.on_place(one.place, now)
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
-        """The own pose in a shared frame and its age in s, if peers are to be told it."""
+        """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         return self._sensors.peers.pose_to_tell(now)
 
     def _on_readings(self, one: events.ReadingsInput, now: float) -> None:
@@ -238,7 +239,7 @@ class Robot(Ticker):
         return self._settle(effects)
 
     def _on_message(self, one: events.MessageInput, now: float) -> None:
-        """Take a message; ignored on a channel that the running pattern does not declare."""
+        """Take in a message; ignored on a channel that the running pattern does not declare."""
         running = self._lifecycle.pattern_run.running
         channel = None if running is None else running.channel(one.channel)
         if channel is not None:
@@ -265,7 +266,7 @@ class Robot(Ticker):
         return self._settle(effects)
 
     def _on_request(self, one: events.RequestInput, now: float) -> Actions:
-        """Act on a request; its reply is in these actions or in those of a later host event."""
+        """Act on a request; the reply is in these actions or in the actions of a later event."""
         effects = self._begin(now)
         self._requests.answer(one.request, effects)
         return self._settle(effects)
@@ -328,7 +329,7 @@ class Robot(Ticker):
         )
 
     def motion(self, now: float) -> Motion | None:
-        """How it moves, for viewers; None before the first odometry."""
+        """Measured pose and commands, for viewers; None before the first odometry."""
         odometry = self._sensors.odometry
         if odometry is None:
             return None
@@ -347,11 +348,11 @@ class Robot(Ticker):
         )
 
     def shared_pose(self, now: float) -> ShownPose | None:
-        """Its pose in a shared frame, for viewers; None without a fresh one."""
-        found = self._sensors.peers.shared_pose(now)
-        if found is None:
+        """The own pose in a shared frame, for viewers; None without a fresh pose."""
+        pose_and_age = self._sensors.peers.shared_pose(now)
+        if pose_and_age is None:
             return None
-        shared, age = found
+        shared, age = pose_and_age
         return ShownPose(
             robot=self.id,
             at=now,
@@ -375,12 +376,12 @@ class Robot(Ticker):
         )
 
     def tracks(self, now: float) -> Tracks | None:
-        """The nearest tracks, for viewers; None while the robot does not avoid."""
-        found = self._protection.tracks(self._sensors.context(now))
-        if found is None:
+        """The nearest tracks of moving objects, for viewers; None without avoidance."""
+        tracks = self._protection.tracks(self._sensors.context(now))
+        if tracks is None:
             return None
-        near = sorted(found, key=lambda one: math.hypot(one.x, one.y))[:MAX_TRACKS]
-        shown = (ShownTrack(one.x, one.y, one.vx, one.vy, one.radius) for one in near)
+        near = sorted(tracks, key=lambda track: math.hypot(track.x, track.y))[:MAX_TRACKS]
+        shown = (ShownTrack(t.x, t.y, t.vx, t.vy, t.radius) for t in near)
         return Tracks(self.id, tuple(shown))
 
     @property
@@ -411,12 +412,15 @@ class Robot(Ticker):
             )
 
     def _has_new_status(self, now: float) -> bool:
-        """True if something that peers act on has changed, and after STATUS_PERIOD."""
+        """True if a value that peers act on has changed, or STATUS_PERIOD is over.
+
+        Clears `_is_status_due`. If True, counts the status as published at `now`.
+        """
         self._is_status_due = False
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         reason = status_reason(lifecycle, self.decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
-            reason = None  # these change with every scan
+            reason = None  # these two reasons may change with every scan
         running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading
         current = (
             machine.state,

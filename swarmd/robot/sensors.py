@@ -1,7 +1,8 @@
-"""The latest inputs of one robot, and the hold of a robot whose scan or odometry is too old.
+"""The latest inputs of one robot: scans, odometry, neighbours, readings, messages and hazards.
 
-`InputAges.hold` (input_ages.py) compares each age with its limit. The limit of a scan is the
-platform's `scan.stale_after`, less the measured delay. `hazard_holds.py` has the holds of hazards.
+`InputAges.hold` (input_ages.py) compares the age of each input with its limit, and holds a robot
+whose input is too old. The limit of a scan is the platform's `scan.stale_after`, less the measured
+delay. `hazard_holds.py` has the holds of hazards.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class Sensors(InputAges):
         self._stale_after = platform.scan.stale_after
         self._max_delay = platform.scan.max_scan_delay
         self._needs_odometry = "odometry" in platform.provides
-        # Mode barrier has a better memory of its own for its blind zone.
+        # Mode barrier remembers obstacles in the blind zone by itself, more precisely.
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
@@ -90,7 +91,7 @@ class Sensors(InputAges):
         self._ring = None if ring is None else RangeRing(platform, ring)
         self._scan_times: deque[float] = deque(maxlen=12)
         self._given: tuple[Neighbor, ...] = ()
-        self._neighbor_ids: frozenset[str] | None = None  # made when a message arrives
+        self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self.hazards = HazardHolds()
         self._inbox: deque[_Received] = deque()
@@ -105,7 +106,7 @@ class Sensors(InputAges):
         self.gets_zero = False
 
     def on_scan(self, scan: Scan, now: float) -> bool:
-        """Take in a driver's scan; True if it is a new, valid one."""
+        """Take in a scan of the driver; True if the scan is new and valid."""
         odometry = self._fresh_odometry(now)
         conditioned = self._conditioner.take(scan, odometry, now)
         self._context = None
@@ -134,11 +135,11 @@ class Sensors(InputAges):
 
     @property
     def blind_text(self) -> str:
-        """The blind sectors of the sensor; empty without one."""
+        """The blind sectors of the lidar as text; empty without a blind sector."""
         return self._conditioner.blind_text
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
-        """Take in the robots that are sensed or heard; those in reach are the neighbours."""
+        """Take in all robots that are sensed or heard; the robots in reach are the neighbours."""
         if neighbors is not self._given:
             self._given = neighbors
             if not all(neighbor.in_reach for neighbor in neighbors):
@@ -157,17 +158,18 @@ class Sensors(InputAges):
             self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
 
     def on_place(self, place: PeerPlace, now: float) -> None:
-        """Take in where a peer is in a shared frame."""
+        """Take in the place that a peer reports in a shared frame."""
         if self.peers.on_place(place, now):
             self._look_at_peers()
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
-        """Take in what all known peers tell of their bodies; the findings that are new."""
-        found = self.peers.on_peers(bodies)
+        """Take in the bodies that all known peers report; returns the new findings."""
+        new_findings = self.peers.on_peers(bodies)
         self._look_at_peers()
-        return found
+        return new_findings
 
     def _look_at_peers(self) -> None:
+        """Set the hold deadline and the source of places from the present peers."""
         self._context, self._peers_due = None, self.peers.hold_due_at()
         self._teller = self.peers if self.peers.has_places else None
 
@@ -177,15 +179,16 @@ class Sensors(InputAges):
         self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
     def hazard_text(self, now: float) -> str:
-        """Each hazard that holds, with its age; empty without one."""
+        """Each hazard that holds the robot, with its age; empty without a hazard."""
         return self.hazards.text(now)
 
     def on_message(
         self, sender: str, channel: str, value: Value, now: float, *, is_program: bool = False
     ) -> bool:
-        """Keep a message for the next step; False if its sender is neither neighbour nor program.
+        """Keep a message for the next step of the pattern.
 
-        Raises CodecError if the encoded value is too large.
+        False (rejected) if the sender is neither a neighbour nor a program (`is_program`). Raises
+        CodecError if the encoded value is too large.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
@@ -202,15 +205,15 @@ class Sensors(InputAges):
         return True
 
     def on_readings(self, values: Mapping[str, float]) -> None:
-        """Take in all scalar sensors, in place of all earlier readings.
+        """Replace all readings (values of scalar sensors by name).
 
-        NaN or infinite: the sensor is known, and has no fresh value.
+        NaN or inf: the sensor exists and has no fresh value.
         """
         self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
         self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
 
     def on_option_input(self, input: SensorInput) -> None:
-        """Take in an input of OPTION_INPUTS, which patterns get as it is."""
+        """Keep an input of OPTION_INPUTS, which is handed to patterns unchanged."""
         (value,) = astuple(input)
         setattr(self, tag_of(input), value)
 
@@ -221,9 +224,9 @@ class Sensors(InputAges):
     def on_driver(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Take in whether the driver is connected, and why not; see `Sink.state`.
+        """Take in the connection state of the driver; the arguments are as in `Sink.state`.
 
-        Without a driver no reading has a value, and nothing is recognised.
+        Without a connection all readings become stale, and detections and similar inputs None.
         """
         if not is_up:
             self._forget_option_inputs()
@@ -234,10 +237,10 @@ class Sensors(InputAges):
         self.gets_zero = gets_zero
 
     def scan_age(self, now: float) -> float | None:
-        """The age of the last valid scan in s; None before the first.
+        """The age of the last valid scan in s; None before the first scan.
 
-        It counts from the arrival; for a scan that lacks a sector, from the time to which the
-        remembered sector is valid.
+        The age counts from the arrival of the scan. If a sector of the scan is filled from memory,
+        the age counts from the time at which that sector was last measured.
         """
         return None if self._scan_at == -math.inf else now - self._scan_at
 
@@ -246,31 +249,32 @@ class Sensors(InputAges):
         return None if self._odometry_at == -math.inf else now - self._odometry_at
 
     def scan_rate(self, now: float) -> float:
-        """Valid scans per second, over the last few; 0 once they have stopped."""
+        """Valid scans per second over the last 12 scans; 0 after the scans have stopped."""
         times = self._scan_times
         if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-4)
 
     def _take_messages(self, now: float) -> tuple[Message, ...]:
-        """The messages since the last step, which no other step gets."""
+        """The messages since the last step; empties the inbox."""
         messages = tuple(
-            Message(one.sender, one.channel, one.value, now - one.at) for one in self._inbox
+            Message(item.sender, item.channel, item.value, now - item.at) for item in self._inbox
         )
         self.forget_messages()
         return messages
 
     def forget_messages(self) -> None:
-        """Drop the messages to an earlier pattern."""
+        """Drop all messages that were meant for an earlier pattern."""
         self._inbox.clear()
         self._inbox_bytes = 0
 
 
 class RangeRing:
-    """The section `ranges` of a platform. Times are in s on the robot's clock.
+    """The ring of range sensors of a robot (section `ranges` of a platform).
 
-    It is conditioned apart from the lidar, which does not see what the ring is for: a ring without
-    fresh values holds the robot. `scan`: the last one, conditioned; None before the first.
+    The ring measures what the lidar cannot see, so its scans are conditioned apart from the lidar,
+    and a ring without fresh values holds the robot. `scan`: the last conditioned scan; None before
+    the first scan. Times are in s on the robot's clock.
     """
 
     def __init__(self, platform: Platform, spec: ScanSpec) -> None:
@@ -282,7 +286,7 @@ class RangeRing:
         self._speed = fastest_corner(platform)
         self._known_at: float | None = None
         self._problem: Reason | None = None
-        self._places: list[tuple[float, float]] = []  # m in the base frame, of the returns
+        self._places: list[tuple[float, float]] = []  # x, y of each return in m, base frame
         self._radius = 0.0
         self.scan: Scan | None = None
 
@@ -294,7 +298,7 @@ class RangeRing:
             return
         self._known_at = known_at = self._conditioner.known_at
         self._problem = None if known_at == now else Reason.INVALID_SCAN
-        # Remembered values are where the robot was when they were measured.
+        # Remembered values belong to an earlier pose: enlarge the discs by the motion since then.
         self._radius = self._extent + (now - known_at) * self._speed
         self.scan, directions = conditioned, unit_vectors(conditioned.bearings)
         outline = self._outline.along_rays(self._spec.offset, directions)
@@ -305,7 +309,7 @@ class RangeRing:
         self._places = [(x, y) for x, y in points.tolist()]
 
     def hold(self, now: float) -> Reason | None:
-        """The reason why the ring forbids motion; None if it does not."""
+        """The reason why the ring forbids motion; None if the ring permits motion."""
         stale_at = self.stale_at
         if stale_at is None:
             return self._problem or Reason.NO_SCAN
@@ -313,14 +317,15 @@ class RangeRing:
 
     @property
     def stale_at(self) -> float | None:
-        """The time at which the last scan becomes too old; None before the first."""
+        """The time at which the last scan becomes too old; None before the first scan."""
         return None if self._known_at is None else self._known_at + self._spec.stale_after
 
     def obstacles(self, now: float) -> tuple[ToldObstacle, ...]:
-        """The returns as discs: unseen parts extend beyond each by the barrier's `unseen_extent`.
+        """The returns as discs with their ages, for protection.
 
-        The sensors measure one after the other, so the oldest value is half a period older than
-        the mean.
+        The radius includes the barrier's `unseen_extent`: how far an obstacle may extend beside the
+        measured point. The sensors measure in turn, so the oldest value is half a period older than
+        the mean value.
         """
         if self._known_at is None:
             return ()

@@ -1,4 +1,4 @@
-"""What a robot is made with: its settings, and its identity in one life of the daemon. Values."""
+"""The settings of a robot, and its identity in one life of the daemon. Values."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from swarmd.robot.latches import LatchRecord
 class RobotSettings:
     """Settings of a robot beside its platform.
 
-    `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
-    granted touch zones by pattern; `accepts` the platforms that it may drive beside unseen.
-    `tells_pose`: peers need its pose in a shared frame to tell their neighbors.
+    `layers` returns the configured parameters of a pattern by layer, weakest first. `touch`: the
+    granted touch zones by pattern. `accepts`: the platforms beside which the robot may drive
+    although its lidar misses them. `tells_pose`: send the pose in a shared frame to all peers,
+    which find their neighbors by such poses.
     """
 
     driver: str

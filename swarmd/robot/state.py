@@ -137,9 +137,9 @@ class StateMachine(StateField):
         self.since = now
 
     def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
-        """Carry out a trigger. Without a change of state the older reason stays.
+        """Change state, reason and detail by a trigger.
 
-        The triggers of `_RENEWS` replace the reason also without a change of state.
+        Without a change of state the older reason stays, except for the triggers of `_RENEWS`.
         """
         target = TRANSITIONS[trigger][self.state]
         renews = target is self.state and trigger in _RENEWS.get(target, ())
@@ -161,7 +161,7 @@ _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
 
 
 MAX_TEXT = 300  # characters
-# The next run, if it was requested already, goes on loading; a load has a timeout of its own.
+# The load of a next run that was already requested continues; a load has a timeout of its own.
 _ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
 _BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET})
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
@@ -187,7 +187,7 @@ class Lifecycle:
         self.revision = 0
         self.changed_by = "no one yet"
         self.duplicate: str | None = None
-        self.revoked = ""  # why this robot is no longer one of its swarm
+        self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
         self.report: Mapping[str, Scalar] = {}
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: tuple[ParamRequest, float] | None = None
@@ -223,7 +223,7 @@ class Lifecycle:
         self._reply(effects, request, Code.APPLIED, None, text, is_moving=is_moving)
 
     def fail(self, effects: Effects, request: Request, refusal: Refusal, text: str) -> None:
-        """Tell that a request was taken and could not be carried out."""
+        """Reply that an accepted request could not be carried out."""
         self._reply(effects, request, Code.FAILED, refusal, text)
 
     def refuse(self, effects: Effects, request: Request, refusal: Refusal, text: str) -> None:
@@ -252,7 +252,7 @@ class Lifecycle:
         effects.replies = (*effects.replies, answer)
 
     def raise_revision(self, by: str) -> None:
-        """Raise the revision, which makes all epochs seen before stale."""
+        """Raise the revision: requests that quote an earlier epoch are refused from now on."""
         self.revision += 1
         self.changed_by = by[:MAX_TEXT]
 
@@ -265,7 +265,7 @@ class Lifecycle:
     # Events of the pattern host
 
     def on_host(self, event: host_messages.HostEvent, effects: Effects) -> None:
-        """Act on an event of the host but Stepped; those of other generations are ignored."""
+        """Act on an event of the host other than Stepped; ignores events of other generations."""
         run = self.pattern_run
         is_loading = run.loading is not None and event.generation == run.loading.generation
         is_running = run.running is not None and event.generation == run.running.generation
@@ -283,7 +283,7 @@ class Lifecycle:
             self._on_host_died(event.text, effects)
 
     def _on_loaded(self, event: host_messages.Loaded, effects: Effects) -> None:
-        """The pattern is loaded: run it, or keep it for the time at which the run is to start."""
+        """Run the loaded pattern, or keep the event until the start time of the run."""
         run = self.pattern_run
         loading = run.loading
         assert loading is not None
@@ -328,7 +328,7 @@ class Lifecycle:
                 self.log(text, now)
             else:
                 self.applied(effects, loading.request, text)
-        # The touch zone is granted to this generation alone: it ends with `pattern_run.running`.
+        # The touch zone is granted to this generation only, and ends with `pattern_run.running`.
         running = self.pattern_run.running
         assert running is not None
         granted = self.identity.settings.touch.get(loading.pattern)
@@ -350,15 +350,16 @@ class Lifecycle:
                 self.goals.await_code(loading.generation)
             return
         self.refuse(effects, loading.request, event.refusal, text)
-        if self.goals.state is GoalState.LOADING:  # peers run it: what runs here is superseded
+        # Peers run the goal that this robot cannot load: the present run of this robot ends.
+        if self.goals.state is GoalState.LOADING:
             self.goals.on_end(f"not loaded: {text}")
             if self.is_running and loading.goal is not None:
                 self.stop(Reason.SUPERSEDED, f"by {loading.goal.text}", effects)
-        if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
+        if self._load is not None and self._load.is_fresh:  # the load ended the running host
             self.fault("its host was replaced", effects)
 
     def on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
-        """Act on the answer to a step; of another generation it only frees the host."""
+        """Act on the answer to a step; an answer of another generation only frees the host."""
         run = self.pattern_run
         running = run.running
         if running is None or event.generation != running.generation:
@@ -409,7 +410,10 @@ class Lifecycle:
     # Failures of a pattern
 
     def fault(self, text: str, effects: Effects) -> None:
-        """The pattern failed: restart it in a fresh host after a backoff, or quarantine it."""
+        """After a failure of the running pattern: restart it in a fresh host, or quarantine it.
+
+        A provisional pattern is never restarted: its first failure quarantines it.
+        """
         run = self.pattern_run
         running, loading = run.running, run.loading
         if running is None or not self.is_running:
@@ -424,20 +428,20 @@ class Lifecycle:
             detail = f"{running.pattern} failed while it was provisional: {text}"
             self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
         elif not run.fault(effects.now):
-            self.hold_since = math.inf  # the restart may take as long as any other hold
+            self.hold_since = math.inf  # the restart is a new hold, with its full MAX_HOLD_TIME
         else:
             detail = f"{running.pattern} failed {FAULTS_BEFORE_QUARANTINE} times, last: {text}"
             self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
 
     def _is_provisional(self, generation: int, text: str, effects: Effects) -> bool:
-        """True, with the failure in `effects`, if the pattern of a generation is provisional."""
+        """True if the code of a generation is provisional; then puts the failure in `effects`."""
         is_provisional = generation in self.provisional
         if is_provisional:
             effects.failed_code = FailedCode(generation, text)
         return is_provisional
 
     def fail_load(self, text: str, effects: Effects) -> None:
-        """End a load that failed, and its host."""
+        """End a failed load and its host."""
         loading, self.pattern_run.loading = self.pattern_run.loading, None
         effects.command_host(host_messages.KillHost())
         if loading is None:
@@ -458,9 +462,10 @@ class Lifecycle:
         *,
         keeps_load: bool = False,
     ) -> None:
-        """End the run, if any, and fire a trigger; no pattern is stepped after it.
+        """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
 
-        `keeps_load`: a run that was requested goes on loading.
+        A load ends, too, and its request is refused. `keeps_load`: the load of a requested run
+        continues. Trial and parameter request end unless the trigger spares them.
         """
         loading, keeps_load = self.pattern_run.loading, keeps_load or trigger in _ENDS_RUN_ALONE
         if keeps_load and loading is not None and loading.request is not None:
@@ -485,7 +490,7 @@ class Lifecycle:
         before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
-        if reason is not Reason.LEAVING:  # a robot that restarts offers its goal again
+        if reason is not Reason.LEAVING:  # after a restart the robot offers its goal again
             self.goals.on_end(shortened(text, MAX_TEXT))
         if reason in _BARS_GOALS:
             self.goals.bar(effects.now)
@@ -497,7 +502,7 @@ class Lifecycle:
     def stop(
         self, reason: Reason, detail: str, effects: Effects, *, keeps_load: bool = False
     ) -> None:
-        """End the run; the robot is stopped. `keeps_load`: a requested run goes on loading."""
+        """End the run; state stopped. `keeps_load`: the load of a requested run continues."""
         self._end(Trigger.STOP, reason, detail, effects, keeps_load=keeps_load)
 
     def reset(self, detail: str, effects: Effects) -> None:
@@ -505,7 +510,7 @@ class Lifecycle:
         self._end(Trigger.RESET, Reason.RESET, detail, effects)
 
     def end_trial(self, refusal: Refusal, text: str, effects: Effects) -> None:
-        """End the trial under way, if any, without success; the running pattern goes on."""
+        """End the present trial, if any, and refuse its request; the running pattern continues."""
         trial, self.trial = self.trial, None
         if trial is not None:
             effects.trial = host_messages.CancelTrial()
@@ -530,8 +535,9 @@ class Lifecycle:
     ) -> None:
         """Load a pattern; it runs once its host reports Loaded, and not before `start_at`.
 
-        Without `request` and `goal` it is a restart. `is_fresh`: in a fresh host. `until`:
-        conditions of which any ends the run.
+        Without `request` and `goal` the load is a restart. `is_fresh`: load in a fresh host.
+        `seconds`: the longest time of the run. `until`: conditions; the first that holds ends the
+        run.
         """
         run = self.pattern_run
         run.generation += 1
@@ -548,7 +554,7 @@ class Lifecycle:
         run.is_outdated = False
 
     def outdate_host(self, effects: Effects) -> None:
-        """Let the next run have a fresh host; the running pattern goes on."""
+        """Make the next load use a fresh host; the running pattern continues."""
         run = self.pattern_run
         if run.running is None and run.loading is None:
             effects.command_host(host_messages.KillHost())
@@ -572,11 +578,11 @@ class Lifecycle:
         if self.latches.add(latch_id, latch):
             self.raise_revision(f"{latch.issuer} (estop)")
         elif self.state_machine.state is State.ESTOPPED:
-            return  # a copy of a stop that holds the robot: a trial that began since goes on
+            return  # a copy of a held latch: a trial that began after the first copy continues
         self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:
-        """Adopt the swarm-wide latches of a peer, except those that were reset here."""
+        """Adopt the swarm-wide latches of a peer, except latches that were reset here."""
         new = self.latches.adopt(latches)
         if not new:
             return
@@ -585,9 +591,9 @@ class Lifecycle:
         self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def stall(self, late: float, effects: Effects) -> None:
-        """The daemon's loop was late: earlier epochs become stale and the run ends.
+        """After a stall of the daemon's loop by `late` s: end the run, make earlier epochs stale.
 
-        A robot that is idle and loads nothing stays so: a busy computer stalls most while the
+        An idle robot without a load or trial stays idle: a busy computer stalls most while the
         daemon starts.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
@@ -599,10 +605,9 @@ class Lifecycle:
         self._end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_hazard(self, text: str, effects: Effects) -> None:
-        """A hazard with which no run may go on or begin: a person holds the robot.
+        """After a wheel drop or a lift (a person holds the robot): end the run or load.
 
-        The run or load ends, earlier epochs become stale, and no goal that was set before starts
-        the robot again.
+        Earlier epochs become stale, and no goal that was set before starts the robot again.
         """
         run = self.pattern_run
         if run.running is None and run.loading is None:
@@ -612,13 +617,13 @@ class Lifecycle:
         self.goals.bar(effects.now)
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
-        """The daemon speaks on another network: earlier epochs become stale and the run ends."""
+        """After a change of the daemon's network: end the run, make earlier epochs stale."""
         self.raise_revision("a change of the network")
         self.log(f"network: {text}", effects.now)
         self._end(Trigger.NETWORK, Reason.NETWORK_CHANGED, text, effects)
 
     def on_roster(self, text: str, effects: Effects, *, is_revoked: bool) -> None:
-        """The daemon takes a roster: the run ends. A revoked robot refuses runs from then on."""
+        """After a new roster: end the run. A revoked robot refuses runs from then on."""
         self.revoked = text if is_revoked else ""
         self.raise_revision("a change of the roster")
         self.log(f"roster: {text}", effects.now)
@@ -626,12 +631,12 @@ class Lifecycle:
         self._end(trigger, Reason.ROSTER_CHANGED, text, effects)
 
     def forget_goals(self, digests: tuple[str, ...], effects: Effects) -> None:
-        """Drop goals, whose issuers are not operators any more; a run of one has ended."""
+        """Drop goals whose issuers are no longer operators; the caller has ended their runs."""
         self.log(f"forgets {len(digests)} goals that no operator of the roster signed", effects.now)
         self.goals.forget(lambda goal: digest_of(goal).hex() not in digests)
 
     def on_duplicate(self, holder: str | None, effects: Effects) -> None:
-        """Another instance has this id; None: it has left."""
+        """Take in the instance that uses the same robot id; None after that instance has left."""
         if holder is not None and holder != self.duplicate:
             self.raise_revision("a second robot of this name")
             detail = f"this id is also held by {holder}"
@@ -641,17 +646,19 @@ class Lifecycle:
     # Time
 
     def advance(self, hold: Reason | None, effects: Effects, hold_text: str = "") -> Reason | None:
-        """Act on all deadlines that have passed; returns the present hold, if any.
+        """Act on all deadlines that have passed; returns the present hold, None without a hold.
 
-        `hold_text`: more on the hold, for the detail of a run that it ends.
+        `hold`: the hold of the sensors. `hold_text`: the detail if this hold ends the run.
         """
         run, now = self.pattern_run, effects.now
+        # The load: start a loaded pattern at its time, or time out.
         loading = run.loading
         if loading is not None and loading.loaded is not None:
             if loading.start_at is None or now >= loading.start_at - ROUNDING:
                 self._on_loaded(loading.loaded, effects)
         elif loading is not None and now - loading.since >= LOAD_TIMEOUT:
             self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
+        # The answers to a step and to a parameter request.
         if now - run.awaiting_since >= STEP_TIMEOUT:
             run.awaiting_since = math.inf
             self._end_silent_host(effects)
@@ -659,6 +666,7 @@ class Lifecycle:
             request, self.params_request = self.params_request[0], None
             text = "the pattern did not answer"
             self.fail(effects, request, Refusal.PATTERN_FAILED, text)
+        # The run: its end, the run lease, and holds that last too long.
         running = run.running
         if not self.is_running or running is None:
             return None
@@ -674,7 +682,7 @@ class Lifecycle:
         return self._present_hold(hold, effects, hold_text)
 
     def _end_silent_host(self, effects: Effects) -> None:
-        """End a host that hangs in a step; a load that waits behind it gets a fresh host."""
+        """End a host that hangs in a step; a load that waits for this host gets a fresh host."""
         run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
         if run.loading is None or self._load is None:
             effects.command_host(host_messages.KillHost())
@@ -685,6 +693,7 @@ class Lifecycle:
         effects.command_host(structs.replace(self._load, is_fresh=True))
 
     def _present_hold(self, hold: Reason | None, effects: Effects, hold_text: str) -> Reason | None:
+        """The hold of the sensors, else of the pattern. Ends the run after MAX_HOLD_TIME."""
         if hold is None and self.pattern_run.is_restarting:
             hold = Reason.PATTERN_RESTARTING
         if hold is None and self.pattern_run.is_expired(effects.now):
@@ -706,7 +715,7 @@ class Lifecycle:
 def _permit(
     params: host_messages.ParamSources, touch: TouchZone | None, scan_delay: float
 ) -> Permit:
-    """What a pattern with these parameters permits."""
+    """What a pattern with these parameters permits protection to do."""
     may_recover, _ = params.get("recovery", (False, ""))
     avoidance, _ = params.get("avoidance", ("platform", ""))
     avoids = None if avoidance == "platform" else avoidance == "orca"

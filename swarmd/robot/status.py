@@ -22,13 +22,15 @@ if TYPE_CHECKING:
 
 MAX_REPORTED = 20
 MAX_ROWS = 4
-MAX_GAP = 1e6  # m, which the message can tell: odometry that jumps puts obstacles anywhere
+MAX_GAP = (
+    1e6  # m, the bound of the message: odometry that jumps moves remembered obstacles far away
+)
 MAX_PEERS = 16
 MAX_NEIGHBORS = 64
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
 MAX_VALUE = 256
-_SAME_PLACE = 0.4  # m between a neighbour and the object that it may be
+_SAME_PLACE = 0.4  # m between a sensed neighbour and an avoided object that count as the same
 
 
 def make_status(
@@ -93,7 +95,7 @@ def make_status(
         passage=identity.passage,
         findings=protection.findings,
         not_following=protection.not_following,
-        neighbors=tuple(one.id for one in sensors.neighbors(now)[:MAX_NEIGHBORS]),
+        neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
     )
 
@@ -105,12 +107,12 @@ def _loading_text(loading: Loading, now: float) -> str:
 
 
 def status_reason(lifecycle: Lifecycle, decision: Decision) -> Reason | None:
-    """The one reason why the robot does not move; None while it moves."""
+    """The one reason why the robot does not move; None while the robot moves."""
     return decision.reason if lifecycle.is_running else lifecycle.state_machine.reason
 
 
 def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
-    """What avoidance does; it names the neighbour that is sensed where the object is."""
+    """The text of avoidance, with the id of the neighbour that is sensed at the avoided object."""
     avoided = decision.avoided
     if avoided is None:
         return ""
@@ -128,7 +130,7 @@ def _avoided(decision: Decision, sensors: Sensors, now: float) -> str:
 def decision_summary(
     decision: Decision, duty: DutyCycle, sensors: Sensors, now: float
 ) -> DecisionSummary:
-    """A decision within the bounds of a message, and what avoidance does."""
+    """A decision within the bounds of a message, with the text of avoidance."""
     return _summary(decision, duty, _avoided(decision, sensors, now))
 
 
@@ -154,7 +156,7 @@ def _summary(decision: Decision, duty: DutyCycle, avoiding: str = "") -> Decisio
 
 
 def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
-    """The entries of a report or of readings that fit the bounds of a status."""
+    """The entries of a report, or of readings, that fit the bounds of a status."""
     cleaned: dict[str, Scalar] = {}
     for name, value in list(report.items())[:MAX_REPORTED]:
         short = value[:MAX_VALUE] if isinstance(value, str) else value

@@ -1,8 +1,8 @@
-"""The hot path of one robot: its inputs, holds, deadlines and ticks become actions.
+"""The hot path of one robot: turns inputs and ticks into `Actions`, and checks holds and deadlines.
 
-A kernel (see `core/kernels.py`), in one library with effects.py, pattern_run.py and input_ages.py:
-`Robot` extends `Ticker` by the work that is rarer than a tick. Times are in s on the robot's clock.
-A deadline that is not set is inf.
+A kernel (see `core/kernels.py`), compiled into one library with effects.py, pattern_run.py and
+input_ages.py. `Robot` extends `Ticker` by the work that is rarer than a tick. Times are in s on the
+robot's clock. A deadline that is not set is inf.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ else:
 _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
 _STALL_TIMEOUT = cython.declare(cython.double, STALL_TIMEOUT)
-# A name of C is found at once, one of the module in a dict.
+# Constants as C variables: Cython looks up a Python global in a dict at each use.
 _RUNNING, _IDLE = cython.declare(object, State.RUNNING), cython.declare(object, State.IDLE)
 _Actions = cython.declare(object, Actions)
 _HostInput = cython.declare(object, HostInput)
@@ -51,24 +51,27 @@ class StateField:
 @cython.final
 @cython.cclass
 class DutyCycle:
-    """Ticks in `running` since the last run request, and the ticks with active protection."""
+    """Counts the ticks in `running` since the last run began, and those with active protection."""
 
     decisions = cython.declare(cython.Py_ssize_t, visibility="readonly")
     active = cython.declare(cython.Py_ssize_t, visibility="readonly")
 
     @property
     def share(self) -> float:
-        """Between 0 and 1; 0 before the first tick."""
+        """The share of ticks with active protection, 0 to 1; 0 before the first tick."""
         return self.active / float(self.decisions) if self.decisions else 0.0
 
 
 @cython.cclass
 class Ticker:
-    """Ticks and settles the inputs of one robot.
+    """Handles the inputs of one robot: lets each change the robot, then settles the actions.
 
-    Quiet ticks: the first tick after an event finds until when nothing is due. Each event but a
-    quiet tick resets `_quiet_until`. An event that may change the lifecycle resets `_due_at`, too.
-    Odometry, neighbours, readings and messages reset neither.
+    A quiet tick only decides: no deadline has passed since the last event.
+
+    1. The first tick after an event computes `_quiet_until`, before which all ticks are quiet.
+    2. Each event except a quiet tick resets `_quiet_until`.
+    3. An event that may change the lifecycle also resets `_due_at`.
+    4. Odometry, neighbours, readings and messages reset neither.
     """
 
     decision = cython.declare(object, visibility="public")
@@ -82,29 +85,29 @@ class Ticker:
     _protection = cython.declare(object, visibility="public")
     _duty = cython.declare(DutyCycle, visibility="public")
     _last_tick = cython.declare(cython.double, visibility="public")
-    # Before it only a step or the status can be due.
+    # Before this time only a step or the status can be due.
     _due_at = cython.declare(cython.double, visibility="public")
-    # Before it nothing is due: a tick only decides.
+    # Before this time nothing is due: a tick only decides.
     _quiet_until = cython.declare(cython.double, visibility="public")
     _published_at = cython.declare(cython.double, visibility="public")
-    # The lifecycle may have changed since the last look at it.
+    # The lifecycle may have changed since the last check for a new status.
     _is_status_due = cython.declare(cython.bint, visibility="public")
-    _blind: object  # the blind sectors that were logged
-    _restarts: cython.Py_ssize_t  # of the scan delay, that were logged
+    _blind: object  # the text of the blind sectors that was logged last
+    _restarts: cython.Py_ssize_t  # the logged count of restarts of the scan delay's estimate
     # The base does not follow its commands.
     _is_off_command = cython.declare(cython.bint, visibility="public")
-    # What takes each type of input: of the robot, the input, the time.
+    # By type of input: the function (robot, input, time) that handles this type.
     _handlers = cython.declare(dict, visibility="public")
-    # That of the last event; under a hold no tick is quiet.
+    # The hold after the last event; no tick is quiet under a hold.
     _hold = cython.declare(object, visibility="public")
-    _settled: object  # the actions of the last event but a quiet tick
+    _settled: object  # the actions of the last event that was not a quiet tick
 
     def __init__(self) -> None:
         self.decided_at = self._due_at = self._quiet_until = self._published_at = -INFINITY
         self._hold, self._is_status_due, self._blind = Reason.NO_SCAN, True, ""
 
     def step(self, input: Input, now: cython.double) -> Actions | None:
-        """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
+        """Handle one input at `now`; returns the work of the shell, None without work."""
         if type(input) is _HostInput and type(input.event) is _Stepped:
             effects = Ticker._begin(self, now)
             self._lifecycle.on_stepped(input.event, effects)
@@ -113,7 +116,7 @@ class Ticker:
 
     @cython.ccall
     def _begin(self, now: cython.double) -> Effects:
-        """Begin the effects of an event. After a stall of the loop the run ends first."""
+        """Begin the effects of an event. After a stall of the loop, ends the run first."""
         effects = Effects(now)
         late = now - self._last_tick
         if late > _STALL_TIMEOUT:
@@ -132,9 +135,9 @@ class Ticker:
 
     @cython.cfunc
     def _tick(self, now: cython.double):
-        """Check all deadlines: 20 times a second, at rest 10 times, and at `wake_at`.
+        """Check all deadlines. The shell ticks at 20 Hz, at rest at 10 Hz, and at `wake_at`.
 
-        None after a quiet tick, which decides only.
+        Returns the actions; None after a quiet tick, which only decides.
         """
         if now >= self._quiet_until:
             self._look_ahead()
@@ -152,7 +155,7 @@ class Ticker:
         return self._settled_after(effects)
 
     def _settle(self, effects: Effects) -> Actions:
-        """The actions that follow from an event."""
+        """Check holds and deadlines after an event, decide, and return the actions."""
         return self._settled_after(effects)
 
     @cython.cfunc
@@ -160,6 +163,7 @@ class Ticker:
         now: cython.double = effects.now
         sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
         is_routine: cython.bint = effects.is_routine
+        # The hold of the sensors, and the hazards that end a run.
         running = run.running
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
@@ -168,12 +172,14 @@ class Ticker:
             detail = sensors.hazard_text(now)
         if sensors._ends_run:
             lifecycle.on_hazard(detail, effects)
+        # Deadlines: checked under a hold, when due, and after an event that changed the lifecycle.
         if hold is not None or now >= self._due_at or not is_routine:
             self._requests.advance(effects)
             hold = lifecycle.advance(hold, effects, detail if hold is HAZARD else "")
             self._is_status_due, self._due_at = True, -INFINITY
         self._quiet_until, self._hold = -INFINITY, hold
         decision = Ticker._decide(self, hold, now)
+        # The pattern: its restart after a fault, or its next step.
         machine = self._machine
         if run.restart_at < INFINITY:
             self._restart(effects)
@@ -182,7 +188,7 @@ class Ticker:
         if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
             inputs = InputAges.inputs(sensors, now, run.stepping(now))
             host = _Step(run.running.generation, inputs)
-        # Replies go first: a status may wait for the tick, an emergency stop may not.
+        # A status is published only at a tick, or after a latch: replies must not wait for it.
         is_latched: cython.bint = effects.is_latched
         has_status: cython.bint = effects.is_tick or is_latched
         if has_status:
@@ -212,7 +218,7 @@ class Ticker:
 
     @cython.cfunc
     def _look_ahead(self):
-        """Find until when nothing is due if no event comes; a hold is looked at in each tick."""
+        """Set `_quiet_until` and `_due_at` for a time without events; no quiet ticks in a hold."""
         if self._hold is not None:
             return
         due: cython.double = self._lifecycle_due_at()
@@ -225,7 +231,7 @@ class Ticker:
 
     @cython.cfunc
     def _lifecycle_due_at(self) -> cython.double:
-        """A time before which `advance` without a hold changes nothing; inf without one."""
+        """A time before which `advance` without a hold changes nothing; inf without a deadline."""
         lifecycle = self._lifecycle
         if lifecycle.params_request is not None or lifecycle.trial is not None:
             return -INFINITY
@@ -236,9 +242,10 @@ class Ticker:
 
     @property
     def is_at_rest(self) -> bool:
-        """True if only events change the state: no run, load or trial, and no answer due.
+        """True if only events change the state: no run, load or trial, and no awaited answer.
 
-        False without the base: another node may drive it, and a stopped robot then sends zero.
+        False while the base is not connected: another node may drive the base, and a stopped robot
+        must then send zero.
         """
         is_due = self._machine.state is _RUNNING or self._lifecycle_due_at() < INFINITY
         return bool(self._sensors.is_driver_up) and not is_due
@@ -261,7 +268,7 @@ class Ticker:
 
     @cython.cfunc
     def _look_at_stamps(self, now: cython.double):
-        """Log that stamps jumped."""
+        """Log that stamps of scan or odometry jumped, and the scan delay is measured anew."""
         restarts: cython.Py_ssize_t = self._sensors.scan_delay.restarts
         if restarts != self._restarts:
             self._restarts = restarts
@@ -293,17 +300,17 @@ class Ticker:
                 context,
                 self._machine.state is _RUNNING,
                 hold,
-                # Nothing is permitted under a hold, and a pattern that restarts is held.
+                # A hold permits nothing, and a restart of the pattern is a hold.
                 running.permit if hold is None else NOTHING_PERMITTED,
             )
         self.decided_at, self.decision = now, decision
         return decision
 
     def wake_at(self, now: cython.double) -> float | None:
-        """The next deadline for which the robot must be woken between ticks; None without one.
+        """The next deadline for which the shell must wake the robot between ticks; None without.
 
-        Deadlines of the pattern run, the run lease, the scans and the longest hold; all others
-        are checked at ticks.
+        Counts the deadlines of the pattern run, the run lease, the scans and the longest hold. All
+        further deadlines wait for the next tick.
         """
         soonest: cython.double = self._run.next_deadline(now)
         if self._machine.state is _RUNNING:
@@ -321,9 +328,10 @@ class Ticker:
 def tick_many(
     robots: list, rows: list, commands: cython.double[:, ::1], now: cython.double
 ) -> list[tuple[int, Actions]]:
-    """Tick robots: the place in `robots` and the actions of each tick that is not quiet.
+    """Tick many robots; returns (index in `robots`, actions) of each tick that is not quiet.
 
-    The command of a quiet tick goes into the robot's row of `commands`: linear, angular, lateral.
+    `rows`: by robot, its row in `commands`. A quiet tick writes its safe command into that row:
+    linear (m/s), angular (rad/s), lateral (m/s).
     """
     found: list = []
     robot: Ticker
@@ -342,7 +350,7 @@ def tick_many(
 
 
 def odometry_many(robots: list, readings: list, now: cython.double) -> None:
-    """Hand its reading of odometry to each robot; None in place of a robot that is not there."""
+    """Hand each reading to the robot at the same index; a robot of None is skipped."""
     robot: Ticker
     i: cython.Py_ssize_t
     for i in range(len(robots)):
