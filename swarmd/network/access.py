@@ -1,15 +1,20 @@
-"""What each name of a roster may send and hear on a session's links; Zenoh enforces it. Pure.
+"""The access rules of a Zenoh session: the messages that each name of a roster may send. Pure.
 
-A roster and the own name give the value of Zenoh's `access_control`. What is not listed is denied,
-silently for its sender. Zenoh compares the common name in the certificate of the other end of a
-link, exactly, and keeps the rules for the life of a session: another roster needs another session.
+A roster and the own name give the value of Zenoh's `access_control`, which Zenoh enforces. Zenoh
+drops a message that no rule allows, without notice to its sender. The subject of a rule is the
+common name in the certificate of the other end of a link, which must be equal. A session keeps its
+rules until it is closed: another roster needs another session.
 
-- A robot takes questions on `control/<verb>/<asker>` from the operator of that name, and from the
+Directions are seen from the session that has the rules: `ingress` is what it receives from the
+named end of the link, `egress` what it sends to that end.
+
+- A robot receives queries on `control/<verb>/<asker>` from the operator of that name, and from the
   viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` and
   `message/**` to operators and viewers, and answers `shared/<what>/<asker>` to each name of the
-  roster. It takes puts of operators alone, as messages: a vote may move a robot, as a request may.
-- Operators and viewers take what comes on a key of a robot from the robot of that name only.
-- Robots, operators and viewers see each other's liveliness tokens, each of its own name only.
+  roster. It receives puts (messages) from operators only: a vote may move a robot.
+- Operators and viewers receive a robot's keys from the robot of that name only.
+- Robots, operators and viewers see each other's liveliness tokens; each may declare only the token
+  of its own name.
 """
 
 from __future__ import annotations
@@ -41,9 +46,9 @@ def may_ask(role: Role, verb: str) -> bool:
 
 
 def robot_access(roster: Roster, robot: str) -> Access:
-    """`access_control` of the session on which a robot listens.
+    """The `access_control` of the session on which a robot listens.
 
-    ConfigError if the roster lacks the robot, or has no operator.
+    Raises ConfigError if the roster lacks the robot, or has no operator.
     """
     if roster.role_of(robot) is not Role.ROBOT:
         raise ConfigError(f"{robot} is no robot of roster {roster.generation} of {roster.swarm}")
@@ -81,9 +86,9 @@ def robot_access(roster: Roster, robot: str) -> Access:
 
 
 def asker_access(roster: Roster, name: str) -> Access:
-    """`access_control` of a session that dials robots: an operator's, a viewer's, or of a pull.
+    """The `access_control` of a session that dials robots, as operator, viewer or pulling robot.
 
-    ConfigError if the roster lacks the name, or has no robot.
+    Raises ConfigError if the roster lacks the name, or has no robot.
     """
     role = roster.role_of(name)
     if role is None:
@@ -119,11 +124,11 @@ def asker_access(roster: Roster, name: str) -> Access:
 
 
 def router_access(roster: Roster, router: str) -> Access:
-    """`access_control` of a Zenoh router of profile routed, for links of names of the roster.
+    """The `access_control` of a Zenoh router of profile routed, for links to names of the roster.
 
-    The rules decide what a name may send and subscribe to. A router sends to a link only what the
-    other end subscribed to or asked for. `router` is the name in the certificates of all routers of
-    the swarm.
+    The ingress rules decide what each name may send, query and subscribe to. The egress rules allow
+    everything of the swarm: a router sends to a link only the keys to which the other end
+    subscribed, and replies. `router`: the name in the certificates of all routers of the swarm.
     """
     swarm, everyone = roster.swarm, [f"{ROOT}/{roster.swarm}/**"]
     heard = build(swarm, ANY, "multicast", "all")
@@ -165,7 +170,7 @@ def _questions(roster: Roster, name: str) -> list[str]:
 
 
 class _Rules:
-    """Collects what is allowed to which names."""
+    """Collects rules, and makes them the value of `access_control`."""
 
     def __init__(self) -> None:
         self._rules: list[Access] = []
@@ -173,7 +178,10 @@ class _Rules:
         self._policies: list[Access] = []
 
     def allow(self, names: Iterable[str], flow: str, messages: list[str], keys: list[str]) -> None:
-        """Let these messages pass on these keys, from or to links of these names."""
+        """Allow these kinds of messages on these keys, on links to these names.
+
+        `flow`: _IN for messages from these names, _OUT for messages to these names.
+        """
         who = tuple(names)
         if not who or not keys:  # Zenoh takes an empty list of names for all names
             return

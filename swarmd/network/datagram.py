@@ -1,8 +1,7 @@
-"""The datagrams that every robot of a swarm sends and hears. Pure: bytes in, structs out.
+"""The structs and the codec of the swarm's datagrams. Pure: bytes in, structs out.
 
-A datagram is readable by every version of swarmd. Its head has a fixed layout. Its body is a
-MessagePack array: later versions append fields at the end, and older versions ignore unknown
-fields::
+Every version of swarmd can read a datagram. The head has a fixed layout. The body is a MessagePack
+array: later versions append fields at the end, and older versions ignore unknown fields::
 
     offset  bytes
     0       4      magic b"SWMD"
@@ -39,14 +38,14 @@ TAG_BYTES = 8
 ANY_SWARM = bytes(TAG_BYTES)
 Address = tuple[str, int]
 """Host and port; a link-local IPv6 host ends with `%` and the number of the interface."""
-# Fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
+# Bytes; fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
 MAX_DATAGRAM = 1400
-MAX_TRAILER = 77  # bytes of it for the longest signature
-MAX_KINDS = 8  # of records whose digests a beacon shows
+MAX_TRAILER = 77  # bytes of the longest signature, within MAX_DATAGRAM
+MAX_KINDS = 8  # kinds of records whose digests a beacon shows
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
 MAX_MS = round(1000 * MAX_SECONDS)
-_ROUNDING = 1e-6  # mm that rounding adds to a whole number of them
+_ROUNDING = 1e-6  # mm: error of a whole number of mm that was computed from m
 
 RobotId = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
@@ -81,10 +80,10 @@ class Kind(IntEnum):
 
 
 class Flag(IntFlag):
-    """What a beacon says beside the state."""
+    """The flags of a beacon."""
 
-    JOINING = 1  # it claims its id and does not own it yet
-    LEFT = 2  # it leaves in order
+    JOINING = 1  # the robot claims its id and does not own it yet
+    LEFT = 2  # the daemon ends in order
 
 
 STATES = tuple(State)  # the index of a state on the wire; append only
@@ -95,7 +94,7 @@ URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
 """Kinds that are sent by all ways at once, and that no flood of other kinds may shut out."""
 
 OnDatagram = Callable[[bytes, Address, float], object]
-"""Takes what a carrier received: bytes, source, and the seconds for which they waited here."""
+"""Takes a datagram from a carrier: bytes, source, and s for which it waited on this machine."""
 
 
 class _Datagram(Struct, frozen=True, kw_only=True, array_like=True):
@@ -156,11 +155,11 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     version: Annotated[str, Meta(max_length=32)] = ""  # of the package; only answers have it
     body: BodyReport | None = None  # None from an older version
     number: Number = 0  # counts the beacons to all, so that losses show; 0: sent to one receiver
-    said: Number = 0  # messages of patterns that the instance has sent; only answers have it
-    clock: Milliseconds = 0  # of the instance, as in `Place`; only answers have it
+    said: Number = 0  # messages of patterns that the instance has sent; only in answers
+    clock: Milliseconds = 0  # the instance's clock, as `Place.sent`; only in answers
 
     def digest(self, kind: RecordKind) -> bytes:
-        """The digest of the records of a kind; empty without one."""
+        """The digest of the records of a kind; empty without a record."""
         return self.digests[kind] if kind < len(self.digests) else b""
 
 
@@ -175,9 +174,8 @@ class Solicit(_Datagram, frozen=True, kw_only=True):
     wants_members: bool = False
     wants_latches: bool = False
     wants_goal: bool = False
-    robot: RobotId | None = (
-        None  # only this robot is asked, and answers also while it claims its id
-    )
+    # The only robot that is asked, which answers also while it claims its id; None: all.
+    robot: RobotId | None = None
 
 
 class MemberReport(_Datagram, frozen=True, kw_only=True):
@@ -213,17 +211,16 @@ class Stop(_Datagram, frozen=True, kw_only=True):
     id: Name
     verb: Literal["stop", "estop"]
     operator: Short
-    targets: Annotated[tuple[RobotId, ...], Meta(max_length=1024)] | None = (
-        None  # None: every robot
-    )
+    # The robots to stop; None: every robot.
+    targets: Annotated[tuple[RobotId, ...], Meta(max_length=1024)] | None = None
     scope: Literal["swarm", "robots"] = "swarm"  # swarm: the latch spreads to robots that join
     reason: Reason = ""
-    # Since the operator issued the stop, summed hop by hop without clocks and without the time on
-    # the way.
+    # ms since the operator issued the stop: each sender adds the time that it held the stop. The
+    # time on the network is not included.
     age: Milliseconds = 0
     hops: Hops = 0  # the number of relays
-    # The operator's installation, and a number that rises with each of its stops: only in a secured
-    # swarm (`stop_freshness.py`).
+    # Only in a secured swarm (`stop_freshness.py`): the operator's installation, and a number that
+    # rises with each stop of that installation.
     origin: Annotated[bytes, Meta(max_length=4)] = b""
     counter: Number = 0
     repeated: Milliseconds = 0  # the age when the operator itself sent the copy that was relayed
@@ -250,7 +247,7 @@ class Ack(_Datagram, frozen=True, kw_only=True):
 
 
 class Latches(_Datagram, frozen=True, kw_only=True):
-    """A part of the latches that robots take over from a robot with this `digest` in its beacon."""
+    """A part of a robot's swarm-wide latches; `digest`: of all of them, as in its beacon."""
 
     robot: RobotId
     instance: Bytes6
@@ -261,8 +258,8 @@ class Latches(_Datagram, frozen=True, kw_only=True):
 class GoalReport(_Datagram, frozen=True, kw_only=True):
     """The answer to a `Solicit` with `wants_goal` and this `echo`: the goal that a robot holds.
 
-    `goal`: the bytes of the goal, see core/goal.py. `age`: ms since the goal was set, summed hop by
-    hop without clocks; None if the robot does not know the age.
+    `goal`: the bytes of the goal, see core/goal.py. `age`: ms since the goal was set, summed from
+    robot to robot without a shared clock; None if the robot does not know the age.
     """
 
     robot: RobotId
@@ -273,10 +270,10 @@ class GoalReport(_Datagram, frozen=True, kw_only=True):
 
 
 class RunLease(_Datagram, frozen=True, kw_only=True):
-    """Shows that the operator of a run is there; sent at least each third of the goal's lease.
+    """Shows that the operator of a run is present; sent at least each third of the goal's lease.
 
-    `id`: of the goal. `count` rises with each: a robot ignores a count that is not greater than the
-    last, so that an old one cannot keep a run going.
+    `id`: of the goal. `count` rises with each `RunLease`: a robot ignores a count that is not
+    greater than the last, so that a replayed datagram cannot keep a run going.
     """
 
     id: Name
@@ -285,7 +282,7 @@ class RunLease(_Datagram, frozen=True, kw_only=True):
 
 
 class Message(_Datagram, frozen=True, kw_only=True):
-    """What a pattern says on a channel `<pattern>/<name>`.
+    """A message of a pattern on the channel `<pattern>/<name>`.
 
     `sequence` rises by one with each message of an instance on any channel, so that losses show.
     """
@@ -298,35 +295,31 @@ class Message(_Datagram, frozen=True, kw_only=True):
 
 
 class Place(_Datagram, frozen=True, kw_only=True):
-    """Where a robot is in a shared frame: sent up to 10 times a second to peers that miss it.
-
-    `sent`: ms on the sender's clock, by which a delay on the way shows. `age`: ms from the
-    measurement until then. `x`, `y` and `error`, which bounds the error, in mm.
-    """
+    """The position of a robot in a shared frame, sent up to 10 times a second."""
 
     robot: RobotId
     instance: Bytes6
-    sent: Milliseconds
-    age: Milliseconds
+    sent: Milliseconds  # on the sender's clock: receivers estimate delays from it
+    age: Milliseconds  # from the measurement until `sent`
     frame: Annotated[str, Meta(min_length=1, max_length=63)]
     x: Coordinate
     y: Coordinate
-    error: Millimetres
+    error: Millimetres  # bound of the distance to the true position
 
 
 class ClockQuery(_Datagram, frozen=True, kw_only=True):
-    """Asks a robot for the time on its clock; `sent` on the asker's own, repeated in the answer."""
+    """Asks a robot for its clock's time; `sent`: on the asker's clock, repeated in the answer."""
 
     sent: Nanoseconds
 
 
 class ClockReply(_Datagram, frozen=True, kw_only=True):
-    """The answer to a `ClockQuery`: the time on the robot's clock, and which clock that is."""
+    """The answer to a `ClockQuery`."""
 
     robot: RobotId
-    clock: Bytes6
-    sent: Nanoseconds
-    answered: Nanoseconds
+    clock: Bytes6  # the id of the robot's clock
+    sent: Nanoseconds  # as in the query
+    answered: Nanoseconds  # the time on the robot's clock
 
 
 class Swarm(_Datagram, frozen=True, kw_only=True):
@@ -360,9 +353,9 @@ _DECODERS = {number: msgspec.msgpack.Decoder[Any](kind) for number, kind in _TYP
 
 
 def tag_of(profile: str, swarm: str, authority: bytes = b"") -> bytes:
-    """The tag of a swarm: two profiles, swarms or authorities do not meet.
+    """The tag of a swarm, which differs for each profile, swarm and authority.
 
-    `authority`: the public key of a secured swarm; empty: insecure.
+    `authority`: the public key of a secured swarm; empty for a swarm without keys.
     """
     content = f"{profile}/{swarm}".encode() + (b"/" + authority if authority else b"")
     return hashlib.blake2b(content, digest_size=TAG_BYTES).digest()
@@ -377,9 +370,10 @@ def pack(tag: bytes, body: Datagram) -> bytes:
 
 
 def unpack(tag: bytes, payload: bytes) -> Datagram | None:
-    """The body of a datagram; None if it is of another swarm or of a kind that is unknown here.
+    """The body of a datagram; None for another swarm, or a kind that this version does not know.
 
-    A `Solicit` of any swarm is read, too. Raises CodecError if it is malformed.
+    A `Solicit` or `Swarm` with the tag of any swarm is read, too. Raises CodecError for a malformed
+    datagram.
     """
     if len(payload) < _HEAD.size or len(payload) > MAX_DATAGRAM or payload[:4] != MAGIC:
         raise CodecError("no datagram of a swarm")
@@ -425,7 +419,7 @@ def only_names(word: MemberList, names: Collection[str]) -> MemberList:
 def in_parts(
     members: tuple[MemberReport, ...], *, roster: tuple[str, ...] = ()
 ) -> list[tuple[tuple[MemberReport, ...], tuple[str, ...]]]:
-    """Members and names of the roster, in parts of which each fits a datagram."""
+    """Members and names of the roster in parts, each of which fits one datagram."""
     parts: list[tuple[list[MemberReport], list[str]]] = [([], [])]
     room = _ROOM
     items: tuple[MemberReport | str, ...] = (*members, *roster)
@@ -443,6 +437,5 @@ def in_parts(
     return [(tuple(some), tuple(names)) for some, names in parts[:256]]
 
 
-_ROOM = (
-    MAX_DATAGRAM - MAX_TRAILER - _HEAD.size - 110
-)  # beside the sender's name, instance and numbers
+_LIST_FIELDS = 110  # bytes of a `MemberList` beside members and roster: name, instance, numbers
+_ROOM = MAX_DATAGRAM - MAX_TRAILER - _HEAD.size - _LIST_FIELDS

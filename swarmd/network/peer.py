@@ -1,7 +1,8 @@
-"""What one robot says and hears by datagrams. Pure: datagrams and times in, `PeerActions` out.
+"""The datagram protocol of one robot. Pure: datagrams and times in, `PeerActions` out.
 
-`Peer` joins the claim of the id, the membership, the spread of latches, the relay of stops and the
-loss of pattern messages. The daemon sends what `PeerActions` holds and carries out the rest.
+`Peer` combines the claim of the robot id, the membership, the spread of latches and goals, the
+relay of stops and the loss count of pattern messages. The daemon sends the datagrams in
+`PeerActions.sends`, and carries out the other actions.
 """
 
 from __future__ import annotations
@@ -55,80 +56,77 @@ from swarmd.network.spread.latch_sync import LatchSync, digest_of, latch_parts
 from swarmd.network.stops.stop_relay import StopRelay
 from swarmd.security.roster import Role
 
-LIST_PERIOD = 10.0  # between questions for words, each to another member
-SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
-MEMBERS_PERIOD = 0.25  # between looks for members that are silent
-# A robot joins a run so long after it has heard the last new peer, in s: the others show their
-# goals within a period of beacons, and a goal without a pattern may be among them.
+LIST_PERIOD = 10.0  # s between two requests for a member list, each to a random member
+SYNC_TIMEOUT = 1.0  # s for which a robot that joins waits for the latches of its peers
+MEMBERS_PERIOD = 0.25  # s between two searches for silent members
+# s from the last new peer until a robot joins a run: within a beacon period all peers show their
+# goals, and a goal without a pattern (a stop) may be among them.
 JOIN_SETTLE = 1.5 * BEACON_PERIOD
-MAX_DUPLICATES = 64  # other instances with the own id
+MAX_DUPLICATES = 64  # other instances with this robot's id
 
 CheckGoal = Callable[[Goal, float], bool | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a robot's beacon shows of it; `pulled`: the digests of the kinds that robots pull.
-
-    `wished`: when the present run was asked for, in s: earlier stops of this robot are not handed
-    on. `reset_at`: nor stops of all that were issued before this reset. `cleared`: nor emergency
-    stops with these ids, which were reset.
-    """
+    """The robot's state for its beacon, and the stops that the robot no longer relays."""
 
     state: State
     revision: int
     latches: Mapping[str, Latch]
     goal: HeldGoal | None = None
     pulled: Mapping[RecordKind, bytes] = field(default_factory=dict)
+    """The digests of the records that robots pull over Zenoh."""
     wished: float = -math.inf
+    """s at which the present run was requested: earlier stops of this robot are not relayed"""
     reset_at: float = -math.inf
+    """s of the last reset: earlier stops of all robots are not relayed"""
     cleared: Collection[str] = ()
+    """The ids of emergency stops that were reset, and are not relayed."""
 
     @property
     def digests(self) -> tuple[bytes, ...]:
-        """Those of all records, by kind."""
+        """The digests by kind, in the order of `RecordKind`; empty for a kind without a record."""
         goal = b"" if self.goal is None else self.goal.digest
-        shown = {RecordKind.LATCH: digest_of(self.latches), RecordKind.GOAL: goal, **self.pulled}
-        return tuple(shown.get(kind, b"") for kind in RecordKind)
+        by_kind = {RecordKind.LATCH: digest_of(self.latches), RecordKind.GOAL: goal, **self.pulled}
+        return tuple(by_kind.get(kind, b"") for kind in RecordKind)
 
 
 @dataclass(slots=True)
 class PeerActions:
-    """What follows from a datagram or from time.
-
-    `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
-    sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
-    presence changed. `messages`: of patterns. `indirect_addresses`: of robots that others hear.
-    `beacon`: of a robot that owns its id, whose digests of pulled kinds may be new.
-    `places`: of peers in a shared frame. `clocks`: times that peers answered. `duplicate`: another
-    instance that has begun to own the id. `lost`: messages that are missing, or less than 0 for
-    those that came late. In a secured swarm, `flaw`: why the datagram does not count, `replayed`:
-    stops that count as replayed, and `is_repeated`: the stop was heard before.
-    `goals`: of peers; `invalid_goals` were not signed by their issuer.
-    """
+    """What the daemon must do after a datagram, or after time has passed."""
 
     sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
+    """Datagrams with their receiver; None: all."""
     stops: list[tuple[Stop, Address]] = field(default_factory=list)
-    latches: dict[str, Latch] = field(default_factory=dict)
-    changed: list[str] = field(default_factory=list)
-    messages: list[Message] = field(default_factory=list)
-    places: list[PeerPlace] = field(default_factory=list)
-    clocks: list[ClockSample] = field(default_factory=list)
+    """Stops to carry out, with their senders, which get an ack if `Peer.wants_ack`."""
+    latches: dict[str, Latch] = field(default_factory=dict)  # of peers
+    changed: list[str] = field(default_factory=list)  # robots whose presence changed
+    messages: list[Message] = field(default_factory=list)  # of patterns
+    places: list[PeerPlace] = field(default_factory=list)  # of peers in a shared frame
+    clocks: list[ClockSample] = field(default_factory=list)  # answers of peers to clock queries
     indirect_addresses: list[Address] = field(default_factory=list)
+    """The addresses of robots that other robots hear."""
     beacon: Beacon | None = None
+    """The beacon of a robot that owns its id; the digests of pulled kinds may be new."""
     duplicate: str = ""
+    """Another instance that has begun to own this robot's id."""
     lost: int = 0
+    """The change of the number of lost messages; below 0 if a message came late."""
     flaw: Flaw | None = None
+    """In a secured swarm: why the datagram is dropped."""
     replayed: list[tuple[Stop, Address]] = field(default_factory=list)
+    """In a secured swarm: stops that are refused as replayed."""
     is_repeated: bool = False
-    goals: list[FoundGoal] = field(default_factory=list)
-    invalid_goals: int = 0
+    """In a secured swarm: an earlier copy of the stop was heard."""
+    goals: list[FoundGoal] = field(default_factory=list)  # of peers
+    invalid_goals: int = 0  # goals that their issuer has not signed
     leases: list[RunLease] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeerSettings:
-    """What a peer says of itself, and the times of its swarm."""
+    """The identity that a peer states in its datagrams, and the times of its swarm."""
 
     robot: str
     instance: bytes
@@ -143,14 +141,15 @@ class PeerSettings:
     version: str
     body: Body | None = None
     clock: str = "000000000000"
-    """The id of the clock, which `now` reads"""
+    """The id of the clock from which `now` is read"""
 
 
 class Peer:
-    """One robot among the others; with an `admission` the swarm is secured.
+    """The protocol state of one robot.
 
-    `roster`: the robots that the swarm expects. `check_goal`: whether a goal of a peer counts, see
-    `GoalCheck`.
+    `roster`: the robots that the swarm expects. `admission`: the checks of a secured swarm; None:
+    the swarm is not secured. `check_goal(goal, now)`: True if the goal of a peer is accepted, None
+    if the check must wait (`GoalCheck`).
     """
 
     def __init__(
@@ -173,26 +172,26 @@ class Peer:
         self._begin_datagrams(settings, now)
 
     def _begin_membership(self, settings: PeerSettings, now: float) -> None:
-        """The claim of the id, and what is known of members."""
+        """Set up the claim of the id, and the state of members and links."""
         self.membership = Membership(settings.robot, settings.lease)
         self.links = LinkQualities(BEACON_PERIOD)
         self._claim: Claim | None = Claim(settings.robot, settings.instance, settings.settle, now)
         self._began = self._members_at = now
-        self._news_at = now  # when a peer was heard for the first time, or again
+        self._new_peer_at = now  # when a peer was heard for the first time, or returned
         self._duplicates: dict[bytes, float] = {}
         self._windows = MessageWindows()
         self._places = PeerPlaces(settings.robot, settings.instance)
         self._clocks = PeerClocks(settings.robot, settings.clock)
 
     def _begin_spread(self) -> None:
-        """Latches, goals and stops."""
+        """Set up the spread of latches, goals and stops."""
         self._sync = LatchSync()
         self._goal_sync = GoalSync(self._random.getrandbits(32))
         self._is_join_due = False  # a goal was found, and those of other peers may be greater
         self._relay = StopRelay(self.robot, self._random.getrandbits(32))
 
     def _begin_datagrams(self, settings: PeerSettings, now: float) -> None:
-        """What the robot sends, when, and how much."""
+        """Set up the robot's own datagrams, their times, and the budget of answers."""
         self._swarm = Swarm(swarm=settings.swarm, profile=settings.profile, robot=settings.robot)
         self._body = None if settings.body is None else BodyReport.of(settings.body)
         self._sequence = self._message_sequence = 0
@@ -226,11 +225,12 @@ class Peer:
         return tuple(name.hex() for name in self._duplicates)
 
     def is_in_sync(self, now: float) -> bool:
-        """True once the latches of all peers that were heard are here, or SYNC_TIMEOUT is over."""
+        """True once all peers heard have sent their latches, or SYNC_TIMEOUT is over."""
         admission = self._admission
-        is_open = self._sync.is_open
-        is_open |= admission is not None and admission.freshness.awaits_latches(now)
-        return now - self._began >= self._settings.settle + SYNC_TIMEOUT or not is_open
+        awaits_latches = self._sync.is_open
+        awaits_latches |= admission is not None and admission.freshness.awaits_latches(now)
+        is_over = now - self._began >= self._settings.settle + SYNC_TIMEOUT
+        return is_over or not awaits_latches
 
     # Inputs
 
@@ -245,9 +245,10 @@ class Peer:
         author: Author | None = None,
         waited: float = 0.0,
     ) -> PeerActions:
-        """A datagram arrived; `is_any`: it is for any swarm. `author`: in a secured swarm.
+        """Take a datagram; returns what the daemon must do.
 
-        `waited`: for so many seconds, as while the process was frozen.
+        `is_any`: the datagram is for any swarm. `author`: its signer in a secured swarm. `waited`:
+        s from arrival until now, for example while the process was frozen.
         """
         effects = PeerActions()
         if isinstance(body, Stop) and waited > 0.0:
@@ -303,11 +304,11 @@ class Peer:
         return effects
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
-        """True if the sender of this stop is to have this robot's ack now."""
+        """True if this robot must now send its ack of the stop to `source`."""
         return self._relay.wants_ack(stop, source, now)
 
     def take_roster(self, robots: tuple[str, ...]) -> None:
-        """Report these robots as expected, and forget all others."""
+        """Expect these robots from now on, and forget all members that are not among them."""
         self._roster = robots
         self.membership.keep_only(robots)
         if self._admission is not None:
@@ -346,25 +347,26 @@ class Peer:
         return [*self._clocks.pings(asked, self.membership.alive_addresses(), now)]
 
     def leave_beacon(self, summary: Summary) -> Beacon:
-        """The last beacon of a robot that leaves in order."""
+        """The last beacon (Flag.LEFT) of a robot whose daemon ends in order."""
         return self._beacon(summary, Flag.LEFT)
 
     def advance(self, now: float, summary: Summary) -> PeerActions:
-        """Time passes; call it at `wake_at` and at least ten times a second."""
+        """Send what is due at `now`; call it at `wake_at` and at least ten times a second."""
         effects = PeerActions()
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._times.send_now(now)
             effects.sends.append((self._solicit(now), None))
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
-            # The answers show the latches of the others before the claim is won.
+            # The answers show the latches of the peers before the claim is won.
             self._solicits_at.pop(0)
             effects.sends.append((self._solicit(now), None))
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
         self._times.note_latches(digest_of(summary.latches), now)
-        self._send_beacon_if_due(now, summary, effects)  # first: others compare its digest
+        # The beacon goes before the latches: peers compare its digest with their own.
+        self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
         effects.sends.extend((stop, None) for stop in stops)
@@ -382,7 +384,7 @@ class Peer:
         return effects
 
     def _advance_members(self, now: float, effects: PeerActions) -> None:
-        """End leases and solicit silent members, which takes a microsecond a member."""
+        """End leases, solicit silent members, and forget silent duplicates: 1 us a member."""
         effects.changed = self.membership.advance(now)
         silent = self.membership.to_probe(now)
         if silent:
@@ -410,7 +412,7 @@ class Peer:
         self.links.on_beacon(beacon.robot, beacon.instance, beacon.number, now)
         if self.membership.on_beacon(beacon, source, now):
             effects.changed.append(beacon.robot)
-            self._news_at = now
+            self._new_peer_at = now
         own = digest_of(summary.latches)
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
         effects.beacon = beacon if is_owner else None
@@ -420,8 +422,8 @@ class Peer:
         ):
             effects.sends.append((self._solicit(now, latches=True), source))
         if is_owner and self._claim is None and self.is_in_sync(now):  # latches come first
-            goal = beacon.digest(RecordKind.GOAL), source, summary.goal
-            echo = self._goal_sync.wants(beacon.instance, *goal, now)
+            digest = beacon.digest(RecordKind.GOAL)
+            echo = self._goal_sync.wants(beacon.instance, digest, source, summary.goal, now)
             if echo is not None:
                 effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
 
@@ -429,29 +431,38 @@ class Peer:
         reported = self._goal_sync.on_report(report, now)
         if reported is None:
             return
-        counts = self._check_goal(reported.goal, now)
-        if counts:
+        is_valid = self._check_goal(reported.goal, now)
+        if is_valid:
             effects.goals.append(reported)
             self._is_join_due = True
-        elif counts is None:
+        elif is_valid is None:  # too many signatures at a time: ask again
             self._goal_sync.retry(report.instance)
         else:
             effects.invalid_goals += 1
 
     def _join_if_settled(self, now: float, summary: Summary, effects: PeerActions) -> None:
-        """Let the robot join the run of its goal once the goals and latches of all are known."""
+        """Let the robot join the run of its goal once all peers' goals and latches are known."""
         held = summary.goal
         if not self._is_join_due or held is None or self._claim is not None:
             return
-        if now - self._news_at < JOIN_SETTLE or not self.is_in_sync(now):
+        if now - self._new_peer_at < JOIN_SETTLE or not self.is_in_sync(now):
             return
-        if any(self._goal_sync.lacks(*shown, held.digest) for shown in self.membership.goals()):
+        if any(
+            self._goal_sync.lacks(instance, digest, held.digest)
+            for instance, digest in self.membership.goals()
+        ):
             return
         self._is_join_due = False
         effects.goals.append(FoundGoal(held.goal, held.age(now), may_join=True))
 
     def _is_overtaken(self, summary: Summary, stop: Stop, issued: float) -> bool:
-        """True if this robot would refuse the stop, or a newer goal makes all robots run."""
+        """True if the stop, issued at `issued` s, is not relayed any more.
+
+        1. An emergency stop: once it was reset here.
+        2. A stop: if a goal for all robots, issued later, starts a pattern.
+        3. A stop of all: if this robot's run or reset is later.
+        4. A stop of named robots: if this robot is named and its run is later.
+        """
         if stop.verb == "estop":
             return stop.id in summary.cleared and stop.id not in summary.latches
         held = summary.goal
@@ -491,7 +502,8 @@ class Peer:
         if not is_for_this or not self._answers.may_answer(source, 1, now):
             return
         if self._claim is not None:
-            if solicit.robot is not None and is_robot:  # a rival asks whether this one lives
+            # Another claimer of the id asks whether this instance is alive.
+            if solicit.robot is not None and is_robot:
                 rival = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
                 effects.sends.append((rival, source))
             return
@@ -506,7 +518,7 @@ class Peer:
             if not self._answers.may_answer(source, len(parts), now):
                 return
             for number, (members, roster) in enumerate(parts):
-                word = MemberList(
+                member_list = MemberList(
                     robot=self.robot,
                     instance=self._instance,
                     members=members,
@@ -515,7 +527,7 @@ class Peer:
                     echo=solicit.echo,
                     roster=roster,
                 )
-                effects.sends.append((word, source))
+                effects.sends.append((member_list, source))
         if (
             solicit.wants_goal
             and summary.goal is not None
@@ -523,8 +535,8 @@ class Peer:
         ):
             effects.sends.append((self._goal_report(summary.goal, solicit.echo, now), source))
         if solicit.wants_latches:
-            parts_ = latch_parts(self.robot, self._instance, summary.latches)
-            effects.sends.extend((latches, source) for latches in parts_)
+            latch_lists = latch_parts(self.robot, self._instance, summary.latches)
+            effects.sends.extend((latches, source) for latches in latch_lists)
 
     def _admit(self, body: Datagram, author: Author | None, now: float) -> Datagram | Flaw:
         assert self._admission is not None
@@ -536,14 +548,14 @@ class Peer:
     def _question(
         self, body: Datagram, flaw: Flaw, source: Address, now: float, effects: PeerActions
     ) -> None:
-        """Ask the sender of a beacon whether it lives now, if that is not known."""
+        """Ask the sender of an unproven beacon for an answer that shows that it is alive now."""
         if self._admission is not None and flaw is Flaw.UNPROVEN and isinstance(body, Beacon):
             question = self._admission.freshness.question(body, now)
             if question is not None:
                 effects.sends.append((question, source))
 
     def _solicit(self, now: float, *, members: bool = False, latches: bool = False) -> Solicit:
-        """A question; in a secured swarm its answer proves that a robot lives now."""
+        """A `Solicit`; in a secured swarm the answer proves that its sender is alive now."""
         echo = 0 if self._admission is None else self._admission.freshness.new_echo(now)
         return Solicit(echo=echo, wants_members=members, wants_latches=latches)
 
@@ -580,8 +592,8 @@ class Peer:
             effects.sends.extend((latches, None) for latches in parts)
 
     def _send_beacon_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
-        shown = (summary.state, summary.revision, summary.digests, self._claim is None)
-        number = self._times.number_due(shown, now, is_claiming=self._claim is not None)
+        content = (summary.state, summary.revision, summary.digests, self._claim is None)
+        number = self._times.number_due(content, now, is_claiming=self._claim is not None)
         if number:
             flags = 0 if self._claim is None else Flag.JOINING
             effects.sends.append((self._beacon(summary, flags, number=number), None))

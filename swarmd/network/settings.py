@@ -20,7 +20,7 @@ MIN_LEASE, MAX_LEASE = 0.2, 60.0
 
 Profile = Literal["dev", "field", "routed"]
 DEFAULT_SWARM = "default"
-# Where a setting stands, such as ("seeds", 0), and what is wrong with it.
+# The path of a setting, such as ("seeds", 0), and the text of its fault.
 Fault = tuple[tuple[str | int, ...], str]
 
 _ENDPOINT = re.compile(
@@ -61,13 +61,13 @@ def parse_endpoint(
 
 
 class NetworkSettings(Struct, frozen=True, kw_only=True):
-    """How to meet the swarm."""
+    """The settings by which a robot or operator reaches its swarm."""
 
     swarm: str = DEFAULT_SWARM
-    # dev: robots on this machine. field: robots on one interface, without anything else. routed:
-    # all by Zenoh routers at the endpoints `routers`.
+    # dev: robots on this machine. field: robots on one interface, without routers. routed: all
+    # traffic by Zenoh routers at the endpoints `routers`.
     profile: Profile = "dev"
-    # Required in profile field, which binds nothing else; dev uses `lo`.
+    # Required in profile field, which uses only this interface; dev uses `lo`.
     interface: str | None = None
     # Endpoints such as `tcp/10.0.0.5:7440`. Empty means an ephemeral port on loopback (dev) or port
     # 7440 on the interface (field).

@@ -8,8 +8,9 @@
     5       n + 9   NAMED: the length of the name, the name of the operator or viewer, and its tag
 
 A tag is keyed BLAKE2b (RFC 7693) of 8 bytes over head, body and the trailer up to the first tag.
-`datagram_keys.py` describes the keys. A robot signs as one of its class, so that `Author` names
-operators and viewers only; the tag of a pair, and the proof in an `Ack`, name the robot as well.
+`datagram_keys.py` describes the keys. All robots share the key of the class "robot": a tag of the
+class does not show which robot signed, so that `Author` names only operators and viewers. The tag
+of a pair, and the proof in an `Ack`, show the robot as well.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from swarmd.security.identity import Identity
 from swarmd.security.roster import Role, Roster
 
 SIGNATURE_BYTES = 8
-PREVIOUS_TIME = 600.0  # s for which stops of the generation before a new roster count
+MAX_PAIRS = 64  # keys that a signer caches
+PREVIOUS_TIME = 600.0  # s after a new roster for which stops of the generation before count
 _START = struct.Struct(">BI")
 _PROOF = b"swarmd ack"  # so that a proof is no signature of a datagram
 _CLASSES = (Role.ROBOT, Role.OPERATOR, Role.VIEWER)  # the order of the tags of a group
@@ -47,32 +49,30 @@ class Format(IntEnum):
 
 
 class Flaw(StrEnum):
-    """Why a datagram does not count; under these words it is counted as dropped."""
+    """Why a datagram is refused; the values are the keys of the drop counts."""
 
-    UNSIGNED = "unsigned"  # no trailer, or one of another format or length
+    UNSIGNED = "unsigned"  # no trailer, or a trailer of another format or length
     FORGED = "forged"  # a tag does not fit, or the name is not on the roster
     OLDER = "older_roster"
     NEWER = "newer_roster"
     ROLE = "role"  # its signer may not send datagrams of this kind
-    REPEATED = "repeated"  # the robot has sent a later one
-    UNPROVEN = "unproven"  # its robot did not answer a question yet, so that it may be replayed
+    REPEATED = "repeated"  # the robot has sent a later datagram
+    UNPROVEN = "unproven"  # its robot has not answered a question yet: it may be replayed
 
 
 class Author(NamedTuple):
-    """The author of a datagram. `name`: of an operator or viewer; empty for a robot.
-
-    `is_previous`: signed with the generation before the current one.
-    """
+    """The author of a datagram."""
 
     role: Role
-    name: str = ""
-    is_previous: bool = False
+    name: str = ""  # of an operator or viewer; empty for a robot
+    is_previous: bool = False  # signed with keys of the generation before the current roster
 
 
 class Signer:
-    """Signs as the owner of `keys`; `previous` signs answers to authors of the generation before.
+    """Signs as the owner of `keys`.
 
-    An operator with an older roster cannot verify newer keys, and must know that its stop arrived.
+    `previous` signs answers to authors of the generation before: an operator with an older roster
+    cannot verify newer keys, and must know that its stop arrived.
     """
 
     def __init__(
@@ -86,9 +86,9 @@ class Signer:
         self._pairs: dict[str, bytes] = {}
 
     def sign(self, payload: bytes, asker: Author | None = None) -> bytes:
-        """A datagram with its trailer; `asker`: the operator or viewer that it answers.
+        """The datagram with its trailer. Raises CodecError if it exceeds MAX_DATAGRAM.
 
-        Raises CodecError if it exceeds MAX_DATAGRAM.
+        `asker`: the author of the question that the datagram answers; None: it is no answer.
         """
         if asker is not None and asker.is_previous and self._previous is not None:
             return self._previous.sign(payload, asker)
@@ -109,14 +109,14 @@ class Signer:
         return whole
 
     def proof(self, ack: Ack, operator: str) -> bytes:
-        """The proof for that operator that this robot made the ack, also for relayed copies."""
+        """The proof for `operator` that this robot made the ack; it holds for relayed copies."""
         return _proof(self._pair(operator), ack)
 
     def _pair(self, name: str) -> bytes:
-        """The key of the pair with an operator or viewer, kept for some names."""
+        """The key that this robot shares with an operator or viewer, cached."""
         key = self._pairs.get(name)
         if key is None:
-            if len(self._pairs) >= 64:
+            if len(self._pairs) >= MAX_PAIRS:
                 self._pairs.clear()
             key = self._pairs[name] = self._keys.answer_to(name)
         return key
@@ -154,7 +154,10 @@ class Verifier:
         return self._keys.generation
 
     def verify(self, payload: bytes, now: float) -> Author | Flaw:
-        """The author of a datagram that `unpack` accepts by its head, or why it does not count."""
+        """The author of a datagram whose head `unpack` accepts, or the flaw of its signature.
+
+        A datagram of another generation has a flaw, except a stop of the previous generation.
+        """
         try:
             end = length_without_trailer(payload)
             form, generation = _START.unpack_from(payload, end)
@@ -170,9 +173,9 @@ class Verifier:
         return Flaw.NEWER if generation > self._keys.generation else Flaw.OLDER
 
     def is_answer_of(self, robot: str, payload: bytes) -> bool | None:
-        """True if this robot signed the answer for this asker; None: that key is missing.
+        """True if this robot signed the answer for this asker; None if the pair's key is missing.
 
-        `payload` has been verified.
+        `payload`: a datagram that `verify` has accepted.
         """
         end = length_without_trailer(payload)
         key = self._keys.answers.get(robot)
@@ -181,12 +184,12 @@ class Verifier:
         return None if not key else _fits(key, payload[: end + _START.size], payload[-8:])
 
     def is_proven(self, ack: Ack) -> bool | None:
-        """True if the robot in the ack made it for this operator; None: the key is missing."""
+        """True if the robot in the ack made it for this operator; None if the key is missing."""
         key = self._keys.answers.get(ack.robot)
         return compare_digest(_proof(key, ack), ack.proof) if key else None
 
     def has_key_of(self, robot: str) -> bool:
-        """True if this operator or viewer has the key of its pair with the robot."""
+        """True if this operator or viewer has the key that it shares with the robot."""
         return bool(self._keys.answers.get(robot))
 
     def _author(self, payload: bytes, end: int, form: int) -> Author | Flaw:
@@ -204,7 +207,7 @@ class Verifier:
         return Author(Role.ROBOT) if _fits(self._class_key, start, tag) else Flaw.FORGED
 
     def _named(self, payload: bytes, at: int) -> Author | Flaw:
-        """The operator or viewer that signed."""
+        """The operator or viewer that signed a trailer NAMED, whose name begins at `at`."""
         if len(payload) <= at or len(payload) != at + 1 + payload[at] + SIGNATURE_BYTES:
             return Flaw.UNSIGNED
         signed, tag = payload[:-SIGNATURE_BYTES], payload[-SIGNATURE_BYTES:]
@@ -230,7 +233,7 @@ class Trust:
 
     @classmethod
     def of(cls, identity: Identity, previous: Previous | None = None) -> Trust:
-        """That of an identity."""
+        """The signer and verifier of an identity."""
         keys, role = identity.datagram_keys, identity.role
         verifier = Verifier(keys, role, identity.roster, previous)
         before = None if previous is None else Signer(previous.keys, role, identity.name)
@@ -238,7 +241,7 @@ class Trust:
 
 
 def generation_of(payload: bytes) -> int:
-    """The generation in the trailer of a datagram, which is not proven; 0 without a trailer."""
+    """The generation that the trailer of a datagram states, unverified; 0 without a trailer."""
     try:
         generation: int = _START.unpack_from(payload, length_without_trailer(payload))[1]
     except (CodecError, struct.error):
@@ -255,7 +258,7 @@ def _fits(key: bytes, signed: bytes, tag: bytes) -> bool:
 
 
 def _proof(key: bytes, ack: Ack) -> bytes:
-    """Over all that the robot itself states; `via` belongs to the robot that hands it on."""
+    """The proof over all fields that the acking robot sets; a relaying robot sets `via`."""
     content = msgspec.msgpack.encode(msgspec.structs.replace(ack, via="", proof=b""))
     hashed = hashlib.blake2b(content, key=key, digest_size=SIGNATURE_BYTES, person=_PROOF)
     return hashed.digest()

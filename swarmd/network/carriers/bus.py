@@ -1,4 +1,4 @@
-"""The bus over Zenoh: how a daemon answers operators, and publishes its status to those who ask.
+"""The Zenoh side of a daemon: answers queries of operators, and publishes the robot's state.
 
 Order of use in a daemon::
 
@@ -7,9 +7,10 @@ Order of use in a daemon::
     bus.publish("status", lambda: encode(status))
     bus.close(); session.close()
 
-Zenoh calls from its own threads. Each callback checks key, kind and size, and puts the bytes into
-an inbound queue (`inbound_queue.py`). Nothing raises into Zenoh. The handlers run on the loop. What
-they raise is counted, such as `control/run:malformed`, and answers nothing: `DropCounter.refusing`.
+Zenoh's threads call the callbacks. Each callback checks key, kind and size, and puts the bytes into
+an inbound queue (`inbound_queue.py`). No callback raises into Zenoh. The handlers run on the loop.
+An error of a handler is counted, for example as `control/run:malformed`, and the query gets no
+answer (`DropCounter.refusing`).
 """
 
 from __future__ import annotations
@@ -38,17 +39,17 @@ class Query(Protocol):
 
     payload: bytes
     asker: str
-    """The last chunk of its key; in a secured swarm the name that the link has proved."""
+    """The last chunk of the key; in a secured swarm the name that the link has proved."""
 
     @property
     def source(self) -> str:
-        """The address from which it came."""
+        """The address from which the query came."""
 
     def reply(self, payload: bytes) -> None:
-        """Answer, at most once, now or later, on the loop; never blocks, never raises."""
+        """Answer at most once, now or later, on the loop; never blocks or raises."""
 
     def drop(self) -> None:
-        """Do not answer; the asker learns that nothing more comes. Harmless after `reply`."""
+        """Do not answer; the asker learns that no answer comes. Harmless after `reply`."""
 
 
 _members_query = Decoder(MembersQuery)
@@ -71,7 +72,7 @@ class ZenohQuery:
 
     @property
     def source(self) -> str:
-        """The address of the link to the session that the asker names; nothing proves that name."""
+        """The address of the link to the session that the query names; no signature proves it."""
         asker = None if self._info is None else self._info.source_id.zid
         with suppress(zenoh.ZError):
             for link in self._session.info.links():
@@ -82,9 +83,10 @@ class ZenohQuery:
         return "an unknown address"
 
     def reply(self, payload: bytes) -> None:
-        """Answer; nothing happens for a plain put or after the first time.
+        """Answer; a second call has no effect.
 
-        In JSON for a selector with `_format=json`, since `zenohd` serves MessagePack as base64.
+        The answer is JSON if the selector has `_format=json`, since the REST server of `zenohd`
+        would show MessagePack as base64.
         """
         query, self._query = self._query, None
         if query is None:
@@ -108,7 +110,7 @@ class ZenohQuery:
 
 
 def without_mapping(address: str) -> str:
-    """An address and port; an IPv4 address within IPv6, `[::ffff:10.0.0.7]:7440`, as IPv4."""
+    """The address and port; an IPv4-mapped address, `[::ffff:10.0.0.7]:7440`, as IPv4."""
     start, end = "[::ffff:", "]:"
     if not address.startswith(start) or "." not in address:
         return address
@@ -116,9 +118,9 @@ def without_mapping(address: str) -> str:
 
 
 class ZenohBus:
-    """The bus of one robot; built on the loop's thread, on which all handlers run.
+    """The queries and publications of one robot; handlers run on the loop of the constructor.
 
-    Samples and queries with a wild or foreign key are dropped and counted in `dropped`, by kind.
+    A query with wildcards for its name, or with the key of another robot, is dropped and counted.
     """
 
     programs: Programs | None = None
@@ -142,7 +144,7 @@ class ZenohBus:
             )
             for name in PUBLISHED
         }
-        # To ask Zenoh for subscribers takes 50 us: the daemon asks only after a change.
+        # Asking Zenoh for subscribers takes 50 us: the daemon asks only after a change.
         self._watched = dict.fromkeys(self._publishers, False)
         self._unsure = set(self._publishers)
         for name, publisher in self._publishers.items():
@@ -151,7 +153,7 @@ class ZenohBus:
         self._is_closed = False
 
     def meet_programs(self, is_robot: Callable[[str], bool], *, takes_messages: bool) -> None:
-        """Hold the liveliness token of this robot, and hear Zenoh programs; see `Programs`."""
+        """Declare the liveliness token of this robot, and receive from Zenoh programs."""
         self.programs = Programs(
             self._session,
             self.swarm,
@@ -170,7 +172,7 @@ class ZenohBus:
         if self._is_closed:
             return
         if name in self._unsure:
-            self._unsure.discard(name)  # before the question: a later change makes it unsure again
+            self._unsure.discard(name)  # before the question: a later change adds it again
             self._watched[name] = has_subscriber(publisher)
         if not self._watched[name]:
             return
@@ -182,9 +184,9 @@ class ZenohBus:
             self.drops.add(f"state/{name}:unsent")
 
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
-        """Answer queries to this robot or to all, of any asker that links let pass.
+        """Answer queries to this robot or to all robots, of any asker that the links permit.
 
-        A query of which the handler raises is counted and dropped. ValueError for a name that the
+        A query whose handler raises is counted and dropped. Raises ValueError for a name that the
         tables of `core/key_table.py` lack.
         """
         if not is_queried(plane, name):
@@ -235,7 +237,7 @@ class ZenohBus:
         self.serve(CONTROL, "members", on_members)
 
     def close(self) -> None:
-        """Stop at once: no handler is called and nothing is published any more. Idempotent."""
+        """Stop at once: no handler is called and no state is published any more. Idempotent."""
         if self._is_closed:
             return
         self._is_closed = True
@@ -246,7 +248,7 @@ class ZenohBus:
             self.programs.close()
 
     def _on_viewers(self, name: str, _: zenoh.MatchingStatus) -> None:
-        """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""
+        """Note a first or last subscriber; a thread of Zenoh calls it."""
         self._unsure.add(name)
 
     def _is_own(self, key: Key, plane: str, name: str) -> bool:
@@ -254,5 +256,8 @@ class ZenohBus:
         return asked == (self.swarm, plane, name) and key.robot in (self.robot, ANY)
 
     def _is_excused(self, payload: bytes) -> bool:
-        """True if the asker has this robot's answer already. CodecError if it is malformed."""
+        """True if the query says that the asker has this robot's answer already.
+
+        Raises CodecError for a malformed query.
+        """
         return bool(payload) and self.robot in _members_query(payload).answered

@@ -1,16 +1,17 @@
-"""Limits on what each source of datagrams may say, so that a flood costs its sender only. Pure.
+"""Rate limits for each source of datagrams, so that a flood costs only its sender. Pure.
 
-Each source has two budgets: one of stops, acks and latches, and one of everything else, so that no
-flood of beacons, from a forged address or not, uses up the place of a stop. A source that is far
-beyond its budget is left to the kernel's filter for some seconds: what is not urgent is dropped,
-and of stops, acks and latches a random share passes. New sources share one budget beside their
-own; if that is far exceeded, as by a flood from forged addresses, the kernel passes for some
-seconds only sources that were there before, and of others a share of what is urgent.
+Urgent datagrams are stops, acks and latches (`URGENT`).
 
-A reader that gets little time reads a part of a flood: each datagram counts with a weight, the
-ratio of arrived to read datagrams.
+1. Each source has two budgets: one of urgent datagrams, one of all others. So a flood of beacons,
+   even with the forged address of a robot, leaves the robot's budget of stops.
+2. A source that is EXCESS beyond a budget is left to the kernel's filter for some seconds: the
+   filter drops the source's other datagrams, and passes a random share of its urgent datagrams.
+3. New sources (strangers) share one more budget beside their own. If that budget is far exceeded,
+   as by a flood from forged addresses, the filter passes for some seconds only datagrams of sources
+   that were known before, and a share of the urgent datagrams of all other sources.
 
-Times are in s on one monotonic clock, handed in.
+A process that gets little CPU time reads a part of a flood: each datagram counts with a weight, the
+ratio of arrived to read datagrams. Times are in s on one monotonic clock, handed in.
 """
 
 from __future__ import annotations
@@ -23,17 +24,18 @@ from msgspec.structs import replace
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import URGENT, Address, Kind
 
-# A robot's patterns may say 100 a second, which go twice while broadcast is the fallback.
+# Datagrams per second of a source. A robot's patterns may send 100 messages a second, which are
+# sent twice while broadcast is the fallback.
 RATE, BURST = 400.0, 400.0
-URGENT_RATE = 800.0  # a robot that relays hands on the acks of others
-STRANGERS_RATE = 2000.0
+URGENT_RATE = 800.0  # a robot that relays a stop also hands on the acks of other robots
+STRANGERS_RATE = 2000.0  # of all new sources together
 EXCESS = 400  # datagrams beyond the budget within a second that make a flood
-BLOCK_TIME, MAX_BLOCK_TIME = 5.0, 60.0  # doubled with each repetition
-KNOWN_TIME = 3.0  # s after which a source is known
-IDLE_TIME = 5.0  # s after which it is forgotten
+BLOCK_TIME, MAX_BLOCK_TIME = 5.0, 60.0  # s of a block; doubled with each repeated flood
+KNOWN_TIME = 3.0  # s of datagrams after which a source is known
+IDLE_TIME = 5.0  # s of silence after which a source is forgotten
 MAX_SOURCES = 256
 MAX_BLOCKED, MAX_THINNED = 64, 8  # places in the kernel's filter
-MIN_SHARE = 1 / 128
+MIN_SHARE = 1 / 128  # of urgent datagrams that the filter passes at least
 MAX_WEIGHT = 64.0
 
 
@@ -52,7 +54,7 @@ class FloodRules(Struct, frozen=True):
 
 
 class _Budget:
-    """A token bucket that notes when it is far exceeded."""
+    """A token bucket that detects a flood: EXCESS datagrams beyond the budget within a second."""
 
     def __init__(self, rate: float, burst: float) -> None:
         self._rate = rate
@@ -65,7 +67,7 @@ class _Budget:
         self.share = 1.0
 
     def take(self, weight: float, now: float) -> bool:
-        """True if one more datagram of this weight fits."""
+        """True if one more datagram of this weight is within the budget."""
         if now - self._window > 1.0:
             self._window = now
             self._count = 0.0
@@ -77,7 +79,10 @@ class _Budget:
         return False
 
     def begins_flood(self, now: float) -> bool:
-        """True at the moment at which a flood is noticed."""
+        """True once for each flood; then sets `blocked_until`, and `share` of urgent to pass.
+
+        Called after `take` has refused a datagram.
+        """
         if self._excess < EXCESS:
             return False
         if now < self.blocked_until:  # the full queue hid a part of the flood
@@ -117,9 +122,10 @@ class FloodLimits:
         self.dropped: Counter[str] = Counter()
 
     def admits(self, source: Address, kind: int, now: float, weight: float = 1.0) -> bool:
-        """True if a datagram of this kind from this source is within its budget.
+        """True if a datagram of this kind is within the budgets of its source.
 
-        `weight`, at most MAX_WEIGHT: the ratio of arrived to read datagrams.
+        A new source also needs the shared budget of new sources. `weight`, at most MAX_WEIGHT: the
+        ratio of arrived to read datagrams.
         """
         sender = self._place(source, now)
         if sender is not self._strangers:
@@ -135,7 +141,10 @@ class FloodLimits:
         return True
 
     def _get_to_know(self, sender: _Source, now: float) -> None:
-        """Sources that are heard for KNOWN_TIME are known, but for the time of a flood."""
+        """Mark a source as known once it was heard for KNOWN_TIME.
+
+        The time of a flood of new sources does not count.
+        """
         if now - sender.last > IDLE_TIME:
             sender.first, sender.is_known = now, False
         strangers = self._strangers
@@ -181,6 +190,7 @@ class FloodLimits:
         )
 
     def _place(self, source: Address, now: float) -> _Source:
+        """The entry of a source; the shared entry of new sources if the table is full."""
         known = self._sources.get(source)
         if known is not None:
             return known

@@ -1,8 +1,8 @@
 """Bounded queues from Zenoh's threads to the loop.
 
-A flood must cost its sender's messages and nothing else. So each kind of message has a queue of
-its own. A full queue drops the newest message and counts it, at the price of a comparison. The
-loop takes a small batch and then pauses, so that its timers stay on time.
+A flood of one kind of message must not delay another kind: each kind has its own queue. A full
+queue drops the newest message and counts it, which costs one comparison. The loop takes BATCH
+messages and then pauses, so that its timers stay on time.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
 
 CAPACITY = 256
-# Tokens and emergency stops must not be lost in a flood: a longer queue, without pauses.
+# Of tokens and emergency stops, which must not be lost in a flood; their queue has no pauses.
 URGENT_CAPACITY = 4096
 BATCH = 8
-BATCH_PAUSE = 0.001
+BATCH_PAUSE = 0.001  # s
 MAX_KIND_LENGTH = 64
 MAX_KINDS = 256
 FAULT_RATE, FAULT_BURST = 0.1, 5.0
-"""Errors per second that are logged with their traceback."""
+"""Errors that are logged with their traceback: per second, and at once."""
 FAILED = "the daemon failed at it; its log has the error"
 
 log = logging.getLogger(__name__)
@@ -47,11 +47,12 @@ class DropCounter:
     def refusing(
         self, kind: str, refuse: Callable[[Code, str], object] | None = None
     ) -> Iterator[None]:
-        """Count and refuse errors of the handler in this block.
+        """Catch and count errors of the handler in this block; use it on the loop only.
 
-        CodecError: `<kind>:malformed`. Any other Exception: `<kind>:failed`, logged at a limited
-        rate. `refuse` gets the code and the reason: FAILED for the latter, since a part may have
-        been carried out. `CoreFault` passes. Loop only.
+        1. CodecError counts as `<kind>:malformed`; `refuse` gets Code.REFUSED and the error's text.
+        2. Any other Exception counts as `<kind>:failed`, and is logged at a limited rate. `refuse`
+           gets Code.FAILED and the text FAILED, since the handler may have carried out a part.
+        3. `CoreFault` is not caught.
         """
         try:
             yield
@@ -69,7 +70,7 @@ class DropCounter:
                 refuse(code, text)
 
     def add(self, kind: str) -> None:
-        """Count a drop. Beyond MAX_KINDS kinds the later ones are counted together as `other`."""
+        """Count a drop; beyond MAX_KINDS kinds, new kinds are counted together as `other`."""
         kind = kind[:MAX_KIND_LENGTH]
         with self._lock:
             if kind not in self._counts and len(self._counts) >= MAX_KINDS:
@@ -83,7 +84,7 @@ class DropCounter:
 
 
 class InboundQueue:
-    """The queue of one kind of message; an urgent one is longer and drains without pauses."""
+    """The queue of one kind of message; an urgent queue is longer and drains without pauses."""
 
     def __init__(
         self,
@@ -105,7 +106,7 @@ class InboundQueue:
         self._is_closed = False
 
     def is_full(self) -> bool:
-        """True if nothing more fits, which counts a drop. Call it before any other work."""
+        """True if the queue is full; counts the message as dropped. Call it before other work."""
         if len(self._items) < self._capacity:
             return False
         self._drops.add(self._full)

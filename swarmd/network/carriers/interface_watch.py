@@ -1,8 +1,8 @@
-"""Watches a network interface: whether it is there and up, and its addresses.
+"""Watches a network interface: whether it exists and is up, and its addresses.
 
-Each message of rtnetlink(7) is a reason for a look, whatever the message says; a look reads what
-netdevice(7) and proc(5) offer. Measured: a look takes 0.16 ms; one by pyroute2 1.1 ms, whose import
-takes 0.18 s and 24 MB. `InterfaceHistory` is pure.
+Each message of rtnetlink(7), whatever its content, makes the watch read the state of the interface
+by netdevice(7) and proc(5). Measured: a read takes 0.16 ms. A read by pyroute2 takes 1.1 ms, and
+its import 0.18 s and 24 MB. `InterfaceHistory` is pure.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class InterfaceState(Struct, frozen=True):
     exists: bool = False
     is_up: bool = False  # switched on, and with a carrier
     addresses: tuple[str, ...] = ()  # the usable addresses, IPv4 first
-    index: int = 0  # a new number whenever the interface comes back; 0 while absent
+    index: int = 0  # a new number each time the interface is created; 0 while absent
 
     @property
     def ipv4(self) -> tuple[str, ...]:
@@ -86,18 +86,16 @@ class InterfaceEvent(StrEnum):
 
 
 class InterfaceChange(Struct, frozen=True):
-    """A change, with a line for the log such as `wlan0: no address yet`.
-
-    `must_reopen`: peers know the robot by an address that is gone, or the sockets are bound to an
-    interface that went and came back. `must_rejoin`: the interface is up again, and its groups may
-    be lost.
-    """
+    """A change of an interface."""
 
     event: InterfaceEvent
     state: InterfaceState
-    line: str
+    line: str  # for the log, such as `wlan0: no address yet`
     must_reopen: bool = False
+    """Peers know the robot by an address that is gone, or the sockets are bound to an interface
+    that was removed and created again."""
     must_rejoin: bool = False
+    """The interface is up again, and may have left its multicast groups."""
 
 
 class InterfaceHistory:
@@ -120,7 +118,8 @@ class InterfaceHistory:
         last = self._last
         lost = _lost(last, state)
         is_new = bool(last.index) and last.index != state.index
-        # Peers may know an IPv4 address that is away, as while DHCP asks: it stays in `_last`.
+        # An IPv4 address that is missing only for a while, as during DHCP, stays in `_last`: peers
+        # still know the robot by that address.
         kept = () if state.ipv4 else last.ipv4
         self._last = replace(state, addresses=kept + state.addresses)
         if lost:
@@ -172,16 +171,16 @@ class InterfaceWatch:
             self._socket.close()
 
     def _on_readable(self) -> None:
-        is_news = False
+        is_changed = False
         for _ in range(_READS):
             try:
                 self._socket.recv(_MAX_MESSAGE)
             except BlockingIOError:
                 break
-            except OSError:  # some were lost (ENOBUFS)
+            except OSError:  # messages were lost (ENOBUFS)
                 pass
-            is_news = True
-        if is_news:
+            is_changed = True
+        if is_changed:
             now = self._loop.time()
             if self._burst_at is None:
                 self._burst_at = now
@@ -212,7 +211,7 @@ def _essence(state: InterfaceState) -> tuple[object, ...]:
 
 
 def _lost(last: InterfaceState, state: InterfaceState) -> tuple[str, ...]:
-    """The lost addresses of the family in use; none while the whole family is away."""
+    """The addresses of the family in use that are lost; empty while the family has no address."""
     if last.ipv4:
         kept = state.ipv4
         return tuple(address for address in last.ipv4 if address not in kept) if kept else ()
@@ -268,7 +267,7 @@ def addresses_of(index: int) -> tuple[str, ...]:
 
 
 def _ipv4_of(name: str) -> Iterator[str]:
-    """The addresses by SIOCGIFCONF; a labelled address has the name `eth0:label`."""
+    """The IPv4 addresses, by SIOCGIFCONF; a labelled address has the name `eth0:label`."""
     room = array("B", bytes(_MAX_ADDRESSES * _IFREQ))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
         question = struct.pack("iP", len(room), room.buffer_info()[0])

@@ -1,7 +1,7 @@
-"""Forwards TCP from loopback to an IPv6 address, since Zenoh 1.10 dials no such address by TLS.
+"""Forwards TCP from loopback to an IPv6 address, since Zenoh 1.10 dials no IPv6 address by TLS.
 
-Zenoh takes what stands before the first colon of a TLS endpoint as the name of the other end, which
-of an IPv6 address is no name. TLS itself runs from end to end: a forwarder only moves its bytes.
+Zenoh takes the text before the first colon of a TLS endpoint as the server's name; of an IPv6
+address that text is no name. TLS runs from end to end: the forwarder only moves bytes.
 """
 
 from __future__ import annotations

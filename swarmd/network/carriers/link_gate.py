@@ -1,11 +1,13 @@
-"""Keeps a flood of connections from the port for links of a secured robot.
+"""Protects the TCP port of a secured robot from a flood of connections.
 
-Zenoh takes every TCP connection, gives its TLS handshake 10 s, and waits for 100 ms after each one
-that failed. So 20 failed handshakes a second keep operators out, and silent connections use up the
-files that the process may open (measured: 4096 within a second, and none of them free for minutes
-after the flood). `LinkFlood` notices connections that wait, by the number of open files; for some
-time the kernel then takes only connections from hosts that sent a datagram with a valid signature.
-Stops, beacons and answers are datagrams, and need no connection.
+Zenoh accepts every TCP connection, gives its TLS handshake 10 s, and waits 100 ms after each
+handshake that failed. So 20 failed handshakes a second keep operators out. Silent connections use
+up the files that the process may open (measured: 4096 within a second, and none of them free for
+minutes after the flood).
+
+`LinkFlood` detects waiting connections by the number of open files. For some time the kernel's
+packet filter (`LinkGate`) then accepts only connections from known hosts: hosts that sent a
+datagram with a valid signature. Stops, beacons and answers are datagrams, and need no connection.
 """
 
 from __future__ import annotations
@@ -27,12 +29,12 @@ from swarmd.network.carriers.packet_filter import attach_filter, host_filter
 from swarmd.network.carriers.session import own_sockets
 from swarmd.security.roster import Roster
 
-LOOK_PERIOD = 0.25  # s
-MAX_WAITING = 48  # connections without a link, beside what else a daemon opens in a run
+LOOK_PERIOD = 0.25  # s between two counts of the open files
+MAX_WAITING = 48  # open files beyond those at the start and those of links that make a flood
 CLOSED_TIME, MAX_CLOSED_TIME = 60.0, 600.0  # s; doubled if the flood is back within that time
-RENEW_PERIOD = 30.0  # s between two new sessions, which end the links of operators, too
+RENEW_PERIOD = 30.0  # s between two new sessions: a new session also ends the links of operators
 KNOWN_TIME = 600.0  # s after which a host is forgotten
-MAX_HOSTS = 64  # places in the kernel's filter
+MAX_HOSTS = 64  # hosts in the kernel's filter
 LINE_RATE, LINE_BURST = 0.1, 5.0
 """Lines of `watch_links` per second, and at once."""
 _FDS = "/proc/self/fd"
@@ -40,9 +42,9 @@ _SO_DETACH_FILTER = 27
 
 
 class LinkFlood:
-    """When the port is closed to unknown hosts, and to whom it is open. Pure; times in s.
+    """Decides when the port is closed to unknown hosts, and which hosts are known. Pure.
 
-    `files`: the open files of the process without links.
+    `files`: the number of open files of the process at the start, without links. Times in s.
     """
 
     def __init__(self, files: int, now: float) -> None:
@@ -59,7 +61,7 @@ class LinkFlood:
         return now < self.closed_until
 
     def hear(self, host: str, now: float) -> bool:
-        """A host sent a datagram that counts; True if it was unknown."""
+        """Note a host that sent a datagram with a valid signature; True if it was unknown."""
         is_new = host not in self._heard
         keep_newest(self._heard, host, now, 2 * MAX_HOSTS)
         return is_new
@@ -67,19 +69,20 @@ class LinkFlood:
     def known(self, now: float) -> tuple[str, ...]:
         """The hosts that may connect while the port is closed.
 
-        They were heard within KNOWN_TIME, the latest MAX_HOSTS of them.
+        The last MAX_HOSTS hosts that were heard within KNOWN_TIME.
         """
         recent = [host for host, at in self._heard.items() if now - at <= KNOWN_TIME]
         return tuple(recent[-MAX_HOSTS:])
 
     def is_due(self, now: float) -> bool:
-        """True if it is time for another look."""
+        """True if `look` is to be called."""
         return now >= self._look_at
 
     def look(self, files: int, links: Callable[[], int], now: float) -> bool:
-        """Take the number of open files; True if connections wait that a new session would end.
+        """Compare the number of open files with the limit; True if a flood was detected.
 
-        `links` counts the links of the session; it is called if there are many files.
+        Then the port is closed to unknown hosts, and a new session must end the connections that
+        wait. `links` counts the links of the session; it is called only if many files are open.
         """
         self._look_at = now + LOOK_PERIOD
         self.waiting = files - self._files
@@ -95,7 +98,7 @@ class LinkFlood:
 
 
 class LinkGate:
-    """The listening sockets of this process at some ports, which Zenoh has opened. Linux only."""
+    """The packet filter on the sockets with which Zenoh listens at some ports. Linux only."""
 
     def __init__(self, ports: Collection[int]) -> None:
         self._sockets = [
@@ -107,24 +110,24 @@ class LinkGate:
         self.is_closed = False
 
     def admit(self, hosts: Collection[str] | None) -> None:
-        """Take connections from these hosts only; None: from all. Links that exist go on."""
+        """Accept connections only from these hosts; None: from all. Existing links stay."""
         self.is_closed = hosts is not None
         for listener in self._sockets:
-            with contextlib.suppress(OSError):  # no filter is attached, or none can be
+            with contextlib.suppress(OSError):  # no filter to detach, or filters are forbidden
                 if hosts is None:
                     listener.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
                     continue
                 attach_filter(listener, host_filter(map(ipaddress.ip_address, hosts)))
 
     def close(self) -> None:
-        """Let go of the sockets."""
+        """Close the duplicates of the sockets."""
         for listener in self._sockets:
             listener.close()
         self._sockets = []
 
 
 def open_files() -> int:
-    """The number of files that this process has open; its limit if it cannot open one more."""
+    """The number of open files of this process; the limit if no further file can be opened."""
     try:
         return len(os.listdir(_FDS))
     except OSError:
@@ -136,8 +139,8 @@ def watch_links(
 ) -> None:
     """Call `on_event` on the loop with a line for each link of a name that the roster lacks.
 
-    Its certificate is valid, and nothing passes. Zenoh denies silently, so that a name that was
-    revoked and goes on trying would not be noticed. The rate of lines is limited.
+    Such a name was revoked: its certificate is valid, but the access rules drop all its messages.
+    Zenoh drops them silently, so that attempts would go unnoticed. The rate of lines is limited.
     """
     rate = TokenBucket(LINE_RATE, LINE_BURST)
 

@@ -1,9 +1,7 @@
 """Facts of this machine's network for `doctor`: an interface, the ports of swarmd, packet filters.
 
-The interface in use is chosen by `network/settings.py` and bound by `udp.py`.
-
-Most facts are read from /proc and /sys. `nft` and `iptables-save` are started only by
-root, who alone may ask them, and only if the kernel has such rules.
+Most facts are read from /proc and /sys. `nft` and `iptables-save` are started only as root, since
+other users may not read their rules.
 """
 
 from __future__ import annotations
@@ -64,7 +62,7 @@ def _number(path: Path) -> int | None:
 
 
 def port_users(protocol: str, port: int) -> PortFacts:
-    """Which processes listen on a port of this machine."""
+    """The processes that listen on a port of this machine."""
     inodes = {
         inode
         for family in ("", "6")

@@ -1,9 +1,10 @@
 """Programs of the kernel's packet filter for the sockets of a swarm. Pure but for `attach_filter`.
 
-Classic BPF (linux/filter.h; Documentation/networking/filter.rst). A stage of a program is a row of
-blocks: the first one whose tests all hold decides, and what no block decides is dropped. A program
-sees a datagram from its UDP head on. It is kept short, since old kernels lend a socket no more
-than 20 kB for its filters (net.core.optmem_max).
+The programs are classic BPF (linux/filter.h; Documentation/networking/filter.rst). A program has
+stages, and a stage is a sequence of blocks. The first block whose tests all hold decides: accept,
+drop, or go to the next stage. A datagram for which no block decides is dropped. Offset 0 is the UDP
+head of the datagram. Programs are short, since old kernels give a socket no more than 20 kB for its
+filters (net.core.optmem_max).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _EQUALS = 0x15
 _EXCEEDS = 0x25
 _JUMP = 0x05
 _RETURN = 0x06
-# Offsets that the kernel reads as: the IP head, and a random number.
+# Special offsets of the kernel: the IP head (SKF_NET_OFF), and a random number (SKF_AD_RANDOM).
 _IP_HEAD, _RANDOM = 2**32 - 0x100000, 2**32 - 0x1000 + 56
 _SOURCE4 = _IP_HEAD + 12
 _SOURCE6 = _IP_HEAD + 8
@@ -50,10 +51,15 @@ Block = tuple[int, Sequence[Test]]  # verdict, tests
 
 
 def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
-    """Accepts the datagrams of a swarm, and `Solicit` and `Swarm` of any swarm, within the rules.
+    """The program that accepts the datagrams of a swarm within `rules`.
 
-    For a socket of one family: rules on sources of the other family are left out. The bytes are
-    an array of struct sock_filter.
+    It also accepts `Solicit` and `Swarm` with the tag of any swarm. `is_ipv6`: the family of the
+    socket; rules on sources of the other family are left out. Returns an array of struct
+    sock_filter as bytes.
+
+    First stage: the head of the datagram. Second stage, in this order: drop a share of urgent
+    datagrams of thinned sources; accept known sources; drop a share of all other urgent datagrams
+    and accept the rest of them; drop blocked sources; then drop if `only_known`, else accept.
     """
     heads = [
         (_DROP, [(_LOAD_LENGTH, 0, _EXCEEDS, _UDP_HEAD + MAX_DATAGRAM)]),
@@ -79,7 +85,7 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
 
 
 def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
-    """Accepts what comes from these hosts, of either family; for a listening TCP socket."""
+    """The program for a listening TCP socket that accepts only packets from these hosts."""
     blocks: list[Block] = []
     for host in hosts:
         words = struct.unpack(f">{len(host.packed) // 4}I", host.packed)
@@ -90,7 +96,7 @@ def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) 
 
 
 def attach_filter(sock: socket.socket, program: bytes) -> None:
-    """Give a socket a program in place of its last one. OSError if it is too long or forbidden."""
+    """Replace the filter of a socket. Raises OSError if the program is too long or forbidden."""
     code = array("B", program)
     filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
     sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
@@ -107,10 +113,10 @@ def _head(tag: bytes) -> list[Test]:
 
 
 def _keys(sources: dict[Address, float], is_ipv6: bool) -> Iterable[tuple[int, float]]:
-    """The key of each source of a family: all words of its address and its port in 32 bits.
+    """The 32-bit key of each source of a family, with the source's value.
 
-    Two sources may have the same key. An attacker who seeks such a pair can forge addresses at
-    less cost.
+    The key is the exclusive or of all words of the address and of the port. Two sources may have
+    the same key; an attacker can forge an address more easily than find such a pair.
     """
     for (text, port), value in sources.items():
         host = ipaddress.ip_address(text.partition("%")[0])
@@ -122,6 +128,7 @@ def _keys(sources: dict[Address, float], is_ipv6: bool) -> Iterable[tuple[int, f
 
 
 def _keep_key_and_kind(is_ipv6: bool) -> list[Instruction]:
+    """Instructions that store the key of the source, and the kind of the datagram, in memory."""
     words = [_SOURCE6 + 4 * index for index in range(4)] if is_ipv6 else [_SOURCE4]
     made = [(_LOAD_HALF, 0, 0, _SOURCE_PORT), (_SHIFT_LEFT, 0, 0, 16)]
     for offset in words:
@@ -145,6 +152,7 @@ def _random_above(share: float) -> Test:
 
 
 def _stage(blocks: Sequence[Block]) -> list[Instruction]:
+    """The instructions of a stage: a failed test jumps to the next block, at last to a drop."""
     made: list[Instruction] = []
     end = sum(2 * len(tests) + 1 for _, tests in blocks) + 1
     for verdict, tests in blocks:

@@ -1,10 +1,10 @@
-"""The Zenoh programs beside a swarm: their liveliness tokens, and messages from and to them.
+"""Zenoh programs that take part in a swarm: their liveliness tokens and messages.
 
-A program is a Zenoh session that is no robot: it has no body and no place. It may hold the token
+A program is a Zenoh session that is no robot, without body and place. It may declare the token
 `swarm/<swarm>/<program>`, and put messages on
-`swarm/<swarm>/<program>/message/<pattern>/<channel>`. Zenoh keeps the last MAX_TAKEN messages of
-all programs without Python, and `take` reads them at each tick: a flood costs its senders their
-messages, and the daemon a bounded time.
+`swarm/<swarm>/<program>/message/<pattern>/<channel>`. Zenoh's ring channel keeps the last MAX_TAKEN
+messages of all programs without running Python, and `take` reads them at each tick. So a flood
+costs the daemon a bounded time; the oldest messages are lost.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ class ProgramMessage(NamedTuple):
 class Programs:
     """The programs that one robot hears, on one session; built on the loop's thread.
 
-    `is_robot` tells whether a name is that of a robot: its messages come as datagrams, and a put in
-    its name is refused. `drops` counts what is refused, as `message:robot`, `message:limit`. With
-    `takes_messages` False no message passes either way.
+    `is_robot(name)`: True for a robot, whose messages come as datagrams; a put in its name is
+    refused. `drops` counts refused messages, for example as `message:robot` and `message:limit`.
+    `takes_messages` False: messages are neither taken from programs nor published.
     """
 
     def __init__(
@@ -73,8 +73,8 @@ class Programs:
         self._messages: Any = None
         self._is_unsure, self._is_heard = takes_messages, False
         if takes_messages:
-            # Without REMOTE the two match each other: each message would be put without a program,
-            # and come back.
+            # Without Locality.REMOTE subscriber and publisher would match each other: each message
+            # would be put even without a program, and would come back.
             self._messages = session.declare_subscriber(
                 build(swarm, ANY, MESSAGE, ANY, ANY),
                 RingChannel(MAX_TAKEN),
@@ -95,9 +95,9 @@ class Programs:
         return tuple(sorted(name for name in names if not self._is_robot(name)))[:MAX_PROGRAMS]
 
     def publish(self, channel: str, payload: bytes) -> None:
-        """Publish a message of the pattern on the channel `<pattern>/<channel>`, if it is heard."""
+        """Publish a pattern's message on `<pattern>/<channel>`, if a program subscribes."""
         if self._is_unsure:
-            self._is_unsure = False  # before the question: a later change makes it unsure again
+            self._is_unsure = False  # before the question: a later change sets it again
             self._is_heard = has_subscriber(self._publisher)
         pattern, _, name = channel.partition("/")
         if not (self._is_heard and is_id(pattern) and is_id(name)):
@@ -152,11 +152,11 @@ class Programs:
             return None
 
     def close(self) -> None:
-        """Take back the token, and hear nothing more."""
+        """Undeclare the token, the subscribers and the publisher."""
         undeclare(*self._entities)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        """On a thread of Zenoh: a token has come or gone."""
+        """Note a token that appeared or disappeared; a thread of Zenoh calls it."""
         name = named_by(str(sample.key_expr))
         if name is None:
             return
@@ -167,5 +167,5 @@ class Programs:
                 self._tokens[name] = None
 
     def _on_subscribers(self, _: zenoh.MatchingStatus) -> None:
-        """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""
+        """Note a first or last subscriber; a thread of Zenoh calls it."""
         self._is_unsure = True

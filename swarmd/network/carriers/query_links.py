@@ -1,4 +1,4 @@
-"""Which robots a query of an operator reaches by now, without sending it."""
+"""Finds the robots to which a link is up, so that a query would reach them; sends no query."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 class QueryLinks:
-    """The robots that a query on `key` (with any robot) reaches by now."""
+    """The robots that answer queries on `key`, whose robot is a wildcard."""
 
     def __init__(self, key: str) -> None:
         self._key = key
         self._queriers: list[tuple[zenoh.Session, dict[str, zenoh.Querier]]] = []
 
     def of(self, robots: Collection[str], sessions: Iterable[zenoh.Session]) -> set[str]:
-        """Those of `robots` that have declared the key in one of the sessions."""
+        """The robots in `robots` whose queryable of the key is known in one of the sessions."""
         if not robots:
             return set()
         known = [session for session, _ in self._queriers]

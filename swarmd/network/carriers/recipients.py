@@ -1,9 +1,9 @@
-"""Who gets a datagram by unicast: those whose own datagrams do not arrive by the group. Pure.
+"""The addresses that get a unicast copy of a datagram for all. Pure.
 
-Multicast is seldom broken in one direction alone, so that a peer that is heard by the group is
-assumed to hear by it, too. Everybody else that is known gets copies: seeds, peers that are heard
-by unicast only, and addresses that a robot mentioned. Messages of patterns go to those alone that
-are heard, so that a silent address costs a beacon a second.
+Multicast is seldom broken in one direction only: a peer that is heard by the multicast group is
+assumed to hear the group, and gets no copy. All other known addresses get copies: seeds, peers that
+are heard by unicast only, and addresses that a robot mentioned. Messages of patterns go only to
+addresses that are heard, so that a silent address costs no more than a beacon per second.
 """
 
 from __future__ import annotations
@@ -15,19 +15,22 @@ from msgspec import Struct
 from swarmd.network.datagram import Address
 
 MAX_ADDRESSES = 256
-MENTION_TIME = 30.0  # s for which the word of another robot counts
+MENTION_TIME = 30.0  # s for which an address that a robot mentioned gets copies
 
 
 class _AddressUse(Struct):
+    """The times in s of the last datagram by multicast, by any way, and of the last mention."""
+
     by_group: float = -1e9
     heard: float = -1e9
     mentioned: float = -1e9
 
 
 class Recipients:
-    """The addresses that datagrams for all are copied to; a handed-in clock in s, bounded.
+    """The known addresses, at most MAX_ADDRESSES and the seeds.
 
-    `lease`: for how long hearing an address counts, in s. `with_group` False: there is no group.
+    `lease`: an address counts as heard for twice this time, in s. `with_group` False: multicast is
+    off, and every known address gets copies.
     """
 
     def __init__(self, lease: float, *, with_group: bool = True) -> None:
@@ -36,13 +39,13 @@ class Recipients:
         self._seeds: frozenset[Address] = frozenset()
 
     def set_seeds(self, addresses: Iterable[Address]) -> None:
-        """The addresses that count whether or not they were ever heard."""
+        """Set the seeds: addresses that get copies whether or not they were ever heard."""
         self._seeds = frozenset(addresses)
         for address in self._seeds:
             self._known.setdefault(address, _AddressUse())
 
     def on_heard(self, address: Address, by_group: bool, now: float) -> None:
-        """A valid datagram came from this address."""
+        """Note a valid datagram from this address; `by_group`: it came by multicast."""
         known = self._place(address, now)
         if known is not None:
             known.heard = now
@@ -50,13 +53,16 @@ class Recipients:
                 known.by_group = now
 
     def on_mentioned(self, address: Address, now: float) -> None:
-        """A robot says that a living member is at this address."""
+        """Note that a robot reports a living member at this address."""
         known = self._place(address, now)
         if known is not None:
             known.mentioned = now
 
     def unicast(self, now: float, *, is_message: bool = False) -> list[Address]:
-        """The addresses that get a copy of a datagram, or of a pattern's message, sent now."""
+        """The addresses that get a copy of a datagram sent now.
+
+        `is_message`: the datagram is a pattern's message, which goes only to addresses heard.
+        """
         chosen = []
         for address, known in list(self._known.items()):
             if not self._is_current(address, known, now):

@@ -1,10 +1,12 @@
 """The link of a simulated robot and its daemon: named frames on a TCP connection of their own.
 
 The daemon dials the process that simulates the robot, and its first frame is a `Hello`. Each frame
-has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). Neither side ever
-waits: a frame for which the connection has no room is dropped, and receivers use the newest.
+has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). No side waits for
+the other: a frame for which the send buffer has no room is dropped. Receivers use the newest frame
+of a name.
 
-A frame is the length of its name (1 byte) and of its payload (4 bytes, little-endian), then both.
+A frame on the wire: the length of its name (1 byte), the length of its payload (4 bytes,
+little-endian), the name, the payload.
 """
 
 from __future__ import annotations
@@ -30,14 +32,14 @@ if TYPE_CHECKING:
 
 HELLO = "hello"
 RETRY_PERIOD = 0.5  # s between two attempts to connect
-CONNECT_TIMEOUT = 3.0  # s; the kernel's own attempts grow apart to a minute
+CONNECT_TIMEOUT = 3.0  # s; the kernel itself would retry with pauses that grow to a minute
 MAX_PAYLOAD = 1 << 20  # bytes; a longer frame ends its connection
 MAX_CONNECTIONS_OF_ROBOT = 4
 MAX_STRANGERS = 16  # connections without a `Hello` so far
 _BACKLOG = 128  # connections that wait to be accepted
 _HEAD = struct.Struct("<BI")
 _CHUNK = 1 << 16
-_READS = 16  # of _CHUNK at most at once: a flood does not keep its reader
+_READS = 16  # chunks that one call reads at most, so that a flood does not hold the reader
 _SEND_BUFFER = 1 << 16  # bytes for a frozen receiver, besides those of its own buffer
 _SO_TIMESTAMPNS = 35  # asm-generic/socket.h
 _TIMESPEC = struct.Struct("@ll")
@@ -51,11 +53,11 @@ Keepalive asks on a connection without bytes on their way only.
 
 
 class Hello(Struct, frozen=True, array_like=True):
-    """The first frame of a daemon, and its answer. `listens`: the sender wants sensor frames."""
+    """The first frame of a daemon, which the server sends back as its answer."""
 
     swarm: Name
     robot: Name
-    listens: bool = True
+    listens: bool = True  # the daemon wants sensor frames
 
 
 _hello = Decoder(Hello)
@@ -69,12 +71,12 @@ class Frame(NamedTuple):
 
 
 class Received(NamedTuple):
-    """A frame from the daemon of `robot`, and when it arrived, on the clock of the server."""
+    """A frame from the daemon of `robot`."""
 
     robot: str
     name: str
     payload: bytes
-    arrival: float
+    arrival: float  # s on the clock of the server
 
 
 class Connection:
@@ -99,7 +101,7 @@ class Connection:
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, give_up)
 
     def send(self, name: str, payload: bytes) -> bool:
-        """Send a frame; False if it is dropped, since there is no room or no connection."""
+        """Send a frame; False if the frame is dropped for lack of room or connection."""
         try:
             while self._unsent:  # the rest of a frame that was sent in part
                 self._unsent = self._unsent[self.socket.send(self._unsent) :]
@@ -135,11 +137,12 @@ class Connection:
         return self._take_frames()
 
     def close(self) -> None:
-        """Send what was handed over, and close."""
+        """Close the connection; the kernel still sends the frames that `send` has taken."""
         self.is_open = False
         with suppress(OSError):
             self.socket.shutdown(socket.SHUT_WR)
-            for _ in range(_READS):  # a reset would overtake the last frame
+            # Unread bytes would make `close` send a reset, which discards the last frame.
+            for _ in range(_READS):
                 if not self.socket.recv(_CHUNK):
                     break
         self.socket.close()
@@ -164,10 +167,10 @@ class Connection:
 
 
 class RobotServer:
-    """The robots' side: takes the connections of their daemons.
+    """The simulator's side: accepts the connections of the robots' daemons.
 
-    `dropped`: the frames of both directions that were dropped. `endpoint` has the port that was
-    chosen for port 0. All methods but `send` must be called by one thread.
+    `dropped`: frames that were dropped, of both directions. `endpoint`: the address in use, with
+    the port that the kernel chose for port 0. One thread must call all methods except `send`.
     """
 
     def __init__(
@@ -179,7 +182,10 @@ class RobotServer:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Listen; NetworkError naming `what` if that is impossible, ConfigError for a bad text."""
+        """Listen at `endpoint`; `what` names the server in errors.
+
+        Raises NetworkError if it cannot listen there, ConfigError if `endpoint` cannot be read.
+        """
         where = read_endpoint(endpoint, "endpoint is ")
         self.dropped = 0
         self._swarm, self._clock = swarm, clock
@@ -208,7 +214,7 @@ class RobotServer:
         return self._poll.fileno()
 
     def send(self, robot: str, name: str, payload: bytes) -> bool:
-        """Send to all that listen to a robot; False if a connection has no room for the frame."""
+        """Send a frame to the listening daemons of a robot; False if it is dropped for one."""
         is_sent = True
         for connection in self._listeners[robot]:
             if not connection.send(name, payload):
@@ -237,7 +243,8 @@ class RobotServer:
 
     def _take(self, file: int, connection: Connection, received: list[Received]) -> None:
         frames, now = connection.receive(), self._clock()
-        # The wall clock, which gives the age, may be set: the last call bounds the age.
+        # The age is measured on the wall clock, which may be set: the age is at most the time since
+        # the last call.
         arrival = now - min(max(connection.age, 0.0), max(now - self._emptied_at, 0.0))
         for name, payload in frames:
             if connection in self._robots:
@@ -248,16 +255,20 @@ class RobotServer:
             self._forget(file, connection)
 
     def _accept(self, received: list[Received]) -> None:
-        """Take all waiting connections with their hellos: a storm of strangers delays no daemon."""
+        """Accept all waiting connections and read their hellos.
+
+        A stranger is a connection without a hello. At most MAX_STRANGERS are kept, so that many
+        strangers delay no daemon.
+        """
         for _ in range(_BACKLOG):
             try:
                 accepted, _ = self._socket.accept()
-            except OSError:  # none is left, or no descriptor
+            except OSError:  # no connection waits, or no descriptor is free
                 return
             strangers = [
                 file for file, known in self._connections.items() if known not in self._robots
             ]
-            if len(strangers) >= MAX_STRANGERS:  # the longest silent stranger ends
+            if len(strangers) >= MAX_STRANGERS:  # close the oldest stranger
                 self._forget(strangers[0], self._connections[strangers[0]])
             connection = Connection(accepted, is_timed=True)
             self._connections[accepted.fileno()] = connection
@@ -265,22 +276,27 @@ class RobotServer:
             self._take(accepted.fileno(), connection, received)
 
     def _welcome(self, connection: Connection, name: str, payload: bytes) -> None:
-        """Take the first frame of a connection, which ends if it is no hello to a robot here."""
+        """Answer the hello of a connection; end the connection if the hello is refused.
+
+        Refused are: another frame, a hello to another swarm or to an unknown robot, and one more
+        connection than MAX_CONNECTIONS_OF_ROBOT.
+        """
         try:
             hello = _hello(payload)
         except CodecError:
             hello = None
-        there = None if hello is None else self._listeners.get(hello.robot)
+        listeners = None if hello is None else self._listeners.get(hello.robot)
         count = 0 if hello is None else [*self._robots.values()].count(hello.robot)
         is_full = count >= MAX_CONNECTIONS_OF_ROBOT
-        if name != HELLO or hello is None or hello.swarm != self._swarm or there is None or is_full:
+        is_hello = name == HELLO and hello is not None and hello.swarm == self._swarm
+        if not is_hello or hello is None or listeners is None or is_full:
             self.dropped += 1
             connection.is_open = False
             return
         self._robots[connection] = hello.robot
         connection.send(HELLO, payload)
         if hello.listens:
-            self._listeners[hello.robot] = (*there, connection)
+            self._listeners[hello.robot] = (*listeners, connection)
 
     def _forget(self, file: int, connection: Connection) -> None:
         del self._connections[file]
@@ -293,9 +309,10 @@ class RobotServer:
 
 
 class RobotClient:
-    """A daemon's side: connects and connects again while `run` runs, on an asyncio loop.
+    """The daemon's side: `run` keeps a connection, on an asyncio loop.
 
-    `on_frames` takes the frames in the order of arrival. `is_known`: the server has this robot.
+    `on_frames` gets the frames in the order of arrival. `is_known`: the server has accepted the
+    hello of this robot.
     """
 
     def __init__(
@@ -307,7 +324,7 @@ class RobotClient:
         self.is_known = False
 
     async def run(self) -> None:
-        """Keep a connection until cancelled; then send what `send` was given."""
+        """Keep a connection until cancelled, then close it."""
         import asyncio  # a zero sender has no loop, and does not import it
 
         loop = asyncio.get_running_loop()
@@ -319,7 +336,8 @@ class RobotClient:
                 # wait_for of Python 3.11 loses a cancellation that comes with a refusal.
                 async with asyncio.timeout(CONNECT_TIMEOUT):
                     await loop.sock_connect(made, (where.host, where.port))
-                # Where nothing listens, a socket that was given that port connects to itself.
+                # TCP self-connect: where nothing listens, the kernel may give the socket the very
+                # port to which it connects.
                 if made.getsockname() != made.getpeername():
                     await self._use(Connection(made), loop)
             except OSError:  # nothing listens or answers there now
@@ -355,13 +373,16 @@ class RobotClient:
             connection.close()
 
     def send(self, name: str, payload: bytes) -> bool:
-        """Send a frame; False if it is dropped: there is no room, or no connection."""
+        """Send a frame; False if the frame is dropped for lack of room or connection."""
         connection = self._connection
         return connection is not None and connection.is_open and connection.send(name, payload)
 
 
 def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
-    """A connection without a loop, within `timeout` s; None if it fails."""
+    """A connection for a process without asyncio, which has sent `hello`.
+
+    None if nothing answers at the endpoint within `timeout` s.
+    """
     try:
         made = socket.create_connection((endpoint.host, endpoint.port), timeout)
     except OSError:
@@ -374,7 +395,7 @@ def dial(endpoint: Endpoint, hello: Hello, timeout: float) -> Connection | None:
 
 
 def read_endpoint(text: str, prefix: str, example: str = "tcp/127.0.0.1:0") -> Endpoint:
-    """The host and port of a link. Raises ConfigError: the prefix, the text, and an example."""
+    """The TCP host and port of a link. Raises ConfigError with `prefix`, `text` and `example`."""
     endpoint = parse_endpoint(text, prefix, example)
     if endpoint.protocol != "tcp" or endpoint.suffix:
         raise ConfigError(f"{prefix}{text!r}; expected a value such as {example}")

@@ -1,9 +1,10 @@
 """The datagrams of a swarm through Zenoh routers, for profile `routed`.
 
-The same bytes as on UDP travel as puts: `swarm/<swarm>/<sender>/multicast/all` to all, and
-`swarm/<swarm>/<sender>/unicast/<receiver>` to one. An address is the name of a robot or of an
-operator's session, with port 0. A router sends each put once over each link, so that a robot sends
-O(1) and hears O(N), wherever multicast does not reach.
+The bytes of a UDP datagram are sent as a Zenoh put: to all on
+`swarm/<swarm>/<sender>/multicast/all`, to one receiver on
+`swarm/<swarm>/<sender>/unicast/<receiver>`. An address is the name of a robot or of an operator's
+session, with port 0. A router forwards each put once on each link: a robot sends O(1) and receives
+O(N) datagrams for N robots, also where multicast does not reach.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ class RoutedCarrier:
     def start_thread(self, on_datagram: OnDatagram) -> None:
         """Call `on_datagram(payload, source, 0.0)` on Zenoh's thread until `close`.
 
-        How long a datagram waited before it came to this thread is not known.
+        0.0: Zenoh does not report for how long a datagram waited.
         """
         self._on_datagram = on_datagram
         self._subscribers = tuple(
@@ -93,10 +94,10 @@ class RoutedCarrier:
         )
 
     def confirm(self, source: Address) -> None:
-        """Nothing: routers know the ways."""
+        """Do nothing: routers find the receivers."""
 
     def rejoin(self) -> None:
-        """Nothing: Zenoh dials its routers again by itself."""
+        """Do nothing: Zenoh dials its routers again by itself."""
 
     def close(self) -> None:
         """Receive nothing more; the session stays open."""

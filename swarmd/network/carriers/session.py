@@ -1,8 +1,8 @@
-"""Opens Zenoh sessions: those of a swarm by profile, and others from Zenoh's own options.
+"""Opens Zenoh sessions: for a swarm by its profile, and others from Zenoh's own options.
 
-Each session tunes the sockets of its links, so that a peer that vanished does not stall the links
-to the others. Zenoh sets SO_LINGER to 10 s on its TCP sockets: when a lease expires with
-unacknowledged data, close() blocks one of the two receiving threads in the kernel, and the
+Each session of a swarm tunes the sockets of its links, so that a peer that vanished does not stall
+the links to the other peers. Zenoh sets SO_LINGER to 10 s on its TCP sockets: when a lease expires
+with unacknowledged data, close() blocks one of the two receiving threads in the kernel, and the
 survivors receive nothing from each other for up to 10 s (measured: 10.1 s with six of eight robots
 gone). Linux only, since the sockets are found in /proc/self/fd; elsewhere nothing is tuned.
 
@@ -33,20 +33,21 @@ from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
 MAX_WIRE = 1024 * 1024
 MAX_PORT_TRIES = 5
 PULL_LINK_TIMEOUT = 3.0  # s
-# How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the daemon.
+# us for which a full link may block the sender: Zenoh's default of 5 s would stall the daemon.
 _MAX_BLOCK_US = 250_000
-# The timeout of dialling, in ms: TCP's handshake and two round trips of Zenoh, on a network that
-# loses some of it. The one of accepting is longer: an opening that its deadline meets between the
-# last two steps leaves a link that one side never reads, and that side lacks the other's
-# declarations for good.
+# ms for dialling: TCP's handshake and two round trips of Zenoh, on a network that loses packets.
+# The timeout of the accepting side is _ACCEPT_MARGIN_MS longer: if it ended an opening between the
+# last two steps, the dialling side would keep a link that the accepting side never reads, and would
+# lack the declarations of the accepting side for good.
 _OPEN_TIMEOUT_MS = 9000
-_MAX_PENDING_LINKS = 512  # silent connections until their timeout; Zenoh's own 100 are soon used up
-_MAX_BATCHES = 16  # as many as Zenoh allows
+_ACCEPT_MARGIN_MS = 1000
+_MAX_PENDING_LINKS = 512  # connections without a handshake; Zenoh's default of 100 is soon used up
+_MAX_BATCHES = 16  # the most that Zenoh allows
 _FRAGMENT_TIMEOUT_US = 5_000
 _IFF_UP = 1  # linux/if.h
 _FDS = "/proc/self/fd"
-# Off: close() returns at once, and unsent data is still delivered in the background. On with 0 s
-# would cut off the last words of a daemon that leaves.
+# SO_LINGER off: close() returns at once, and the kernel still delivers unsent data. SO_LINGER on
+# with 0 s would discard the last messages of a daemon that leaves.
 _NO_LINGER = struct.pack("ii", 0, 0)
 
 if TYPE_CHECKING:
@@ -61,17 +62,17 @@ S = TypeVar("S", bound=zenoh.Session | None)
 def open_session(
     settings: NetworkSettings, identity: Identity | None = None, *, late: Sequence[str] = ()
 ) -> zenoh.Session:
-    """Open the session of a daemon, which listens only. Raises NetworkError in one line.
+    """Open the session of a daemon, which listens and dials nobody.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
-    reads the addresses of interfaces once. On a late address Zenoh joins the group of scouts only
-    by the number of the address, and programs learn no late address of an endpoint that is given by
-    the name of the interface.
+    reads the addresses of interfaces once per process. So each late address is named: in the
+    scouting options, to join the multicast group of scouts there, and as an endpoint, so that
+    Zenoh programs learn of it. Raises NetworkError in one line.
     """
     options = session_options(settings, identity)
     if late:
         options["scouting/multicast/interface"] = ",".join(late)
-        if identity is None:  # the gate of a secured robot is at the port of `listen` alone
+        if identity is None:  # `LinkGate` guards only the port of `listen` of a secured robot
             more = tuple(f"tcp/{address}:0" for address in late)
             options["listen/endpoints"] = _listen(replace(settings, listen=settings.listen + more))
     return _open(settings, options)
@@ -82,8 +83,8 @@ def open_operator_session(
 ) -> zenoh.Session:
     """Open a session that dials `endpoints` in the background; takes about 1 ms.
 
-    All are dialled at once and for as long as the session is open. More cannot be added: robots
-    that are found later need a further session. Raises NetworkError in one line.
+    Zenoh dials all endpoints at once, again and again while the session is open. No endpoint can be
+    added: robots that are found later need a further session. Raises NetworkError in one line.
     """
     return _open(settings, operator_options(settings, endpoints, identity))
 
@@ -124,16 +125,20 @@ _SCOUTING: Mapping[str, object] = {
 PROMPT_OPTIONS: Mapping[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
-    # Sending never waits; without room for a burst the newest would be dropped: a zero.
+    # Sending never waits. Without room for a burst Zenoh would drop the newest message, which may
+    # be a zero command.
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     "transport/link/tx/queue/size/real_time": 16,
     "transport/shared_memory/enabled": False,
 }
-"""Of a session that finds one endpoint and drops what cannot be sent at once."""
+"""Options of a session to one endpoint, which drops messages that cannot be sent at once."""
 
 
 def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
-    """Open a session from Zenoh's own option paths; NetworkError names `what` it was for."""
+    """Open a session with Zenoh's options, path to value.
+
+    Raises NetworkError, whose text names `what` the session is for.
+    """
     config = zenoh.Config()
     try:
         for path, value in options.items():
@@ -146,9 +151,10 @@ def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
 def open_listening(
     endpoint: str, options: Mapping[str, object], what: str
 ) -> tuple[zenoh.Session, str]:
-    """Open a session that listens at a TCP endpoint, port 0 for a free one; and the endpoint.
+    """Open a session that listens at a TCP endpoint; returns the session and its endpoint.
 
-    Raises NetworkError naming `what` if the endpoint cannot be had, ConfigError if it is malformed.
+    Port 0 takes a free port. `what` names the session in errors. Raises NetworkError if the
+    endpoint cannot be bound, ConfigError if its text is malformed.
     """
     try:
         protocol, host, port, suffix = parse_endpoint(endpoint)
@@ -168,10 +174,10 @@ def open_listening(
 
 
 async def open_in_thread(open_it: Callable[[], S]) -> S:
-    """The result of `open_it`, called in a thread; closed at once if the caller is cancelled.
+    """The session that `open_it` opens in a thread.
 
-    The session is closed even if the loop ends meanwhile: an open session would keep the process
-    alive.
+    If the caller is cancelled, the session is closed once it is open, even if the loop has ended by
+    then: an open session would keep the process alive.
     """
     import asyncio
     from concurrent.futures import Future
@@ -227,7 +233,7 @@ def session_options(
         return _options(settings, "client", (), settings.routers, identity)
     options = _options(settings, "peer", _listen(settings), (), identity)
     if settings.answers_scouts(is_secured=identity is not None):
-        # It answers and dials nobody: without a program there is not one packet more.
+        # The daemon answers scouts, and dials nobody: without a scout no further packet is sent.
         options |= {
             **_SCOUTING,
             "scouting/multicast/autoconnect": [],
@@ -260,10 +266,10 @@ def foreign_options(
     *,
     scouts: bool = False,
 ) -> dict[str, Any]:
-    """`operator_options` as the nested configuration file of another program of Zenoh.
+    """`operator_options` as the nested configuration of another Zenoh program.
 
-    `scouts`: the program finds the robots by multicast. Without the sizes and timeouts of links,
-    which have defaults. Raises ConfigError for wrong settings.
+    `scouts`: the program finds the robots by multicast. Sizes and timeouts of links are left out,
+    so that Zenoh's defaults hold. Raises ConfigError for wrong settings.
     """
     options = operator_options(settings, endpoints, identity)
     if scouts:
@@ -285,10 +291,10 @@ def foreign_options(
 
 
 def tls_options(identity: Identity) -> dict[str, object]:
-    """The options of links on which both ends show a certificate of the swarm's authority.
+    """The options of TLS links on which both ends show a certificate of the swarm's authority.
 
-    The names in them are not compared with addresses: those of robots change. Access rules compare
-    them with keys. A link ends when the certificate of its other end does.
+    The names in the certificates are not compared with addresses, since robots change addresses.
+    Access rules compare the names with keys. A link ends when a certificate expires.
     """
     certificate, key = str(identity.certificate), str(identity.key)
     return {
@@ -317,7 +323,7 @@ def _secured(endpoints: Sequence[str]) -> list[str]:
 
 
 def _dialled(endpoint: str) -> str:
-    """The endpoint, or one on loopback from which bytes are forwarded to an IPv6 address."""
+    """The endpoint to dial; for TLS to an IPv6 address a forwarder on loopback."""
     if not endpoint.startswith("tls/["):
         return endpoint
     _, host, port, _ = parse_endpoint(endpoint)
@@ -343,8 +349,8 @@ def _options(
         "scouting/gossip/enabled": False,
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
-        # A peer with a timeout of 0 would dial one endpoint after the other. A client with another
-        # one would wait for its first router alone.
+        # A peer with a timeout of 0 would dial its endpoints one after the other. A client with
+        # any other timeout would wait for its first router only.
         "connect/timeout_ms": 0 if mode == "client" else -1,
         "connect/exit_on_failure": False,
         "connect/retry": {
@@ -354,14 +360,14 @@ def _options(
         },
         "open/return_conditions/connect_scouted": False,
         "transport/unicast/open_timeout": _OPEN_TIMEOUT_MS,
-        "transport/unicast/accept_timeout": _OPEN_TIMEOUT_MS + 1000,
+        "transport/unicast/accept_timeout": _OPEN_TIMEOUT_MS + _ACCEPT_MARGIN_MS,
         "transport/unicast/accept_pending": _MAX_PENDING_LINKS,
         "transport/link/tx/lease": round(settings.lease_seconds * 1000),
         "transport/link/tx/queue/congestion_control/block/wait_before_close": _MAX_BLOCK_US,
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
             _FRAGMENT_TIMEOUT_US
         ),
-        # Requests and their acks never wait: without room for a burst some would be dropped.
+        # Requests and their replies never wait: without room for a burst Zenoh would drop some.
         "transport/link/tx/queue/size/interactive_high": _MAX_BATCHES,
         "transport/link/tx/queue/size/real_time": _MAX_BATCHES,
         "transport/link/rx/max_message_size": MAX_WIRE,
@@ -370,7 +376,7 @@ def _options(
 
 
 def default_listen(settings: NetworkSettings) -> str:
-    """Where a daemon listens without `listen`: on loopback, or at every address (both families)."""
+    """The endpoint of a daemon without `listen`: loopback, or all IPv4 and IPv6 addresses."""
     if settings.profile == "dev":
         return "tcp/127.0.0.1:0"
     try:
@@ -433,12 +439,12 @@ def _close(opened: Future[S]) -> None:
 
 
 def tune_sockets(session: zenoh.Session, lease: float) -> None:
-    """Tune every link of the session, now and later, until it closes. `lease` in s."""
+    """Set the options of the sockets of all links, until the session closes. `lease` in s."""
     if not sys.platform.startswith("linux"):
         return
 
     def on_link(event: zenoh.LinkEvent) -> None:
-        # On a thread of its own, which Zenoh starts for this callback.
+        # Zenoh calls this on a thread for this callback only.
         if event.kind == zenoh.SampleKind.PUT:
             tune_link(event.link.src, event.link.dst, lease)
 
@@ -446,7 +452,10 @@ def tune_sockets(session: zenoh.Session, lease: float) -> None:
 
 
 def tune_link(src: str, dst: str, lease: float) -> int:
-    """Tune the sockets between two locators such as `tcp/127.0.0.1:7447`; returns their number."""
+    """Set the options of the sockets between two locators such as `tcp/127.0.0.1:7447`.
+
+    Returns the number of sockets.
+    """
     ends = {_address(src), _address(dst)}
     tuned = 0
     for sock in connected_sockets():

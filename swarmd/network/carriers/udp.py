@@ -2,21 +2,22 @@
 
 A datagram to all goes
 
-- to the IPv4 group if the interface has an IPv4 address, else to the IPv6 group of the link. While
-  a robot without an IPv4 address is heard, robots with IPv4 send copies by IPv6. The copies go to a
-  group of their own, so that no copy suggests that its sender lacks IPv4.
+- by multicast, to the IPv4 group if the interface has an IPv4 address, else to the IPv6 group of
+  the link. While a robot without an IPv4 address is heard, robots with IPv4 send copies by IPv6.
+  The copies go to another group (COPIES6), so that a receiver of a copy does not conclude that its
+  sender lacks IPv4.
 - in profile field by broadcast, too: each `Stop`, `Ack` and `Latches`, every fifth beacon, and
   every datagram while no robot has been heard by multicast for a lease (access points may drop
   multicast).
-- by unicast to seeds and to peers that are not heard by the group (`Recipients`).
+- by unicast to seeds and to peers that are not heard by multicast (`Recipients`).
 
 A datagram waits in its socket while the process is frozen or busy. The kernel's time of arrival
-(SO_TIMESTAMPNS) tells for how long. That time is of the wall clock. The time since the sockets were
-empty bounds the error after a step of the wall clock.
+(SO_TIMESTAMPNS, on the wall clock) gives the wait. The wall clock may be set meanwhile: the wait is
+at most the time since the sockets were last empty.
 
-A copy that arrives by another way than its twin is dropped. Sockets are bound to the interface and
-not to an address, so that they outlive a change of addresses. Profile dev is on loopback, without
-broadcast and IPv6.
+Of two copies of a datagram that arrive by two ways, the later copy is dropped. Sockets are bound to
+the interface and not to an address, so that they work on after a change of addresses. Profile dev
+uses loopback, without broadcast and IPv6.
 
 swarmctl imports this module and must start fast, so asyncio is not imported.
 """
@@ -65,14 +66,14 @@ COPIES6 = "ff02::5357:4d45"
 BROADCAST = "255.255.255.255"
 GROUP_PORT = 7446
 
-BATCH = 64  # datagrams in a turn of the loop; a dropped one costs an eighth
+BATCH = 64  # datagrams in a turn of the loop; a dropped datagram counts an eighth
 PAUSE = 0.005  # s after a full batch
-OVERLOAD_TIME = 1.0  # s without an empty queue after which lost datagrams count as a flood's
+OVERLOAD_TIME = 1.0  # s without an empty queue after which lost datagrams count as part of a flood
 BEACONS_A_BROADCAST = 5
-RESOLVE_PERIOD = 60.0  # s between two looks for the addresses of seeds that are names
-RETRY_PERIOD = 5.0  # s, while some name has no address
-REFRESH_PERIOD = 1.0  # s between two looks at the own addresses
-COPY_TIME = 0.1  # s within which twins of a datagram arrive
+RESOLVE_PERIOD = 60.0  # s between two resolutions of seeds that are host names
+RETRY_PERIOD = 5.0  # s between two resolutions while a name has no address
+REFRESH_PERIOD = 1.0  # s between two reads of the interface's addresses
+COPY_TIME = 0.1  # s within which the copies of a datagram arrive by all ways
 _RECEIVE_BUFFER = 2 * 1024 * 1024  # some 2700 small datagrams
 _DROP_COST, _COST = 1, 8
 _PORT_TRIES = 5
@@ -83,30 +84,31 @@ _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
 _SO_RCVBUFFORCE = 33
 _SO_TIMESTAMPNS = 35
 _SO_MEMINFO = 55
-_MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h; in bytes, the last one in datagrams
-_QUEUED = 0  # places in _MEMINFO
-_QUEUE_LIMIT = 1
-_LOST = 8
+_MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h, SK_MEMINFO_*
+_QUEUED = 0  # index in _MEMINFO: bytes in the receive queue
+_QUEUE_LIMIT = 1  # index in _MEMINFO: bytes that the queue may hold
+_LOST = 8  # index in _MEMINFO: datagrams that were dropped
+_NEARLY_FULL = 0.75  # the share of the queue's limit above which drops are counted
 _TIMESPEC = struct.Struct("@ll")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
-SHORT_WAIT = 0.2  # s since the sockets were empty below which the wait of a datagram counts as none
+SHORT_WAIT = 0.2  # s since the sockets were empty, up to which the wait of a datagram counts as 0
 
 
 class Received(NamedTuple):
-    """A datagram, its source, and for how many seconds it waited."""
+    """A datagram that has arrived."""
 
     payload: bytes
     source: Address
-    waited: float
+    waited: float  # s from arrival until it was read
 
 
 class _Way(Enum):
-    """How a datagram came."""
+    """The way by which a datagram came."""
 
     UNICAST = "unicast"
     MULTICAST = "multicast"
     BROADCAST = "broadcast"
-    COPY = "copy"
+    COPY = "copy"  # by IPv6, from a robot that has IPv4
 
 
 class _Listener(NamedTuple):
@@ -114,14 +116,14 @@ class _Listener(NamedTuple):
     way: _Way
 
 
-_PASSING = Kind.MESSAGE, Kind.PLACE  # robots that were only mentioned get no copy
+_PASSING = Kind.MESSAGE, Kind.PLACE  # kinds that go only to addresses that are heard
 
 
 class UdpCarrier:
     """Sends and receives the datagrams of a swarm; raises NetworkError if it cannot be opened.
 
-    `port`: the unicast port, from which everything is sent; 0 for a free one. Sending and receiving
-    may be done by two threads. `is_secured`: the source of a beacon gets datagrams only after
+    `port`: the unicast port, from which all datagrams are sent; 0: a free port. One thread may send
+    while another receives. `is_secured`: the source of a beacon gets datagrams only after
     `confirm`.
     """
 
@@ -179,7 +181,7 @@ class UdpCarrier:
 
     @property
     def dropped(self) -> Counter[str]:
-        """What was dropped here, by kind; what the kernel drops is not counted."""
+        """Datagrams that this class dropped, by kind; without those that the kernel dropped."""
         return self._limits.dropped
 
     def close(self) -> None:
@@ -247,7 +249,7 @@ class UdpCarrier:
             self.unsent += 1
 
     def _refresh(self, now: float) -> None:
-        """Look at the own addresses and at those of seeds, now and then."""
+        """Read the own addresses and those of seeds again, at most once per REFRESH_PERIOD."""
         if now - self._refresh_at < REFRESH_PERIOD:
             return
         self._refresh_at = now
@@ -259,7 +261,11 @@ class UdpCarrier:
     # Receiving
 
     def receive(self) -> list[Received]:
-        """What has arrived, at most BATCH."""
+        """The datagrams that have arrived, at most BATCH.
+
+        Each call begins with another listener, so that a flood at one socket does not shut out the
+        datagrams of another socket.
+        """
         received: list[Received] = []
         with self._lock:
             now = self._clock()
@@ -283,8 +289,9 @@ class UdpCarrier:
     def _weigh(self, now: float) -> None:
         """Update the weight: the ratio of arrived to read datagrams, above 1 in an overload.
 
-        A machine with little time for this process reads less than any budget, and the kernel drops
-        the rest, whoever sent it: a flood would pass for usual traffic and drown all stops.
+        A process with little CPU time reads less of a flood than the budgets of `FloodLimits`
+        permit, and the kernel drops the rest, stops included. Without the weight the flood would
+        count as usual traffic.
         """
         if now - self._emptied_at < OVERLOAD_TIME:
             self._weight = 1.0
@@ -301,7 +308,10 @@ class UdpCarrier:
     def _take_from(
         self, listener: _Listener, room: int, now: float, received: list[Received]
     ) -> int:
-        """Append the datagrams of a listener; returns their cost, at most `room` and one more."""
+        """Append the datagrams of a listener; returns their cost, at most `room` + _COST - 1.
+
+        Sets `_is_full` if the cost has reached `room`: more datagrams may wait.
+        """
         cost, waited = 0, 0.0
         longest = now - self._emptied_at
         while cost < room:
@@ -313,7 +323,7 @@ class UdpCarrier:
                     waited = min(max(_waited(ancillary), 0.0), longest)
             except BlockingIOError:
                 return cost
-            except OSError:  # what the network said of an earlier datagram
+            except OSError:  # the network's error report on a datagram that was sent
                 cost += _DROP_COST
                 continue
             source = self._admit(payload, name, listener.way, now)
@@ -326,7 +336,7 @@ class UdpCarrier:
     def _admit(
         self, payload: bytes, name: tuple[str, int], way: _Way, now: float
     ) -> Address | None:
-        """The source of a datagram; None if the datagram does not count."""
+        """The source of a datagram; None if the datagram is dropped."""
         host, port = name[0], name[1]
         self._reads += 1
         if port == self.port and (host in self._addresses or self._is_dev):
@@ -339,7 +349,8 @@ class UdpCarrier:
             return None
         is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
         if is_of_robot:
-            self.ways.on_heard(source, _Way.MULTICAST.value if way is _Way.COPY else way.value, now)
+            heard_by = _Way.MULTICAST if way is _Way.COPY else way
+            self.ways.on_heard(source, heard_by.value, now)
         if self._is_twin(payload, source, way, now):
             return None
         if is_of_robot and self._is_secured:
@@ -349,14 +360,14 @@ class UdpCarrier:
         return source
 
     def confirm(self, source: Address) -> None:
-        """The last beacon from this source is signed and fresh."""
+        """Send datagrams to this source: its last beacon is signed and fresh."""
         with self._lock:
             way = self._unconfirmed.pop(source, None)
             if way is not None:
                 self._note_robot(source, way, self._clock())
 
     def _note_robot(self, source: Address, way: _Way, now: float) -> None:
-        """A robot of this swarm was heard: its way decides how the next datagrams are sent."""
+        """Note by which way a robot was heard, which decides how the next datagrams are sent."""
         is_by_group = way in (_Way.MULTICAST, _Way.COPY)
         if is_by_group:
             self._multicast_at = now
@@ -367,6 +378,7 @@ class UdpCarrier:
         self.recipients.on_heard(source, is_by_group, now)
 
     def _is_twin(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
+        """True if the same datagram came by another way within COPY_TIME; else notes it."""
         key = (source, payload)
         first = self._twins.get(key)
         if first is not None and now - first[0] <= COPY_TIME:
@@ -442,7 +454,7 @@ class UdpCarrier:
     # Sockets
 
     def rejoin(self) -> None:
-        """Join the groups again: after the interface was down or away. Never raises."""
+        """Join the groups again after the interface was down or missing. Never raises."""
         with self._lock, contextlib.suppress(OSError, NetworkError):
             self._refresh_at = -1e9
             self._index = index_of(self._interface)
@@ -468,8 +480,12 @@ class UdpCarrier:
         return bound
 
     def _open_unicast(self, port: int) -> int:
-        """Open the sockets that send, of one port in both families."""
-        for is_last in (*[False] * (0 if port else _PORT_TRIES), True):
+        """Open the sockets that send, for IPv4 and IPv6 with one port; returns the port.
+
+        With `port` 0 the port that is free for IPv4 may be in use for IPv6: then another is tried.
+        """
+        tries = 1 if port else 1 + _PORT_TRIES
+        for is_last in (*[False] * (tries - 1), True):
             host = "127.0.0.1" if self._is_dev else "0.0.0.0"
             self._own4 = self._listen(socket.AF_INET, host, port, _Way.UNICAST)
             bound = int(self._own4.getsockname()[1])
@@ -487,7 +503,7 @@ class UdpCarrier:
         return bound
 
     def _listen(self, family: int, host: str, port: int, way: _Way) -> socket.socket:
-        """A bound socket that hears by one way."""
+        """Open a bound socket for datagrams of one way, and add it to the listeners."""
         sock = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
         listener = _Listener(sock, way)
         try:
@@ -510,7 +526,7 @@ class UdpCarrier:
         return sock
 
     def _bind_to_interface(self, sock: socket.socket) -> None:
-        """Send and receive on the interface alone."""
+        """Let the socket send and receive on this interface only."""
         if sock.family == socket.AF_INET:
             index = struct.pack("4s4si", bytes(4), bytes(4), self._index)
             sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, index)
@@ -543,10 +559,10 @@ class UdpCarrier:
             listener.socket.setsockopt(socket.IPPROTO_IPV6, ipv6, membership)
 
     def _attach_filter(self, sock: socket.socket) -> None:
-        """Replace the kernel's filter; without one the limits and the reader do all the work."""
+        """Replace the kernel's packet filter; if that fails, only `FloodLimits` drops datagrams."""
         for rules in (self._rules, self._rules.shortened()):
             program = swarm_filter(self._tag, rules, is_ipv6=sock.family == socket.AF_INET6)
-            with contextlib.suppress(OSError):  # no memory for a long one, or no filters here
+            with contextlib.suppress(OSError):  # no memory for a long filter, or no filters here
                 attach_filter(sock, program)
                 return
 
@@ -566,19 +582,22 @@ class UdpCarrier:
 
 
 class _Seeds:
-    """The addresses of seeds; names are resolved on a thread, since that may take seconds."""
+    """The addresses of seeds; a thread resolves host names, since that may take seconds."""
 
     def __init__(self, endpoints: Iterable[str]) -> None:
         parsed = [parse_endpoint(endpoint) for endpoint in endpoints]
         self._names = [(endpoint.host, endpoint.port) for endpoint in parsed]
         self._is_numeric = all(_sockaddr(name, 0) for name in self._names)
         self._next = -1e9
-        self._found: list[list[Address]] = []
+        self._resolved: list[list[Address]] = []  # results of the thread, not taken yet
         self._is_under_way = False
 
     def addresses(self, now: float) -> list[Address] | None:
-        """The addresses, if they are new since the last call; begins to look for more if due."""
-        addresses = self._found.pop() if self._found else None
+        """The addresses if they are new since the last call, else None.
+
+        Starts the next resolution if it is due.
+        """
+        addresses = self._resolved.pop() if self._resolved else None
         if addresses is not None and len(addresses) < len(self._names):
             self._next = min(self._next, now + RETRY_PERIOD)
         if now >= self._next and not self._is_under_way and self._names:
@@ -596,7 +615,7 @@ class _Seeds:
             with contextlib.suppress(OSError, UnicodeError):
                 for *_, name in socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[:1]:
                     addresses.append(_address(name))
-        self._found.append(addresses)
+        self._resolved.append(addresses)
         self._is_under_way = False
 
 
@@ -612,26 +631,27 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
 def _count_lost(sock: socket.socket) -> int | None:
     """Datagrams that the kernel has dropped at a socket; None unless its queue is nearly full.
 
-    They include those that the filter has refused, which need no queue.
+    The count includes datagrams that the packet filter refused, also while the queue has room: only
+    a queue that is nearly full shows an overload.
     """
     try:
         info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))
     except (OSError, struct.error):  # before Linux 4.12
         return None
-    return int(info[_LOST]) if info[_QUEUED] > 0.75 * info[_QUEUE_LIMIT] else None
+    return int(info[_LOST]) if info[_QUEUED] > _NEARLY_FULL * info[_QUEUE_LIMIT] else None
 
 
 def _address(name: tuple[object, ...]) -> Address:
-    """An address as the interfaces of this package write it, from one of a socket."""
+    """The `Address` of a socket's address: a scope is appended to the host as `%<index>`."""
     host, port = str(name[0]), int(str(name[1]))
     is_scoped = len(name) == 4 and name[3] and "%" not in host
     return (f"{host}%{name[3]}" if is_scoped else host), port
 
 
 def _sockaddr(address: Address, index: int) -> tuple[str, int] | tuple[str, int, int, int] | None:
-    """An address for a socket; None if its host is a name, which would have to be resolved.
+    """The socket's address of an `Address`; None if the host is a name, not an IP address.
 
-    `index`: the interface of a link-local address that names none.
+    `index`: the interface of a link-local address without a scope.
     """
     host, _, scope = address[0].partition("%")
     try:

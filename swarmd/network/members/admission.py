@@ -1,15 +1,15 @@
-"""Which datagrams count in a secured swarm, and which are forged or replayed. Pure.
+"""Which datagrams a robot of a secured swarm accepts, and which are forged or replayed. Pure.
 
-Verified datagrams and times go in. A signature shows the class of the signer. A datagram counts if
-three conditions hold: its signer may send this kind, the robot in the datagram is on the roster,
-and the datagram is fresh:
+Verified datagrams and times go in. A signature shows the role of the signer. A datagram is accepted
+if its signer's role may send this kind, the robot in the datagram is on the roster, and the
+datagram is fresh. The kinds are fresh as follows:
 
-- beacons as `beacon_freshness.py` describes; a question is due for those that are unproven,
-- messages, places, latches and goals of the instance that is the member now,
-- latches with the digest of that member's newest beacon,
-- member lists as answers to an own question,
-- stops as `stop_freshness.py` describes, in the name of the operator that signed them; robots hand
-  them on in the operator's name, with their own signature.
+- a beacon: by the rules of `beacon_freshness.py`; the sender of an unproven beacon is asked,
+- a message, place or goal: from the instance that is the member now,
+- latches: from that instance, with the digest of its newest beacon,
+- a member list: as the answer to a question of this robot,
+- a stop: by the rules of `stop_freshness.py`. It names the operator that signed it. A robot that
+  relays a stop keeps the operator's name and signs with its own key.
 """
 
 from __future__ import annotations
@@ -62,9 +62,10 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
 
 
 class Admission:
-    """The datagrams that the robot `own` takes; `names`: the robots on the roster.
+    """The checks of the robot `own`.
 
-    `echoes` gives numbers that were never used before, `counters` those that `StopFreshness` kept.
+    `names`: the robots on the roster. `echoes` returns a number that was never used before.
+    `counters`: the counters of stops that `StopFreshness` kept from the robot's earlier life.
     """
 
     def __init__(
@@ -89,9 +90,9 @@ class Admission:
         *,
         is_claiming: bool,
     ) -> Datagram | Flaw:
-        """The part of the datagram that counts, or the flaw.
+        """The datagram as far as it is accepted, or the flaw for which it is refused.
 
-        `is_claiming`: this robot does not own its id yet, so that rivals matter.
+        `is_claiming`: this robot does not own its id yet, so that beacons of rivals are judged.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
@@ -122,14 +123,14 @@ class Admission:
             case GoalReport():
                 is_fresh = membership.is_present(body.robot, body.instance)
             case Ack() | ClockReply():
-                pass  # of stops and clocks that are under way
+                pass  # fresh if this robot waits for the answer, which the caller checks
         return body if is_fresh else Flaw.REPEATED
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
         if beacon.robot not in self.names:
             return Flaw.FORGED
         if beacon.flags & Flag.JOINING and not (is_claiming and beacon.robot == self._own):
-            return beacon  # the owner of the id answers the claim; others ignore it
+            return beacon  # the owner of the id answers the claim; other robots ignore the beacon
         return self.freshness.on_beacon(beacon, now) or beacon
 
 

@@ -1,4 +1,7 @@
-"""How many datagrams a robot sends as answers: to all, a host, scouts and claimers. Pure."""
+"""Rate limits of the datagrams that a robot sends as answers. Pure.
+
+Four budgets: for all answers together, for each host, for scouts, and for claimers of the own id.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,15 @@ from swarmd.core.bounds import keep_newest
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Address
 
-# Datagrams a second that answer solicits, of all and of one host, and that answer a claimer.
-ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0
-SCOUT_ANSWER_RATE = 20.0  # to those that look for any swarm, who need no keys
-CLAIM_ANSWER_RATE = 40.0
+# Datagrams per second.
+ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0  # answers to solicits: of all hosts, of one host
+SCOUT_ANSWER_RATE = 20.0  # answers to solicits of any swarm, whose senders need no keys
+CLAIM_ANSWER_RATE = 40.0  # answers to claimers of the own id
 MAX_HOSTS = 128
 
 
 class AnswerBudget:
-    """Budgets of answers; each is a rate with as many at once as in a second."""
+    """Token buckets of answers; each permits as many answers at once as in one second."""
 
     def __init__(self) -> None:
         self._of_all = TokenBucket(ANSWER_RATE, ANSWER_RATE)
@@ -23,7 +26,7 @@ class AnswerBudget:
         self._of_claimers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
 
     def may_answer(self, source: Address, count: int, now: float) -> bool:
-        """True if a host may have so many datagrams now, which are then taken from its budget."""
+        """True if `count` datagrams may go to a host now; they are taken from its budget."""
         # All robots of one machine have one host, and a robot behind routers has no port.
         host = f"{source[0]}:{source[1]}" if source[0].startswith("127.") else source[0]
         budget = self._by_host.get(host)
@@ -32,9 +35,9 @@ class AnswerBudget:
         return budget.take(count, now) and self._of_all.take(count, now)
 
     def may_answer_scout(self, now: float) -> bool:
-        """True if a scout may have an answer now, which is then taken from the budget."""
+        """True if a scout may be answered now; the answer is taken from the budget."""
         return self._of_scouts.take(1.0, now)
 
     def may_answer_claimer(self, now: float) -> bool:
-        """True if a claimer of the id may have an answer, which is then taken from the budget."""
+        """True if a claimer of the id may be answered now; the answer is taken from the budget."""
         return self._of_claimers.take(1.0, now)

@@ -1,9 +1,12 @@
-"""Whether a beacon is fresh or replayed, although no clock is shared. Pure: beacons and times in.
+"""Detection of replayed beacons without a shared clock. Pure: beacons and times in.
 
-Only secured swarms use this. `membership.py` decides after which silence a member has failed.
-A signed beacon may be an old beacon that an attacker replays. An instance that is unknown, or was
-silent for a lease, counts only once it has repeated the echo of a question from the time after its
-last beacon. From then on each beacon counts that has a greater sequence than the last beacon.
+Only secured swarms use this. A signed beacon may be an old beacon that an attacker replays.
+
+1. An instance that is unknown, or was silent for a lease, is accepted only once it has answered a
+   question (`Solicit`) asked after its last beacon: the answer repeats the echo of the question.
+2. From then on each beacon of the instance with a greater sequence than the last is accepted.
+
+`membership.py` decides after which silence a member has failed.
 """
 
 from __future__ import annotations
@@ -17,15 +20,15 @@ from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Beacon, Flag, Solicit
 from swarmd.network.signature import Flaw
 
-ECHO_TIME = 10.0  # s for which an answer to a question counts: two of the longest round trips
+ECHO_TIME = 10.0  # s for which an answer to a question is accepted: twice MAX_ROUND_TRIP
 MAX_ECHOES = 4096
 MAX_INSTANCES = 2048
-# Questions to instances that are not proven: a second in all, and at once.
+# Questions to instances that are not proven: per second to all together, and at once.
 QUESTION_RATE, QUESTION_BURST = 20.0, 40.0
 # s between two questions to one instance. The time doubles with each question, so that replayed
 # beacons of many earlier lives leave room for robots that join.
 QUESTION_PERIOD, LAST_QUESTION_PERIOD = 0.2, 8.0
-LATCH_TIME = 1.0  # s for which a robot that joins waits for the answer of one with latches
+LATCH_TIME = 1.0  # s for which a robot that joins waits for the answer of an instance with latches
 
 _Key = tuple[str, bytes]
 
@@ -40,15 +43,15 @@ class _ProvenLife(Struct):
 
 
 class _Asked(Struct, frozen=True):
-    """The last question to an instance, the time until the next, and whether it shows latches."""
+    """The last question to an instance."""
 
     at: float
-    period: float
-    has_latches: bool
+    period: float  # s until the next question
+    has_latches: bool  # the beacon of the instance shows latches
 
 
 class BeaconFreshness:
-    """The instances that have answered; `echoes` gives numbers that were never used before."""
+    """The instances that have answered; `echoes` returns a number that was never used before."""
 
     def __init__(self, lease: float, echoes: Callable[[], int]) -> None:
         self._lease = lease
@@ -65,18 +68,18 @@ class BeaconFreshness:
         return echo
 
     def note_echo(self, echo: int, now: float) -> None:
-        """A question with this number is asked now."""
+        """Note that a question with this number is asked now."""
         self._echoes[echo] = now
         if len(self._echoes) > MAX_ECHOES:
             del self._echoes[next(iter(self._echoes))]
 
     def is_own_echo(self, echo: int, now: float, after: float = -1e9) -> bool:
-        """True if a question with this number was asked lately, and after that time."""
+        """True if a question with this number was asked within ECHO_TIME, and after `after`."""
         asked = self._echoes.get(echo)
         return asked is not None and asked > after and now - asked <= ECHO_TIME
 
     def on_beacon(self, beacon: Beacon, now: float) -> Flaw | None:
-        """Take a beacon; the flaw of a beacon that does not count, or None."""
+        """Take a beacon; returns the flaw of a beacon that is refused, or None."""
         key = beacon.robot, beacon.instance
         known = self._known.get(key)
         if known is not None and now - known.heard <= self._lease:
@@ -95,7 +98,7 @@ class BeaconFreshness:
         return None
 
     def question(self, beacon: Beacon, now: float) -> Solicit | None:
-        """What to ask the sender of a beacon that is unproven; None: not now."""
+        """The question to the sender of an unproven beacon; None if it must not be asked now."""
         key = beacon.robot, beacon.instance
         last = self._asked.get(key)
         is_due = last is None or now - last.at >= last.period
@@ -109,7 +112,7 @@ class BeaconFreshness:
         return Solicit(echo=self.new_echo(now), robot=beacon.robot)
 
     def awaits_latches(self, now: float) -> bool:
-        """True while an instance that shows latches was asked and did not answer yet."""
+        """True if an instance with latches was asked within LATCH_TIME and has not answered."""
         return any(
             asked.has_latches and now - asked.at < LATCH_TIME for asked in self._asked.values()
         )
@@ -119,12 +122,12 @@ class BeaconFreshness:
         return (robot, instance) in self._known
 
     def is_new_message(self, robot: str, instance: bytes, sequence: int) -> bool:
-        """True if a message of a pattern was sent after its instance answered."""
+        """True if a pattern's message was sent after its instance had answered the question."""
         known = self._known.get((robot, instance))
         return known is not None and sequence > known.said
 
     def is_new_place(self, robot: str, instance: bytes, sent: int) -> bool:
-        """True if a place was sent after all that its instance has sent so far."""
+        """True if a place was sent later than every earlier place of its instance; notes it."""
         known = self._known.get((robot, instance))
         if known is None or sent <= known.clock:
             return False

@@ -1,9 +1,11 @@
 """When a robot sends its beacon and its latches to all. Pure.
 
-1. Without changes a beacon follows after BEACON_PERIOD, while the robot claims its id after
-   CLAIM_PERIOD, and while a latch is new after FAST_BEACON_PERIOD.
-2. A new latch is shown at once, any other change FAST_BEACON_PERIOD after the last beacon.
-3. A new latch itself is sent at LATCH_REPEATS, unless REDUNDANCY others have sent the same ones.
+1. The usual period of beacons is BEACON_PERIOD. It is FAST_BEACON_PERIOD while a latch is new, and
+   CLAIM_PERIOD while the robot claims its id.
+2. A new latch makes a beacon due at once. Any other change makes a beacon due FAST_BEACON_PERIOD
+   after the last beacon.
+3. The latches themselves are sent at LATCH_REPEATS after a new latch, unless REDUNDANCY other
+   robots have sent the same latches.
 """
 
 from __future__ import annotations
@@ -14,10 +16,9 @@ from swarmd.network.members.claim import CLAIM_PERIOD
 from swarmd.network.stops.stop_relay import REDUNDANCY
 
 BEACON_PERIOD = 1.0  # s
-# While a latch is new, and at least between beacons of changes.
-FAST_BEACON_PERIOD = 0.1
-NEW_LATCH_TIME = 1.0
-LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
+FAST_BEACON_PERIOD = 0.1  # s; also the least time between two beacons of changes
+NEW_LATCH_TIME = 1.0  # s for which a latch is new
+LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a new latch, at which the latches are sent to all
 
 
 class BeaconTimes:
@@ -27,18 +28,18 @@ class BeaconTimes:
         self._beacons = 0  # sent to all
         self._beacon_at = now
         self._last_beacon = -math.inf
-        self._shown: tuple[object, ...] = ()
+        self._content: tuple[object, ...] = ()
         self._digest = b""
         self._digest_since = -math.inf
         self._latches_due: list[float] = []
-        self._latch_copies = 0  # how often others have sent the same latches to all
+        self._latch_copies = 0  # how often other robots have sent the same latches to all
 
     def send_now(self, now: float) -> None:
         """Let the next beacon be due now."""
         self._beacon_at = now
 
     def on_latches(self, digest: bytes) -> None:
-        """Another robot has sent its latches to all."""
+        """Count the latches of another robot, sent to all, if they equal the own latches."""
         self._latch_copies += digest == self._digest
 
     def note_latches(self, digest: bytes, now: float) -> None:
@@ -57,13 +58,13 @@ class BeaconTimes:
         self._latches_due.pop(0)
         return self._latch_copies < REDUNDANCY
 
-    def number_due(self, shown: tuple[object, ...], now: float, *, is_claiming: bool) -> int:
-        """The number of the beacon that is due now, from 1; 0 if none is due.
+    def number_due(self, content: tuple[object, ...], now: float, *, is_claiming: bool) -> int:
+        """The number of the beacon that is due now, from 1; 0 if no beacon is due.
 
-        `shown`: what the beacon shows.
+        `content`: the values in the beacon, whose change makes it due earlier.
         """
-        if shown != self._shown:
-            self._shown = shown
+        if content != self._content:
+            self._content = content
             self._beacon_at = min(self._beacon_at, self._last_beacon + FAST_BEACON_PERIOD)
         if now < self._beacon_at:
             return 0

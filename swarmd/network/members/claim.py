@@ -1,12 +1,15 @@
 """One owner for each robot id: a claim by beacons. Pure: beacons and times in, the outcome out.
 
-A daemon that starts sends beacons with Flag.JOINING and listens. The owner of the id answers each
-of them, so that a claimer that hears an owner twice has lost; one alone may be a delayed beacon
-of a daemon that has ended. Of several claimers the smallest instance wins. A claim is won after
-`settle` seconds of listening without a rival. Listening is counted from look to look, and at most
-LONGEST_LOOK of it each time: after a stall the beacons of others may still wait to be read. So a
-claim takes settle / LONGEST_LOOK looks on a busy computer. Two owners can still meet when a cut
-heals: `Membership` and the daemon then see the beacons of a second instance.
+1. A daemon that starts (a claimer) sends beacons with Flag.JOINING and listens.
+2. The owner of the id answers each beacon of a claimer. A claimer that hears two beacons of the
+   owner has lost. A single beacon may be a delayed beacon of a daemon that has ended.
+3. Of several claimers the smallest instance wins.
+4. A claim is won after `settle` seconds of listening without a rival. Each call of `is_won` adds
+   the time since the call before, at most LONGEST_LOOK: after a stall the beacons of rivals may
+   still wait to be read. So a claim takes at least settle / LONGEST_LOOK calls.
+
+Two owners of an id can still meet when two parts of a network are joined again: `Membership` and
+the daemon then see the beacons of a second instance.
 """
 
 from __future__ import annotations
@@ -14,8 +17,8 @@ from __future__ import annotations
 from swarmd.network.datagram import Beacon, Flag
 
 CLAIM_PERIOD = 0.05  # between beacons of a claimer, in s
-RIVAL_TIMEOUT = 0.5  # a claimer that is silent for so long has given up, in s
-LONGEST_LOOK = 0.15  # s of listening that count between two looks
+RIVAL_TIMEOUT = 0.5  # s of silence after which a claimer has given up
+LONGEST_LOOK = 0.15  # s of listening that count at most between two calls of `is_won`
 MAX_RIVALS = 64
 ROUNDING = 1e-9  # s
 
@@ -34,7 +37,7 @@ class Claim:
         self.holder: bytes | None = None
 
     def on_beacon(self, beacon: Beacon, now: float) -> None:
-        """A beacon arrived; those of other robots are ignored."""
+        """Note a beacon of a rival; beacons with another robot id are ignored."""
         if beacon.robot != self._robot or beacon.instance == self._own:
             return
         if beacon.flags & Flag.LEFT:

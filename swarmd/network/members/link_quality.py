@@ -20,16 +20,12 @@ _GRACE = 0.5  # of a period by which a beacon may be late
 
 
 class LinkQuality(Struct, frozen=True):
-    """How well a robot is heard, over its last WINDOW beacons to all.
+    """How well a robot is heard, over its last WINDOW beacons to all."""
 
-    `lost`: those that are missing or overdue. `age`: s since the last beacon. `round_trip` in s;
-    None: not measured in the last minute.
-    """
-
-    received: int
-    lost: int
-    age: float
-    round_trip: float | None = None
+    received: int  # beacons
+    lost: int  # beacons that are missing or overdue
+    age: float  # s since the last beacon
+    round_trip: float | None = None  # s; None: not measured in the last minute
 
     @property
     def loss(self) -> float:
@@ -38,7 +34,7 @@ class LinkQuality(Struct, frozen=True):
 
 
 class _Link(Struct):
-    """The beacons of one instance: the highest number, and a bit for each of those up to it."""
+    """The beacons of one instance: the highest number, and a bit for each of the last WINDOW."""
 
     instance: bytes
     heard: float
@@ -49,7 +45,7 @@ class _Link(Struct):
     measured: float = 0.0
 
     def take(self, number: int) -> None:
-        """A beacon to all came; a copy of an earlier beacon changes nothing."""
+        """Note a beacon to all by its number; a copy of an earlier beacon changes nothing."""
         ahead = number - self.highest if self.span else 1
         if ahead > 0:
             self.highest = number
@@ -67,7 +63,7 @@ class LinkQualities:
         self._links: dict[str, _Link] = {}
 
     def on_beacon(self, robot: str, instance: bytes, number: int, now: float) -> None:
-        """A beacon came; `number` counts those to all, 0: it was sent to one robot only."""
+        """Note a beacon; `number` counts the beacons to all, and is 0 if sent to one robot."""
         link = self._links.get(robot)
         if link is None or link.instance != instance:
             self._links.pop(robot, None)
@@ -79,24 +75,24 @@ class LinkQualities:
             link.take(number)
 
     def on_round_trip(self, robot: str, seconds: float, now: float) -> None:
-        """An answer of a robot came `seconds` after the question."""
+        """Note that a robot answered a clock query after `seconds`."""
         link = self._links.get(robot)
         if link is not None:
             link.round_trip, link.measured = seconds, now
 
     def drop_round_trips(self, robots: Iterable[str]) -> None:
-        """These robots are asked anew, or are gone: their earlier round trips no longer hold."""
+        """Drop the round trips of robots that are asked again, or are gone."""
         for robot in robots:
             if link := self._links.get(robot):
                 link.round_trip = None
 
     def quality(self, robot: str, now: float) -> LinkQuality | None:
-        """How well a robot is heard; None: it never was."""
+        """How well a robot is heard; None for a robot that was never heard."""
         link = self._links.get(robot)
         if link is None:
             return None
         age = max(now - link.heard, 0.0)
-        # While nothing comes no number shows what is lost.
+        # Silence leaves no gap in the numbers: beacons that are overdue count as lost.
         overdue = min(int(max(age / self._period - _GRACE, 0.0)), WINDOW)
         received = (link.seen & ((1 << (WINDOW - overdue)) - 1)).bit_count()
         lost = min(link.span + overdue, WINDOW) - received
@@ -116,7 +112,7 @@ class WaysHeard:
         self._heard: dict[Address, dict[str, float]] = {}
 
     def on_heard(self, address: Address, way: str, now: float) -> None:
-        """A beacon of a robot came."""
+        """Note a beacon that came from an address by the way `way`."""
         ways = self._heard.pop(address, None)
         if ways is None:
             while len(self._heard) >= MAX_LINKS:

@@ -1,16 +1,17 @@
-"""The members of a swarm, and after which silence each has failed. Pure: datagrams and times in.
+"""The members of a swarm: alive, left or failed. Pure: datagrams and times in.
 
-That silence is the lease (`network/settings.py`). To each robot or operator, a member is
+The lease (`network/settings.py`) is the silence after which a member has failed. Each robot or
+operator judges for itself. A member is
 
 - alive while its beacons are heard: a silent member is solicited before its lease ends,
 - left once its latest instance sent a beacon with Flag.LEFT,
 - failed when its lease ended without such a beacon. A failed member stays listed until it returns
   or is forgotten.
 
-The member lists of other robots name robots whose beacons do not arrive here. These indirect
-members are handed on with their age and their distance, and are no neighbours. An operator owns no
-id, and keeps the reports of the robots in `operator/member_reports.py`. Times are in s on the
-caller's monotonic clock.
+An indirect member is a robot that only the member lists of other robots name: its beacons do not
+arrive here. A robot hands indirect members on with their age and the number of hops; they are no
+neighbors. An operator owns no id, and keeps the reports of robots in `operator/member_reports.py`.
+Times are in s on the caller's monotonic clock.
 """
 
 from __future__ import annotations
@@ -97,8 +98,8 @@ class _Robot(Struct):
     first: float  # the time of the first beacon
     lives: dict[bytes, Life] = {}  # by instance, in the order of their first beacons
     body: BodyReport | None = None  # of the latest life that reports a body
-    shown: tuple[bytes, Presence] | None = None  # the life and the presence at the last event
-    since: float = 0.0  # the time of that event
+    shown: tuple[bytes, Presence] | None = None  # instance and presence as last reported
+    since: float = 0.0  # the time of that report
     probed: float = 0.0  # the time of the last solicit
 
     @property
@@ -130,12 +131,12 @@ class _Robot(Struct):
 class IndirectMember(Struct, frozen=True):
     """A robot that other robots know."""
 
-    heard: MemberReport  # their description
-    by: str  # the robot that sent the description
-    at: float  # the time at which the description came
+    heard: MemberReport  # the report of another robot
+    by: str  # the robot that sent the report
+    at: float  # the time at which the report came
 
     def age(self, now: float) -> float:
-        """Seconds since a robot heard this robot directly; at most MAX_SECONDS."""
+        """Seconds since any robot heard the reported robot directly; at most MAX_SECONDS."""
         return min(self.heard.age / 1000.0 + max(now - self.at, 0.0), MAX_SECONDS)
 
 
@@ -154,14 +155,17 @@ class Membership:
         self.ignored = 0
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> bool:
-        """A robot that owns its id sent a beacon; True if its presence or instance changed."""
+        """Take a beacon; True if the presence or instance of its robot changed."""
         change = self.take(beacon, address, now)
         return change is not Change.IGNORED and self._settle(self._robots[beacon.robot], now)
 
     def take(
         self, beacon: Beacon, address: Address, now: float, *, is_answer: bool = False
     ) -> Change:
-        """Take a beacon; `is_answer`: to a question that was asked after its sender left."""
+        """Take a beacon of a robot that owns its id.
+
+        `is_answer`: the beacon answers a question that was asked after its sender left.
+        """
         name, is_farewell = beacon.robot, bool(beacon.flags & Flag.LEFT)
         if name == self._own or beacon.flags & Flag.JOINING:
             return Change.IGNORED
@@ -192,7 +196,7 @@ class Membership:
         return change
 
     def on_member_list(self, members: MemberList, now: float) -> None:
-        """A robot sent a part of its list of members."""
+        """Take a part of a robot's member list: keep the newest report on each indirect member."""
         for heard in members.members:
             robot = self._robots.get(heard.robot)
             is_heard_here = robot is not None and robot.shown is not None
@@ -208,7 +212,7 @@ class Membership:
                 self._indirect[heard.robot] = indirect
 
     def advance(self, now: float) -> list[str]:
-        """End the leases that are over; the robots whose presence changed."""
+        """End the leases that are over; returns the robots whose presence changed."""
         changed = [robot for robot, known in self._robots.items() if self._settle(known, now)]
         for robot, known in list(self._robots.items()):
             if _is_gone(known) and known.is_stranger and now - known.since > STRANGER_KEPT:
@@ -219,7 +223,7 @@ class Membership:
         return changed
 
     def to_probe(self, now: float) -> list[Address]:
-        """The addresses of members whose beacons are overdue."""
+        """The addresses of silent members that are to be solicited now."""
         overdue = []
         for known in self._robots.values():
             if _is_gone(known) or known.shown is None:
@@ -240,7 +244,7 @@ class Membership:
         return True
 
     def keep_only(self, robots: Collection[str]) -> None:
-        """Remove all other robots, alive or not: they are no longer on the roster."""
+        """Remove all robots that are not in `robots`, alive or not: the roster lacks them."""
         for known in (self._robots, self._indirect):
             for robot in known.keys() - set(robots):
                 del known[robot]
@@ -264,10 +268,10 @@ class Membership:
         return {robot: member for robot, member in members if member is not None}
 
     def bodies(self) -> dict[str, Body | None]:
-        """The reported body of each member that was heard here; None: nothing so far.
+        """The body that each member heard here reported; None: no report so far.
 
-        Members that left or failed are included until they are forgotten: they still stand
-        somewhere. A new instance that reports no body does not take back an earlier report.
+        Members that left or failed are included until they are forgotten: their bodies still stand
+        somewhere. The report of an earlier instance holds until a newer instance reports a body.
         """
         return {
             robot: None if known.body is None else known.body.body

@@ -1,8 +1,8 @@
-"""Which messages of patterns are new and not duplicates, and how many are lost. Pure.
+"""Which messages of patterns are new, which are duplicates, and how many are lost. Pure.
 
-Other old or repeated datagrams are dropped elsewhere: the second copy by another way in
-`carriers/udp.py`, a delayed beacon in `membership.py`, a replayed beacon in `beacon_freshness.py`,
-a replayed stop in `stops/stop_freshness.py`.
+Other modules drop other repeated datagrams: a copy by a second way `carriers/udp.py`, a
+delayed beacon `membership.py`, a replayed beacon `beacon_freshness.py`, a replayed stop
+`stops/stop_freshness.py`.
 """
 
 from __future__ import annotations
@@ -11,23 +11,27 @@ from dataclasses import dataclass
 
 from swarmd.network.datagram import Message
 
-WINDOW = 64  # messages of one sender of which the robot knows whether they came
+WINDOW = 64  # the last messages of a sender, for each of which the robot knows whether it came
 MAX_SENDERS = 1024
 
 
 @dataclass(slots=True)
 class _Window:
-    """The messages of one sender: the highest sequence, and a bit for each of those before it."""
+    """The last WINDOW messages of a sender: the highest sequence, and a bit for each message."""
 
     instance: bytes
     highest: int
     seen: int = 1
 
     def take(self, sequence: int) -> tuple[bool, int]:
-        """Whether a message is new, and the change of the number of lost ones."""
+        """Whether a message is new, and the change of the number of lost messages.
+
+        A late message was counted as lost when it was skipped, so that the change is -1.
+        """
         ahead = sequence - self.highest
-        if ahead >= WINDOW:  # more are missing than can be told from another beginning
-            self.seen, self.highest = 1, sequence
+        if ahead >= WINDOW:  # the window holds no message before: start again, with WINDOW lost
+            self.seen = 1
+            self.highest = sequence
             return True, WINDOW
         if ahead > 0:
             self.seen = ((self.seen << ahead) | 1) & ((1 << WINDOW) - 1)
@@ -46,7 +50,7 @@ class MessageWindows:
         self._windows: dict[str, _Window] = {}
 
     def take(self, message: Message) -> tuple[bool, int]:
-        """Whether a message is new, and the change of the number of lost ones."""
+        """Whether a message is new, and the change of the number of lost messages."""
         window = self._windows.get(message.robot)
         if window is not None and window.instance == message.instance:
             return window.take(message.sequence)

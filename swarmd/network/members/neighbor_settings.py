@@ -25,7 +25,7 @@ class NeighborSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     programs: bool = True
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Each key that contradicts the others, and what is wrong with it."""
+        """The keys that contradict `neighborhood`, each with the text of the fault."""
         if self.neighborhood == "range" and self.range is None:
             yield "range", "is missing; neighborhood: range wants one in m"
         if self.neighborhood != "range" and self.range is not None:

@@ -1,9 +1,9 @@
 """Which robots are neighbors: all, those within a range, or those with a good link. Pure.
 
-A robot hears messages of its neighbors only. The knob is that of the simulated radio
+A robot takes messages of its neighbors only. The settings have the meaning of the simulated radio's
 (`radio.neighborhood` and `radio.range` of a scenario), so that a pattern meets the same
 neighborhood in simulation and in the field. Each limit has a hysteresis: a robot at the edge does
-not change with each measurement.
+not become a neighbor and lose that state with each measurement.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ from msgspec import structs
 from swarmd.core.values import Neighbor, PeerPlace, SharedPose
 from swarmd.network.members.neighbor_settings import NeighborSettings
 
-RANGE_MARGIN = 1.1  # times the range beyond which a robot is a neighbor no more
-QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0  # below the limits of quality and of signal (dB)
+# Hysteresis: a neighbor stays a neighbor up to RANGE_MARGIN times the range, and down to these
+# margins below the limits of quality (share of beacons) and of signal (dB).
+RANGE_MARGIN = 1.1
+QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0
 PLACE_TIMEOUT = 1.0  # s after which the place of a peer is too old
 
 
@@ -39,17 +41,17 @@ class Neighborhood:
         self._ids: frozenset[str] = frozenset()
 
     def on_pose(self, pose: SharedPose) -> None:
-        """Take in the own pose in a shared frame."""
+        """Take the own pose in a shared frame; an invalid pose is ignored."""
         if pose.is_valid:
             self._own = pose
 
     def on_place(self, place: PeerPlace, now: float) -> None:
-        """Take in where a peer is by its own word; ignored without an own pose in that frame."""
+        """Take the place that a peer reports; ignored without an own pose in the same frame."""
         if self._own is None or place.frame != self._own.frame:
             return
         own = self._own.pose
-        away = math.hypot(place.x - own.x, place.y - own.y)
-        self._places[place.robot] = away, now - place.age + PLACE_TIMEOUT
+        distance = math.hypot(place.x - own.x, place.y - own.y)
+        self._places[place.robot] = distance, now - place.age + PLACE_TIMEOUT
 
     def select(
         self,
@@ -57,10 +59,11 @@ class Neighborhood:
         now: float,
         links: Mapping[str, Link] | None = None,
     ) -> tuple[Neighbor, ...]:
-        """The candidates, each marked as within reach or not; `links` by robot.
+        """The candidates, each with `in_reach` set; `links`: the measured links by robot.
 
-        A distance that the base measures precedes a distance by poses. A robot of unknown distance,
-        or without a link that was measured, is not within reach.
+        With neighborhood range, a distance that the base measures counts before a distance from
+        reported places. A robot of unknown distance is not in reach. With neighborhood link, a
+        robot without a measured link is not in reach.
         """
         if self.settings.neighborhood == "all":
             return tuple(candidates)
@@ -76,13 +79,11 @@ class Neighborhood:
     def _is_near(self, candidate: Neighbor, now: float, links: Mapping[str, Link]) -> bool:
         was_near = candidate.id in self._ids
         if self.settings.neighborhood == "range":
-            away = (
-                candidate.distance
-                if candidate.distance is not None
-                else self._told_distance(candidate.id, now)
-            )
+            distance = candidate.distance
+            if distance is None:
+                distance = self._reported_distance(candidate.id, now)
             limit = self.settings.range or 0.0
-            return away is not None and away <= limit * (RANGE_MARGIN if was_near else 1.0)
+            return distance is not None and distance <= limit * (RANGE_MARGIN if was_near else 1.0)
         link, signal = links.get(candidate.id), self.settings.signal
         if link is None:
             return False
@@ -94,6 +95,7 @@ class Neighborhood:
         least = self.settings.quality - (QUALITY_MARGIN if was_near else 0.0)
         return is_strong and link.quality >= least
 
-    def _told_distance(self, robot: str, now: float) -> float | None:
-        away, until = self._places.get(robot, (math.inf, -math.inf))
-        return away if now <= until else None
+    def _reported_distance(self, robot: str, now: float) -> float | None:
+        """The distance in m to the place that a robot reported; None if unknown or too old."""
+        distance, until = self._places.get(robot, (math.inf, -math.inf))
+        return distance if now <= until else None

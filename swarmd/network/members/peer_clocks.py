@@ -8,14 +8,16 @@ from collections.abc import Iterable, Mapping
 from swarmd.core.clock import ClockSample
 from swarmd.network.datagram import Address, ClockQuery, ClockReply
 
-# s between two questions for the clocks of peers; FIRST at the beginning, then twice as long.
+# s between two rounds of questions: FIRST_CLOCK_PERIOD at the begin of a recording, then twice as
+# long each time, up to CLOCK_PERIOD.
 CLOCK_PERIOD, FIRST_CLOCK_PERIOD = 10.0, 1.0
+_NANOSECOND = 1e-9  # s
 
 Queries = list[tuple[ClockQuery, Address]]
 
 
 class PeerClocks:
-    """The clocks of the peers of `robot`; `clock` is the id of its own one, in hex."""
+    """The clocks of the peers of `robot`; `clock`: the id of the robot's own clock, in hex."""
 
     def __init__(self, robot: str, clock: str) -> None:
         self._robot = robot
@@ -24,10 +26,10 @@ class PeerClocks:
         self._asked: dict[str, int] = {}  # ns: when the question was sent, by robot
 
     def queries(self, alive: Iterable[tuple[str, Address]], now: float) -> Queries:
-        """Questions to some of the robots that are alive, if they are due.
+        """Questions to some of the robots that are alive; empty if they are not due.
 
-        Of all robots in the order of their names, in a ring, each asks those 1, 2, 4, ... places
-        further: few questions, and a short path between any two.
+        The robots form a ring in the order of their names. Each robot asks the robots 1, 2, 4, ...
+        places further in the ring: few questions, and a short path between any two robots.
         """
         if now < self._due_at:
             return []
@@ -62,11 +64,11 @@ class PeerClocks:
         )
 
     def sample(self, reply: ClockReply, now: float) -> ClockSample | None:
-        """What an answer tells of a peer's clock; None if it is late or was not asked for."""
+        """The reading of a peer's clock in an answer; None if no question waits for the answer."""
         if self._asked.get(reply.robot) != reply.sent:
             return None
         del self._asked[reply.robot]
-        sent, answered = 1e-9 * reply.sent, 1e-9 * reply.answered
+        sent, answered = _NANOSECOND * reply.sent, _NANOSECOND * reply.answered
         return ClockSample(reply.robot, reply.clock.hex(), sent, answered, now)
 
 

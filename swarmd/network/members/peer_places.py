@@ -1,4 +1,4 @@
-"""Places of robots in a shared frame, as datagrams: the own one, and those of peers. Pure."""
+"""The datagrams that carry robots' positions in a shared frame. Pure."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import Place
 
 PLACE_PERIOD = 0.1  # s between datagrams of the own place, at least
-FASTEST_DATAGRAM = 0.02  # s that the fastest takes at most: no clock shows it
+FASTEST_DATAGRAM = 0.02  # s: bound of the delay of the fastest datagram, which no clock can show
 MAX_SENDERS = 1024
 _JITTER = 0.01  # s by which a tick may be early
 
@@ -35,7 +35,7 @@ class PeerPlaces:
             frame=pose.frame,
             x=round(1000.0 * pose.pose.x),
             y=round(1000.0 * pose.pose.y),
-            error=math.ceil(1000.0 * pose.error) + 1,  # that of rounding
+            error=math.ceil(1000.0 * pose.error) + 1,  # mm; 1 mm covers the rounding of x and y
         )
 
     def take(self, place: Place, now: float) -> PeerPlace | None:
@@ -47,10 +47,10 @@ class PeerPlaces:
             while len(self._delays) >= MAX_SENDERS:
                 del self._delays[next(iter(self._delays))]
             self._delays[place.robot] = place.instance, delay
-        late = delay.take(place.sent / 1000.0, now)
-        if late is None:
+        delay_s = delay.take(place.sent / 1000.0, now)  # beyond the fastest datagram
+        if delay_s is None:
             return None
         x, y = place.x / 1000.0, place.y / 1000.0
         error = place.error / 1000.0
-        age = place.age / 1000.0 + late + FASTEST_DATAGRAM
+        age = place.age / 1000.0 + delay_s + FASTEST_DATAGRAM
         return PeerPlace(place.robot, place.frame, x, y, error, age)

@@ -1,9 +1,10 @@
-"""How far the clocks of robots are from the operator's own, so that runs start at one moment.
+"""The offsets of robots' clocks from the operator's clock, so that runs start at one moment.
 
-A robot's clock showed the time of its answer between the query and the answer, so that the offset
-lies within half of the round trip around its middle (Cristian, Probabilistic clock
-synchronization, Distributed Computing 3, 1989). Of several exchanges the shortest round trip
-counts (the clock filter of NTP, RFC 5905, section 10). All times are CLOCK_BOOTTIME, in s.
+A robot reads its clock at some time between the operator's query and the arrival of its answer. So
+the offset is estimated from the middle of the round trip, with an error of at most half of the
+round trip (Cristian, Probabilistic clock synchronization, Distributed Computing 3, 1989). Of
+several exchanges the one with the shortest round trip counts (the clock filter of NTP, RFC 5905,
+section 10). All times are CLOCK_BOOTTIME, in s.
 """
 
 from __future__ import annotations
@@ -19,19 +20,20 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
 
 EXCHANGES, PERIOD = 8, 0.03
-"""Exchanges with each robot, and the time between two, in s: a robot answers 30 a second."""
+"""Exchanges with each robot, and s between two: a robot answers 30 queries a second."""
 TIMEOUT, TRIPS = 0.6, 3.0
-"""How long answers are waited for, in s and round trips."""
+"""The wait for answers: s, and round trips."""
 MAX_DRIFT = 500e-6
-"""The largest relative rate of two clocks."""
+"""The largest difference of the rates of two clocks, relative to a clock's rate."""
+_NANOSECOND = 1e-9  # s
 
 
 class ClockOffset(NamedTuple):
-    """A robot's clock less the operator's: `offset`, off by at most `error`; read at `at`."""
+    """The offset of a robot's clock."""
 
-    offset: float
-    error: float
-    at: float
+    offset: float  # s: the robot's clock minus the operator's clock
+    error: float  # s: bound of the error of `offset` at the time `at`
+    at: float  # s on the operator's clock
 
     def error_at(self, moment: float) -> float:
         """The bound of the error at another time: clocks drift."""
@@ -57,9 +59,9 @@ class ClockReadings:
         """Take an answer; an answer to no question is ignored."""
         if reply.sent not in self._sent:
             return
-        sent, answered = 1e-9 * reply.sent, 1e-9 * reply.answered
+        sent, answered = _NANOSECOND * reply.sent, _NANOSECOND * reply.answered
         if self._clocks.setdefault(reply.robot, reply.clock) != reply.clock:
-            # It was booted again, or two daemons have one id: the readings are not valid.
+            # The robot was booted again, or two daemons hold one id: earlier readings are void.
             self._clocks[reply.robot] = reply.clock
             self.offsets.pop(reply.robot, None)
         self._answers[reply.robot] = self._answers.get(reply.robot, 0) + 1
@@ -95,9 +97,10 @@ def read_clocks(operator: Operator, robots: Collection[str]) -> dict[str, ClockO
 def start_times(
     offsets: Mapping[str, ClockOffset], moment: float
 ) -> tuple[dict[str, float], float]:
-    """When each robot starts on its own clock, and how far apart they may start by clocks, in s.
+    """The time on each robot's clock at which it starts, for a start at `moment`.
 
-    `moment`: on the operator's clock.
+    `moment`: s on the operator's clock. Also returns the bound in s of how far apart two robots may
+    start by the errors of their clocks: the sum of the two greatest errors.
     """
     starts = {robot: moment + offset.offset for robot, offset in offsets.items()}
     errors = sorted((offset.error_at(moment) for offset in offsets.values()), reverse=True)

@@ -1,10 +1,10 @@
-"""The members of a swarm as an operator finds them. Pure: datagrams, views and times in.
+"""The search of an operator for the members of a swarm (a look). Pure: datagrams and times in.
 
-Four sources are put together: beacons that the operator hears itself (`membership.py`), the words
-of robots about the others (`member_reports.py`), the robots' own statuses by Zenoh
-(`status_table.py`), and rosters. A look is complete once every expected robot has answered for
-itself and no news has come for a while, or all views agree. Until then it goes on for a time that
-follows from the measured round trip and loss.
+A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
+robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
+(`status_table.py`), and rosters. A look is complete once every expected robot has answered itself,
+and either all views agree or nothing new has come for `quiet_time`. A look that does not become
+complete ends after a time that follows from the measured round trip and loss (`ends_at`).
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from swarmd.network.operator.round_trips import QUIET_TIME, RoundTrips
 from swarmd.network.operator.seen_member import INDIRECT_TIME, present_member, silent_member
 from swarmd.network.operator.status_table import StatusAnswer, StatusTable
 
-MAX_COPIES = 128  # of one datagram to single addresses: false words name many
-MAX_INDIRECT_DIALS = 64  # robots at a time that are dialled by the word of others alone
-FORGET_PERIOD = 1.0  # between two searches for robots that no list names any more, in s
+MAX_COPIES = 128  # unicast copies of one datagram: false reports may name many addresses
+MAX_INDIRECT_DIALS = 64  # robots dialled at a time that only other robots report
+FORGET_PERIOD = 1.0  # s between two searches for robots that no list names any more
 
-# Between requests for member lists, in s: while all robots heard have sent theirs, and else.
+# s between two requests for member lists: once all robots heard have sent their lists, and before.
 LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
 
-# How long a look waits, in s, and in round trips.
-FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # no robot is heard; on loopback
-ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
-SECURED_WAIT = 1.5  # times ANSWER_WAIT with keys: both ends sign and verify a link
-UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # a robot that only other robots hear
-GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # a robot that failed, or is on a roster and was not seen
-LOSS_WAIT = 15.0  # times the share of solicits without an answer: TCP repeats after 1, 3 and 7 s
-LOOK_CAP = 45.0  # the bound of a look, in s, that no datagram can raise
-# A robot that is found later than this in a look, in s, prolongs it only if another robot knows it
-# or it answered.
+# How long a look waits for a robot: *_WAIT in s, *_TRIPS in round trips.
+FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # s for a first robot: on a network, on loopback
+ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # from the last robot found that the operator itself hears
+SECURED_WAIT = 1.5  # factor of ANSWER_WAIT in a secured swarm: both ends sign and verify a link
+UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # for a robot that only other robots hear
+GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # for a robot that failed, or is on a roster and was not heard
+LOSS_WAIT = 15.0  # s, times the share of solicits without answer: TCP repeats after 1, 3 and 7 s
+LOOK_CAP = 45.0  # s: the bound of a look, which no datagram can raise
+# s of a look within which each new robot prolongs the look. A robot that is found later prolongs it
+# only if another robot reports that robot, or if that robot has answered.
 PROLONGING_TIME = 3.0
 
 
 class Discovery:
-    """What one look of an operator has found.
+    """The robots that one look of an operator has found.
 
     - `roster`: robots that are expected in any case.
     - `first_robot_timeout`: how long to wait for a first robot, in s.
@@ -61,8 +61,8 @@ class Discovery:
       until they are heard again.
     - `is_local`: all robots are on this machine, by the loopback interface.
     - `is_secured`: links take longer to open.
-    - `needs_status`: only a status is an answer. Without, a beacon that echoes a solicit is an
-      answer, too, with a whole member list.
+    - `needs_status`: a robot has answered once its status has come. With `needs_status` False a
+      beacon that echoes a solicit, together with a whole member list, is an answer, too.
     """
 
     def __init__(
@@ -79,9 +79,9 @@ class Discovery:
         self.started = now
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status
-        self._nobody_wait = first_robot_timeout
+        self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
-        self._news = self._prolonging_news = now
+        self._news_at = self._prolonging_news_at = now  # of any robot; of a robot that prolongs
         self._roster = set(roster)
         self._programs: set[str] = set()
         self._members = Membership("", FRESH_TIME)
@@ -89,7 +89,7 @@ class Discovery:
         self._reports = MemberReports(is_local=is_local)
         self._statuses = StatusTable()
         self._mentioned: dict[str, float] = {}
-        # When a robot that is known by the word of others was last named; never, if seen before.
+        # When a report last named a robot; inf for a robot that an earlier look has heard.
         self._named: dict[str, float] = {}
         self._forgot_at = now
         self._lists_at = -float("inf")
@@ -103,9 +103,10 @@ class Discovery:
     # Events
 
     def wants_members(self, now: float) -> bool:
-        """True if robots are to be asked for their member lists now, which are long.
+        """True if the next solicit must ask for member lists; it then counts as asked.
 
-        All are asked at the start, and soon again while a robot heard has not sent its list.
+        Lists are long. So they are asked for at the start, soon again while a robot heard has not
+        sent its list, and rarely after that.
         """
         has_all_lists = bool(self.heard) and not self.unlisted
         period = LISTS_PERIOD if has_all_lists else max(LIST_REPEAT_PERIOD, 1.5 * self.round_trip)
@@ -115,11 +116,11 @@ class Discovery:
         return True
 
     def on_solicit(self, echo: int, now: float) -> None:
-        """A `Solicit` with this number is sent now."""
+        """Note that a `Solicit` with this number is sent now."""
         self._trips.on_solicit(echo, now)
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
-        """A robot's own beacon; a robot that does not own its id yet is no member."""
+        """Take a robot's beacon; a beacon of a robot that does not own its id is ignored."""
         robot, instance = beacon.robot, beacon.instance.hex()
         if not self._has_room(robot):
             return
@@ -127,7 +128,7 @@ class Discovery:
         is_answer = left is not None and self._trips.is_after(beacon.echo, left)
         change = self._members.take(beacon, address, now, is_answer=is_answer)
         if change is Change.LEFT:
-            self._lists_at = -float("inf")  # ask at once whether the other robots know
+            self._lists_at = -float("inf")  # ask at once whether the other robots confirm it
             self._statuses.drop(robot, instance)
             self._on_news(robot, now)
         elif change is Change.FOUND:
@@ -138,7 +139,7 @@ class Discovery:
             self._trips.on_echo(robot, instance, beacon.echo, now)
 
     def on_member_list(self, word: MemberList, now: float) -> None:
-        """A part of a robot's member list."""
+        """Take a part of a robot's member list."""
         if word.part >= word.parts or not self._has_room(word.robot):
             return
         self._mention(word.robot, now)
@@ -153,7 +154,7 @@ class Discovery:
             self._forget(now)
 
     def on_view(self, view: PeerView, now: float) -> None:
-        """A robot answered with its status and its members."""
+        """Take the answer of a robot: its status and its members."""
         self._take_answer(view.robot, StatusAnswer(view.status, view.members, now), now)
         if len(self._roster) < MAX_MEMBERS:
             self._roster.update(name for name in view.roster if is_id(name))
@@ -162,7 +163,7 @@ class Discovery:
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
 
     def on_header(self, header: StatusHeader, now: float) -> None:
-        """A robot of another version answered with its status."""
+        """Take the status of a robot of another version, as far as it can be read."""
         self._take_answer(header.robot, StatusAnswer(header, (), now), now)
 
     # What is known
@@ -205,7 +206,7 @@ class Discovery:
 
     @property
     def settled(self) -> frozenset[str]:
-        """The robots of which every living instance has answered: both, if two hold one id."""
+        """The robots that have answered: every living instance, if several hold one id."""
         settled = {
             robot
             for robot in self._statuses.robots
@@ -218,21 +219,21 @@ class Discovery:
         return frozenset(settled)
 
     def _answered_by_datagram(self, robot: str) -> bool:
-        """True if its only instance echoed a solicit and listed its members.
+        """True if the robot has one living instance, which echoed a solicit and sent its list.
 
-        Of an id that two daemons hold, both must be linked before a request goes out.
+        False for an id that two daemons hold: both must be linked before a request goes out.
         """
         holders = self.holders(robot)
         is_echoed = all(self._trips.has_answered(robot, instance) for instance in holders)
         return len(holders) == 1 and is_echoed and self._reports.has_full_list(robot)
 
     def holders(self, robot: str) -> frozenset[str]:
-        """The living instances of an id, by beacons and by the word of any one robot."""
-        told = self._reports.doubles(robot) - self._members.farewells(robot).keys()
-        return self._members.holders(robot) | told
+        """The living instances of an id, by beacons and by the report of any single robot."""
+        reported = self._reports.doubles(robot) - self._members.farewells(robot).keys()
+        return self._members.holders(robot) | reported
 
     def address(self, robot: str) -> Address | None:
-        """Where a robot is: the source of its beacons, else what others say."""
+        """The source of a robot's beacons, else the address in the newest report, else None."""
         heard = self._members.last_heard(robot)
         if heard is not None:
             return heard.address
@@ -242,8 +243,8 @@ class Discovery:
     def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
-        Of the robots that only other robots have heard and that did not answer, at most
-        MAX_INDIRECT_DIALS, those with the most reporters.
+        Robots that only other robots have heard and that did not answer are limited to
+        MAX_INDIRECT_DIALS: those that the most robots report.
         """
         direct: dict[tuple[str, str], Address] = {}
         indirect: dict[tuple[str, str], Address] = {}
@@ -256,26 +257,28 @@ class Discovery:
                 best = most_certain(self._all_reports(robot))
                 is_alive = best is not None and best.presence is Presence.ALIVE
                 if best is not None and is_alive and now - best.at <= INDIRECT_TIME:
-                    has_answered = robot in self._statuses.robots
-                    (direct if has_answered else indirect)[robot, best.instance] = address
+                    group = direct if robot in self._statuses.robots else indirect
+                    group[robot, best.instance] = address
         heard_here = self.heard
-        first = sorted(indirect, key=lambda who: -len(self._reports.reporters(who[0]) & heard_here))
-        return direct | {who: indirect[who] for who in first[:MAX_INDIRECT_DIALS]}
+        most_reported = sorted(
+            indirect, key=lambda pair: -len(self._reports.reporters(pair[0]) & heard_here)
+        )
+        return direct | {pair: indirect[pair] for pair in most_reported[:MAX_INDIRECT_DIALS]}
 
     def to_solicit(self) -> tuple[Address, ...]:
-        """The addresses of robots that are known by the word of others alone, some at a time."""
+        """The addresses of robots that only other robots report, in turns of MAX_COPIES."""
         known = {self.address(robot) for robot in self._mentioned.keys() - self.heard}
         addresses = sorted(address for address in known if address is not None)
-        first = (
-            self._trips.solicits * MAX_COPIES % len(addresses) if len(addresses) > MAX_COPIES else 0
-        )
+        first = 0
+        if len(addresses) > MAX_COPIES:
+            first = self._trips.solicits * MAX_COPIES % len(addresses)
         return tuple((addresses[first:] + addresses[:first])[:MAX_COPIES])
 
     # When to end
 
     @property
     def quiet_time(self) -> float:
-        """How long no news must come, in s."""
+        """Seconds without news after which a look with all answers is complete."""
         return max(QUIET_TIME, 2.0 * self.round_trip)
 
     def is_complete(self, now: float) -> bool:
@@ -288,31 +291,43 @@ class Discovery:
             return False
         if not self._needs_status:
             return self.has_all_lists(now)
-        return self._statuses.agree(settled) or now - self._news >= self.quiet_time
+        return self._statuses.agree(settled) or now - self._news_at >= self.quiet_time
 
     @property
     def unlisted(self) -> tuple[str, ...]:
-        """The robots heard that did not list the members that they know."""
+        """The robots heard of which no whole member list has come, sorted."""
         return tuple(
             sorted(robot for robot in self.heard if not self._reports.has_full_list(robot))
         )
 
     def has_all_lists(self, now: float) -> bool:
-        """True once all robots heard have sent their lists, and agree or the quiet time passed."""
+        """True once all robots heard have sent their lists, and the lists are settled.
+
+        They are settled if each list has all other robots heard as alive, or after `quiet_time`.
+        """
         heard = self.heard
         if not heard or self.unlisted:
             return False
         agree = len(heard) > 1 and all(
             heard - {reporter} <= self._reports.listed_alive(reporter) for reporter in heard
         )
-        return agree or now - self._news >= self.quiet_time
+        return agree or now - self._news_at >= self.quiet_time
 
     def ends_at(self, now: float, lacking: Iterable[str]) -> float:
-        """When to stop waiting for the robots in `lacking`, as far as is known now."""
+        """The time at which to stop waiting for the robots in `lacking`, by what is known now.
+
+        The latest of these ends counts:
+
+        1. After the last news, `quiet_time`.
+        2. For a robot heard: ANSWER_WAIT from the last robot found, and more with the loss.
+        3. For a robot that only other robots report as alive: UNREACHABLE_WAIT from its report.
+        4. For any other robot: GONE_WAIT.
+        5. While no robot is heard: the timeout for the first robot.
+        """
         if not self._mentioned:
-            return self.started + self._nobody_wait
+            return self.started + self._first_robot_wait
         trip, loss = self.round_trip, self._loss(now)
-        ends = [self._prolonging_news + self.quiet_time]
+        ends = [self._prolonging_news_at + self.quiet_time]
         prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
         found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
         for robot in lacking:
@@ -329,11 +344,11 @@ class Discovery:
                 wait = GONE_WAIT + GONE_TRIPS * trip
             ends.append(since + wait)
         if not self.heard:
-            ends.append(self.started + self._nobody_wait)
+            ends.append(self.started + self._first_robot_wait)
         return max(ends)
 
     def is_over(self, now: float) -> bool:
-        """True once a look has waited long enough for the robots that have not answered."""
+        """True once the look need not wait longer for the robots that have not answered."""
         if now - self.started < GONE_WAIT:
             return False
         if now - self.started >= LOOK_CAP:
@@ -351,13 +366,15 @@ class Discovery:
         """The members as known so far."""
         members = {robot: self._member(robot, now) for robot in sorted(self._mentioned)}
         seen = {robot: member for robot, member in members.items() if member is not None}
-        others = {name for name, member in seen.items() if member.contact is Contact.OTHER_VERSION}
+        of_other_version = {
+            name for name, member in seen.items() if member.contact is Contact.OTHER_VERSION
+        }
         alive = {name for name, member in seen.items() if member.presence is Presence.ALIVE}
         holders = {robot: self.holders(robot) for robot in alive}
         return MembersView(
             programs=frozenset(self._programs),
             members=seen,
-            answered=frozenset((self.settled & alive) | others),
+            answered=frozenset((self.settled & alive) | of_other_version),
             roster=frozenset(self._roster),
             duplicates={
                 robot: tuple(sorted(some)) for robot, some in holders.items() if len(some) > 1
@@ -369,7 +386,7 @@ class Discovery:
         )
 
     def _generations(self) -> Iterator[int]:
-        """Those of the goals that robots show in beacons and in statuses."""
+        """The generations of the goals that robots show in beacons and statuses."""
         for robot in self.heard:
             instances = self._members.lives(robot).values()
             yield from (generation_of(life.beacon.digest(RecordKind.GOAL)) for life in instances)
@@ -388,12 +405,12 @@ class Discovery:
     # Parts
 
     def _is_fresh(self, robot: str, now: float) -> bool:
-        """True if a beacon of a robot came lately."""
+        """True if a beacon of a robot came within FRESH_TIME."""
         heard = self._members.last_heard(robot)
         return heard is not None and now - heard.heard <= FRESH_TIME
 
     def _loss(self, now: float) -> float:
-        """The largest share of solicits that an instance which is heard left unanswered, 0 to 1."""
+        """The largest share of solicits that an instance heard now did not answer, from 0 to 1."""
         heard = (
             (robot, instance)
             for robot in self.heard
@@ -403,12 +420,12 @@ class Discovery:
         return self._trips.loss(heard, now)
 
     def _on_news(self, robot: str, now: float) -> None:
-        self._news = now
+        self._news_at = now
         if now - self.started <= PROLONGING_TIME or self._prolongs(robot):
-            self._prolonging_news = now
+            self._prolonging_news_at = now
 
     def _prolongs(self, robot: str) -> bool:
-        """True if a look waits for a robot: found early, known to another, or it answered."""
+        """True if the look waits for a robot: found early, or reported, or with an answer."""
         if self._mentioned.get(robot, self.started) - self.started <= PROLONGING_TIME:
             return True
         return (
@@ -433,7 +450,7 @@ class Discovery:
         self._named[robot] = max(now, self._named.get(robot, now))
 
     def _forget(self, now: float) -> None:
-        """Drop the robots that were never seen, and that no list has named for a while."""
+        """Drop the robots that were never heard, and that no list named for INDIRECT_TIME."""
         for robot, at in list(self._named.items()):
             is_seen = self._members.was_heard(robot) or robot in self._statuses.robots
             if now - at > INDIRECT_TIME and not is_seen:
@@ -444,7 +461,7 @@ class Discovery:
     def _store_reports(
         self, reporter: str, way: str, reports: Mapping[str, list[PeerReport]], now: float
     ) -> None:
-        """Replace the earlier reports of a robot that came by one way."""
+        """Replace the reports of `reporter` that came by one way (LIST, VIEW or EARLIER)."""
         self._reports.drop(reporter, way)
         for robot, some in reports.items():
             if robot == reporter:

@@ -30,9 +30,10 @@ def code_of_outcome(outcome: Outcome) -> int:
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:
-    """The code of a command that only asks: APPLIED if all answered, also if nobody was asked.
+    """The code of a command that only asks.
 
-    PARTIAL if some answered, TIMEOUT if none did.
+    APPLIED if all robots in `asked` answered (or `asked` is empty), PARTIAL if some answered,
+    TIMEOUT if none answered.
     """
     if set(asked) <= set(answered):
         return APPLIED

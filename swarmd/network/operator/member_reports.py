@@ -12,32 +12,33 @@ from swarmd.network.datagram import PRESENCES, Address, MemberList
 from swarmd.network.members.membership import MAX_INSTANCES
 
 FRESH_TIME = 3.0  # s for which a beacon counts, and a report of a beacon
+MAX_PARTIAL_LISTS = 4  # lists of one robot, with missing parts, that are kept
 
 LIST = "list"
 VIEW = "view"
 EARLIER = "earlier"
-"""The ways of a report: a member list, a view, an earlier look of the operator (of reporter "").
+"""The ways of a report: a member list, a view, an earlier look of the operator (with reporter "").
 
-Of the reports of one robot its list counts before its view: the list says when a living robot was
-heard.
+The list of a robot counts before its view: only the list says when a living robot was heard.
 """
 
 
 class PeerReport(Struct, frozen=True):
-    """The report of one robot on another; `at`: the time of what it reports, in s."""
+    """The report of one robot on another."""
 
     instance: str
     presence: Presence
-    at: float
-    by: str = ""
-    address: Address | None = None
+    at: float  # s at which the robot was heard (alive), left or failed
+    by: str = ""  # the robot that reports
+    address: Address | None = None  # of the reported robot
 
 
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
-    """The address of a robot in the report of another robot; None if no robot can have it.
+    """The address of a robot in the report of another robot; None if the address is not valid.
 
-    The host must be an IP literal, with a numeric scope only if it is local to its link. With
-    `is_local` the host must be in 127.0.0.0/8. Without, the host must not be this machine itself.
+    The host must be an IP literal; only a link-local IPv6 host may have a scope, which must be a
+    number. With `is_local` the host must be in 127.0.0.0/8, otherwise it must be no loopback
+    address.
     """
     try:
         ip = ipaddress.ip_address(host)
@@ -94,21 +95,22 @@ class MemberReports:
         self._lists: dict[str, dict[tuple[int, int], tuple[MemberList, float]]] = {}
         # By the robot reported, then by reporter and way.
         self._reports: dict[str, dict[tuple[str, str], list[PeerReport]]] = {}
-        # The ids of which one robot says that several instances are alive, by that robot.
+        # By robot id, then by reporter: the instances, if the reporter has several alive.
         self._doubles: dict[str, dict[str, frozenset[str]]] = {}
 
     # Events
 
     def add_list(self, word: MemberList, now: float) -> dict[str, list[PeerReport]]:
-        """Keep a part of a robot's member list; the reports of all parts so far, by robot.
+        """Keep a part of a robot's member list; returns the reports of all kept parts, by robot.
 
         Parts older than the last whole list are dropped. Without a whole list, the parts of the
-        last four lists are kept.
+        last MAX_PARTIAL_LISTS lists are kept.
         """
         parts = self._lists.setdefault(word.robot, {})
         parts[word.echo, word.part] = (word, now)
         whole = [echo for echo, _ in parts if _has_all(parts, echo)]
-        oldest = whole[-1] if whole else list(dict.fromkeys(echo for echo, _ in parts))[-4:][0]
+        echoes = list(dict.fromkeys(echo for echo, _ in parts))
+        oldest = whole[-1] if whole else echoes[-MAX_PARTIAL_LISTS:][0]
         for key in list(parts):
             if key[0] == oldest:
                 break
@@ -149,7 +151,7 @@ class MemberReports:
     # What is known
 
     def of(self, robot: str) -> list[PeerReport]:
-        """The reports on a robot: of each reporter those of its list, else those of its view."""
+        """The reports on a robot: from each reporter's list, or, without a list, from its view."""
         reporters = self._reports.get(robot, {})
         return [
             report
@@ -163,7 +165,7 @@ class MemberReports:
         return any(self._reports.get(robot, {}).values())
 
     def is_alive(self, robot: str, instance: str) -> bool:
-        """True if a robot reports an instance of another robot as alive."""
+        """True if any robot reports this instance of `robot` as alive."""
         return any(
             report.instance == instance and report.presence is Presence.ALIVE
             for reports in self._reports.get(robot, {}).values()
@@ -175,7 +177,7 @@ class MemberReports:
         return frozenset(reporter for reporter, _ in self._reports.get(robot, {}))
 
     def doubles(self, robot: str) -> frozenset[str]:
-        """The instances of an id of which one robot says that several are alive."""
+        """The instances of an id that a single robot reports as alive at the same time."""
         return frozenset[str]().union(*self._doubles.get(robot, {}).values())
 
     def listed_alive(self, reporter: str) -> frozenset[str]:
@@ -189,11 +191,11 @@ class MemberReports:
         )
 
     def has_list(self, robot: str) -> bool:
-        """True if a part of a robot's member list is there."""
+        """True if at least a part of a robot's member list has come."""
         return bool(self._lists.get(robot))
 
     def has_full_list(self, robot: str) -> bool:
-        """True if all parts of one member list of a robot are there."""
+        """True if all parts of a member list of the robot have come."""
         parts = self._lists.get(robot, {})
         return any(_has_all(parts, echo) for echo, _ in parts)
 
@@ -202,16 +204,16 @@ class MemberReports:
         alive = {
             (reporter, robot)
             for robot, reports in self._reports.items()
-            for (reporter, _), some in reports.items()
+            for (reporter, _), on_robot in reports.items()
             if any(
                 report.presence is Presence.ALIVE and now - report.at <= FRESH_TIME
-                for report in some
+                for report in on_robot
             )
         }
         return frozenset(pair for pair in alive if pair[0] < pair[1] and pair[::-1] in alive)
 
 
 def _has_all(parts: Mapping[tuple[int, int], tuple[MemberList, float]], echo: int) -> bool:
-    """True if all parts of the answer to one solicit are there."""
+    """True if all parts of the answer to the solicit with this echo have come."""
     answer = [word for (number, _), (word, _) in parts.items() if number == echo]
     return bool(answer) and len(answer) >= answer[0].parts

@@ -1,4 +1,4 @@
-"""How an operator finds the members of a swarm: solicits, links, and questions for statuses."""
+"""Runs a look of an operator: sends solicits, dials robots, and asks for their statuses."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from swarmd.network.operator.operator_sessions import OperatorSessions
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
 
 POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))  # steps of a RepeatTimer
-# A look that needs no status asks for them only after this time, in s: it takes longer than most.
+# s after which a look that needs no status asks for statuses: most such looks are over before.
 STATUS_DELAY = 0.1
-MAX_EXCUSED = 512  # names in a question for members: they fit one request
+MAX_EXCUSED = 512  # robots in a query for members that need not answer again
+STATUS_TIMEOUT = 10.0  # s of a query for members or a status
+OVER_PERIOD = 0.02  # s between two checks whether the look is over, which take long
 
 _header = Decoder(StatusHeader, any_version=True)
 
@@ -38,16 +40,17 @@ class MemberSearch:
     def look(
         self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
     ) -> MembersView:
-        """The members, once `discovery`, which was just begun, is complete.
+        """Run the look `discovery`, which was just begun; returns the members.
 
-        Else after `timeout` s; without a `timeout` once it is over, and after `cap` s at the
-        latest. Without `needs_status` a datagram is answer enough.
+        The look ends once it is complete, and after `timeout` s at the latest. With `timeout` None
+        it ends once `discovery.is_over`, and after `cap` s at the latest. `needs_status` False: a
+        robot's datagram is an answer.
         """
         now = discovery.started
         solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
         until = None if timeout is None else now + timeout
         ask_at = now if needs_status else now + STATUS_DELAY
-        over = RepeatTimer(now, ((float("inf"), 0.02),))
+        over = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))
         while True:
             with self._arrivals.lock:
                 now, count = boottime(), self._arrivals.count
@@ -67,7 +70,7 @@ class MemberSearch:
             wait = self._sessions.dial(discovery, now)
             if now >= ask_at and poll.is_due(now):
                 self._ask_members(discovery)
-            ends = [0.02 if until is None else until - now, wait]
+            ends = [OVER_PERIOD if until is None else until - now, wait]
             self._arrivals.wait(count, min(solicit.pause(now), poll.pause(now), *ends))
 
     def _ask_members(self, discovery: Discovery) -> None:
@@ -92,8 +95,8 @@ class MemberSearch:
                 discovery.on_header(header, boottime())
 
         query = encode(MembersQuery(answered=tuple(known[:MAX_EXCUSED])))
-        self._sessions.get(ANY, CONTROL, "members", query, 10.0, on_view)
+        self._sessions.get(ANY, CONTROL, "members", query, STATUS_TIMEOUT, on_view)
         with self._arrivals.lock:
-            others = discovery.of_other_version - set(known)
-        for robot in sorted(others):
-            self._sessions.get(robot, "state", "status", b"", 10.0, on_status)
+            of_other_version = discovery.of_other_version - set(known)
+        for robot in sorted(of_other_version):
+            self._sessions.get(robot, "state", "status", b"", STATUS_TIMEOUT, on_status)

@@ -34,14 +34,14 @@ class SeenMember(Member, frozen=True, kw_only=True):
     wire: int | None = None  # the version of the member's requests
     version: Word = ""
     header: StatusHeader | None = None  # the readable part of the status of another version
-    epoch: Epoch | None = None  # of the status, without a status of the newest beacon
+    epoch: Epoch | None = None  # of the status, or, without a status, of the newest beacon
 
 
 class MembersView(Struct, frozen=True):
     """The swarm as one operator sees it."""
 
     members: Mapping[str, SeenMember]  # all robots by id
-    answered: frozenset[str] = frozenset()  # that answered themselves, in this version by a status
+    answered: frozenset[str] = frozenset()  # robots that answered this operator themselves
     roster: frozenset[str] = frozenset()
     duplicates: Mapping[str, tuple[str, ...]] = {}  # ids of several instances, with the instances
     round_trip: float = 0.0  # the longest, in s
@@ -74,7 +74,7 @@ class MembersView(Struct, frozen=True):
         return tuple(sorted(self.expected - self.answered))
 
     def is_in_reach(self, name: str) -> bool:
-        """True if this operator hears the robot, or has its answer."""
+        """True if this operator hears the robot, or the robot has answered."""
         member = self.members.get(name)
         return member is not None and member.contact not in (Contact.UNREACHABLE, Contact.GONE)
 
@@ -84,7 +84,7 @@ class MembersView(Struct, frozen=True):
         return tuple(name for name, member in members if member.contact is Contact.OTHER_VERSION)
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
-        """The epoch seen of each robot, to quote in a request; None if it was not heard."""
+        """The epoch of each robot, to quote in a request; None for a robot that was not heard."""
         members = ((name, self.members.get(name)) for name in names)
         return {name: member.epoch if member else None for name, member in members}
 

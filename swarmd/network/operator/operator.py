@@ -79,10 +79,10 @@ StopVerb = Literal["stop", "estop"]
 class Operator:
     """An operator in a swarm; a context manager.
 
-    `settings` are those of the swarm. With an `identity` the swarm is secured, and the operator's
-    name is that of the identity. `roster` names robots that are expected even if no daemon
-    has seen them. `takes_rosters` False: it stays with the identity's roster. Raises
-    NetworkError in one line if the network cannot be used.
+    `settings`: of the swarm. `identity`: makes the swarm secured, and gives the operator's name.
+    `roster`: robots that are expected even if no daemon has heard them. `takes_rosters` False: keep
+    the identity's roster even if robots show a newer roster. Raises NetworkError in one line if the
+    network cannot be used.
     """
 
     def __init__(
@@ -98,8 +98,9 @@ class Operator:
         settings.check()
         self.settings = settings
         self.identity = identity
-        whole = name or operator_name() if identity is None else identity.name
-        self.name = sendable_name(whole)
+        if identity is not None:
+            name = identity.name
+        self.name = sendable_name(name or operator_name())
         self._roster = frozenset(roster)
         if identity is not None:
             self._roster |= frozenset(identity.roster.robots)
@@ -131,7 +132,7 @@ class Operator:
         self.close()
 
     def close(self) -> None:
-        """Leave the network, within 0.2 s: sessions that take longer are closed on a thread."""
+        """Leave the network within CLOSE_TIMEOUT; threads go on closing the slow sessions."""
         with contextlib.suppress(Exception):
             self._datagrams.carrier.close()
         closing = self._sessions.close()
@@ -140,7 +141,7 @@ class Operator:
             thread.join(max(0.0, deadline - boottime()))
 
     def trust_notes(self) -> tuple[str, ...]:
-        """Lines about robots whose keys do not fit those of this identity; for an answer."""
+        """Lines for the user about robots whose roster or keys differ from this identity's."""
         with self._arrivals.lock:
             answers = self._datagrams.answers
             if answers is None:
@@ -155,12 +156,12 @@ class Operator:
 
     @property
     def notices(self) -> list[str]:
-        """Lines about rosters that were taken, or could not be, for the user."""
+        """Lines for the user about rosters that were taken, or could not be taken."""
         return self._rosters.notices
 
     @property
     def outdated(self) -> Mapping[str, Address]:
-        """The robots that were heard with an older roster than that of the identity, not proven."""
+        """Addresses of robots heard with an older roster than the identity's; not proven."""
         with self._arrivals.lock:
             answers = self._datagrams.answers
             return {} if answers is None else dict(answers.outdated)
@@ -168,16 +169,16 @@ class Operator:
     def update_roster(self) -> bool:
         """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
-        `notices` gets a line. Raises NetworkError if the own name is no longer on it.
+        `notices` gets a line. Raises NetworkError if the new roster lacks the own name.
         """
         before = self.identity
         self._rosters.update()
         return self.identity is not before
 
     def take_identity(self, identity: Identity) -> None:
-        """Ask with this identity from the next look on: with its keys, on links of its own.
+        """Use this identity's keys, and new links, from the next look on.
 
-        An identity with the same roster, and keys of more robots, counts at once.
+        An identity with the same roster and keys of more robots is used at once, on the same links.
         """
         with self._arrivals.lock:
             known, old = self._datagrams.answers, self.identity
@@ -205,12 +206,12 @@ class Operator:
         cap: float = math.inf,
         needs_status: bool = True,
     ) -> MembersView:
-        """The members, once all that are expected have answered.
+        """Look for the members; returns once all expected robots have answered.
 
-        Else after `timeout` s, or without one after a time that follows from the round trip, and
-        after `cap` s at the latest. Without `needs_status` a datagram is answer enough: its beacon
-        has the epoch for a request. If robots are missing that may have a newer roster, it is
-        taken, and the look repeated.
+        The look ends after `timeout` s at the latest. With `timeout` None it ends after a time that
+        follows from the round trip, and after `cap` s at the latest. `needs_status` False: a
+        robot's datagram is an answer, since its beacon has the epoch for a request. If robots are
+        missing and a robot has shown a newer roster, the roster is taken and the look repeated.
         """
         view = self._look(timeout, cap, needs_status=needs_status)
         if view.missing and self.update_roster():
@@ -223,7 +224,7 @@ class Operator:
         return self._looked
 
     def seen(self) -> MembersView:
-        """The members as the last look or stop has found them by now."""
+        """The members that the last look or stop has found, by all that was heard until now."""
         now = boottime()
         with self._arrivals.lock:
             return (self._discovery or Discovery(now, self._roster)).result(now)
@@ -234,14 +235,17 @@ class Operator:
             return frozenset() if self._discovery is None else self._discovery.links(boottime())
 
     def endpoints(self) -> dict[str, str]:
-        """The endpoints of Zenoh at which the robots that the last look has found listen."""
+        """The Zenoh endpoint of each robot that the last look has found, by robot."""
         with self._arrivals.lock:
             to_dial = {} if self._discovery is None else self._discovery.to_dial(boottime())
         interface = self.settings.interface_name
         return {robot: endpoint_of(address, interface) for (robot, _), address in to_dial.items()}
 
     def ways(self, robot: str) -> tuple[str, ...]:
-        """By which ways beacons of a robot came lately; empty without any, and by routers."""
+        """The ways (such as `multicast`) by which beacons of a robot came lately.
+
+        Empty if none came, and in profile routed.
+        """
         from swarmd.network.carriers.udp import UdpCarrier
 
         now = boottime()
@@ -264,20 +268,20 @@ class Operator:
             return tuple(sorted(self._swarms))
 
     def watch(self, name: str, handler: Callable[[str, bytes], object], robot: str = ANY) -> None:
-        """Hand what robots publish on `state/<name>` to `handler`, with the robot's name.
+        """Call `handler(robot, payload)` for each sample that robots publish on `state/<name>`.
 
-        On Zenoh's threads, for robots that are found now and by later looks. `unwatch` ends it.
+        Zenoh's threads call it, for robots that are found now and by later looks, until `unwatch`.
         """
         self._sessions.watch(name, handler, robot)
 
     def unwatch(self, name: str, robot: str = ANY) -> None:
-        """End what `watch` began."""
+        """End the subscriptions that `watch` has made."""
         self._sessions.unwatch(name, robot)
 
     def listen(self, kind: type[D], handler: Callable[[D, float], object] | None) -> None:
-        """Hand datagrams of a kind to `handler` with the time, on the carrier's thread; None ends.
+        """Call `handler(datagram, now)` for each datagram of a kind; `handler` None ends it.
 
-        The handler must not block and takes no lock.
+        The carrier's thread calls it with the lock held: the handler must not block or take a lock.
         """
         with self._arrivals.lock:
             self._listeners.pop(kind, None)
@@ -285,7 +289,10 @@ class Operator:
                 self._listeners[kind] = handler
 
     def send_to_robots(self, make: Callable[[], Datagram], robots: Collection[str]) -> None:
-        """Send a datagram, made anew for each, to robots that the last look has found."""
+        """Send a datagram to each robot in `robots` that the last look has found.
+
+        `make` is called for each robot.
+        """
         with self._arrivals.lock:
             to_dial = {} if self._discovery is None else self._discovery.to_dial(boottime())
         for (robot, _), address in to_dial.items():
@@ -306,12 +313,12 @@ class Operator:
     ) -> Outcome:
         """Send a request to the robots in `targets`, with the epoch that was seen of each.
 
-        `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
-        as soon as all have answered or `is_ended`, else after `timeout` s, or by default after
-        `least` s and more by the round trip and the loss. Robots that the last look, and all that
-        was heard since, show unreachable or gone count as missing and are not waited for.
-        ConfigError if the role of the own identity does not permit it: robots would refuse it
-        silently.
+        `kind` and `fields`: the request. It is repeated with one id to each robot without a reply.
+        Returns once all robots have replied or `is_ended` returns True, and after `timeout` s at
+        the latest. `timeout` None: `least` s, longer by the round trip and the loss. Robots that
+        are unreachable or gone, by the last look and by all that was heard since, count as missing
+        and are not waited for. Raises ConfigError if the role of the own identity does not permit
+        the request: robots would refuse it silently.
         """
         self._check_role(str(kind.__struct_config__.tag))
         view, fresh = self._looked, self.seen()
@@ -329,17 +336,17 @@ class Operator:
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
-        """The answer of one robot to a query of `control/<name>`, which moves nothing.
+        """The answer of a robot to the query `control/<name>`; None without an answer.
 
-        Repeated while there is none, for `timeout` s; None without an answer. Call `members` first.
-        ConfigError as `request`.
+        The query is repeated for `timeout` s, and moves nothing. Call `members` first. Raises
+        ConfigError as `request` does.
         """
         return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
 
     def ask_all(
         self, robots: Iterable[str], name: str, payload: bytes = b"", *, timeout: float
     ) -> dict[str, bytes]:
-        """As `ask`, for several robots at once: the answers of those that did answer."""
+        """As `ask`, for several robots at once: the answers by robot, without silent robots."""
         self._check_role(name)
         return self._requests.ask(robots, name, payload, timeout)
 
@@ -357,12 +364,14 @@ class Operator:
     ) -> Outcome:
         """Stop or estop by datagrams: sent at once, repeated until each expected robot has acked.
 
-        `select` picks robots from the names known so far and is called again as more appear, beside
-        `names`; None: all. An estop of all is swarm-wide: robots that join take it over. `reason`
-        is kept with an estop. It ends after `timeout` s, or after a time that follows from the
-        round trip; with `until_all` only when all have acked, when `is_ended` returns True, or at a
-        KeyboardInterrupt, which is an end like any other. `on_progress` takes the robots without an
-        ack, when they change.
+        `select` picks the targets from the names known so far, and is called again as more names
+        become known; `names` are targets in any case. `select` None: all robots. An estop of all is
+        swarm-wide: robots that join take it over. `reason` is kept with an estop.
+
+        The stop ends after `timeout` s, or, if that is None, after a time that follows from the
+        round trip. With `until_all` it ends only once all have acked, when `is_ended` returns True,
+        or at a KeyboardInterrupt, after which the outcome is returned. `on_progress` gets the
+        robots without an ack whenever they change.
         """
         self._check_role(verb)
         now = boottime()
@@ -397,7 +406,7 @@ class Operator:
     # Parts
 
     def _unproven(self, robots: Collection[str]) -> Iterator[str]:
-        """A warning about robots that were heard and whose answers this identity cannot prove."""
+        """A warning about the robots in `robots` that were heard, but whose key is missing."""
         answers = self._datagrams.answers
         unproven = set() if answers is None else answers.unproven.keys() & set(robots)
         if unproven:
@@ -416,7 +425,7 @@ class Operator:
             )
 
     def _mute(self, linked: Collection[str], missing: Collection[str]) -> tuple[str, ...]:
-        """Those of `missing` that answer this operator otherwise, in a secured swarm."""
+        """In a secured swarm: the robots in `missing` with a link, or with other answers."""
         if self.identity is None:
             return ()
         return tuple(sorted((self._looked.answered | set(linked)) & set(missing)))
@@ -461,7 +470,7 @@ class Operator:
         return discovery
 
     def _take(self, body: Datagram, source: Address, now: float) -> bool:
-        """Note what a datagram tells; False if no call waits for it."""
+        """Take a datagram, with the lock held; False if no waiting call need be woken."""
         if isinstance(body, Swarm):
             if len(self._swarms) < MAX_SWARMS:
                 self._swarms.add(body.swarm)

@@ -1,11 +1,11 @@
-"""The datagrams of robots that an operator or viewer of a secured swarm takes. Pure.
+"""Which datagrams of robots an operator or viewer of a secured swarm accepts. Pure.
 
-Each look asks often, so that a robot counts once it has answered, as in `beacon_freshness.py`.
-Answers count only if the robot itself signed them for this operator. An ack counts only in a
-datagram that a robot of this roster signed, and only with a proof for this operator by the robot
-that acks, also if another robot hands the ack on. An identity that is older than a robot has no key
-of that pair: datagrams of the robot do not count until the robot has handed over its key by a link
-(`roster_follower.py`).
+1. A robot counts once it has answered a solicit of the look (`beacon_freshness.py`).
+2. An answer is accepted only if the robot itself signed it for this operator.
+3. An ack is accepted only in a datagram that a robot of this roster signed, with a proof for this
+   operator by the robot that acks. So another robot can hand an ack on, but cannot make one.
+4. An identity that is older than a robot lacks the key that it shares with the robot. Datagrams of
+   that robot are refused until the robot has handed over its key on a link (`roster_follower.py`).
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from swarmd.network.members.beacon_freshness import BeaconFreshness
 from swarmd.network.signature import Flaw, Trust, generation_of
 from swarmd.security.identity import Identity
 
-HINT_PERIOD = 5.0  # s between two hints; of missing keys, for each robot and source
+HINT_PERIOD = 5.0  # s between two calls of a callback; for missing keys, of each robot and source
 MAX_MISSING_KEYS = 4096
 
 
 class OperatorAdmission:
-    """The keys of an operator or viewer at work.
+    """Signs the operator's datagrams, and checks those of robots.
 
-    `on_newer_roster` takes the name, address and generation of a robot that may have a newer
-    roster, `on_missing_key` the name and address of a robot of which this identity has no key.
-    `outdated`: the robots that were heard with an older roster. `unproven`: those without a key.
-    Both have their addresses, and are not proven.
+    `on_newer_roster(robot, address, generation)`: a robot may have a newer roster.
+    `on_missing_key(robot, address)`: this identity has no key that it shares with the robot.
+    `outdated`: addresses of robots that were heard with an older roster. `unproven`: addresses of
+    robots whose key is missing. No signature proves these addresses.
     """
 
     def __init__(
@@ -51,15 +51,16 @@ class OperatorAdmission:
         self._names = frozenset(identity.roster.robots)
         self._on_newer_roster = on_newer_roster
         self._on_missing_key = on_missing_key
-        self._known_hint_at = self._unknown_hint_at = -1e9  # by robots of the own roster, by others
+        # The last calls of `on_newer_roster`: for robots of the own roster, for other names.
+        self._known_hint_at = self._unknown_hint_at = -1e9
         self._key_asked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
-        # Its own questions are numbered by the operator, which notes them.
+        # OperatorDatagrams numbers the questions, and notes each number here.
         self.freshness = BeaconFreshness(lease, lambda: 0)
         self.unproven: dict[str, Address] = {}
         self.outdated: dict[str, Address] = {}
 
     def take_keys(self, identity: Identity) -> None:
-        """The identity has keys of more robots; its roster is the same."""
+        """Use an identity with the same roster, and with keys of more robots."""
         self._trust = Trust.of(identity)
         has_key_of = self._trust.verifier.has_key_of
         self.unproven = {n: address for n, address in self.unproven.items() if not has_key_of(n)}
@@ -69,7 +70,7 @@ class OperatorAdmission:
         return self._trust.signer.sign(payload)
 
     def admit(self, body: Datagram, payload: bytes, source: Address, now: float) -> Datagram | None:
-        """The part of a datagram that counts; None if no part does."""
+        """The datagram as far as it is accepted; None if it is refused."""
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
             self._note_generation(author, body, payload, source, now)
@@ -105,13 +106,14 @@ class OperatorAdmission:
         return self.freshness.on_beacon(beacon, now) is None
 
     def _is_own(self, body: Beacon | MemberList | ClockReply | GoalReport, payload: bytes) -> bool:
-        """True if that robot answers this operator."""
+        """True if the robot named in the datagram signed it as an answer for this operator."""
         return self._trust.verifier.is_answer_of(body.robot, payload) is True
 
     def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
-        """True if there is a key of that robot; else it is asked for at `source`, if that is known.
+        """True if this identity has the key that it shares with the robot.
 
-        Any robot of the roster can make this datagram: the link to `source` proves the name.
+        Else calls `on_missing_key` with `source`, if that is known. Any robot of the roster can
+        make a datagram with this name: only the link to `source` proves the name.
         """
         if self._trust.verifier.has_key_of(robot):
             return True

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator_admission import OperatorAdmission
 
 OnBody = Callable[[Datagram, Address, float], bool]
-"""Takes a datagram, its source and the time, with the lock held; True if it is worth a wake-up."""
+"""Takes a datagram, its source and the time, with the lock held; True to wake a waiting call."""
 
 
 class Carrier(Protocol):
@@ -39,17 +39,17 @@ class Carrier(Protocol):
         """Send to one address."""
 
     def confirm(self, source: Address) -> None:
-        """The last beacon from this source counts, in a secured swarm."""
+        """Send datagrams to this source: its last beacon is signed and fresh."""
 
     def start_thread(self, on_datagram: OnDatagram) -> None:
-        """Hand what arrives to `on_datagram`."""
+        """Call `on_datagram` for each datagram that arrives, on a thread."""
 
     def close(self) -> None:
         """End."""
 
 
 def reachable(address: Address, interface: str) -> Address:
-    """The address, with the scope of this machine's interface if it is local to the link."""
+    """The address; a link-local address gets the scope of this machine's interface."""
     host, port = address
     if not host.lower().startswith("fe80:"):
         return address
@@ -63,8 +63,8 @@ def reachable(address: Address, interface: str) -> Address:
 class OperatorDatagrams:
     """Sends and verifies the datagrams of one swarm.
 
-    `answers`: the keys of the operator at work, in a secured swarm; they change under the lock of
-    `arrivals`. `on_body` takes what counts, on the carrier's thread, from `start` on.
+    `answers`: the operator's keys and checks in a secured swarm, which are replaced under the lock
+    of `arrivals`. `on_body` gets each accepted datagram, on the carrier's thread, from `start` on.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class OperatorDatagrams:
         self._echo = int.from_bytes(os.urandom(6), "big")
 
     def start(self) -> None:
-        """Take what arrives."""
+        """Begin to receive."""
         self.carrier.start_thread(self._on_datagram)
 
     def send(
@@ -113,7 +113,7 @@ class OperatorDatagrams:
         self.send(Solicit(echo=self._echo, wants_members=wants_members), addresses)
 
     def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
-        """A datagram came, on the carrier's thread."""
+        """Check a datagram and hand it to `on_body`; the carrier's thread calls it."""
         try:
             body = unpack(self._tag, payload)
         except CodecError:

@@ -24,9 +24,9 @@ _MAX_ISSUER = 63
 
 
 def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
-    """A goal with these `fields` that is greater than all in `view`.
+    """A goal with these `fields`, of a greater generation than all goals in `view`.
 
-    ConfigError if the goal is too long, or if keys are in force and the goal cannot be signed.
+    Raises ConfigError if the goal is too long, or cannot be signed in a secured swarm.
     """
     goal = Goal(
         generation=next_generation(operator, view),
@@ -38,10 +38,10 @@ def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
 
 
 def next_generation(operator: Operator, view: MembersView) -> int:
-    """One above all goals in `view`. ConfigError after the last one.
+    """The greatest generation of the goals in `view`, plus 1.
 
-    In a secured swarm generations above MAX_UNSIGNED count only in goals that are signed: a robot
-    that was taken over may show any.
+    In a secured swarm a generation above MAX_UNSIGNED counts only in a signed goal: a robot that
+    was taken over may show any generation. Raises ConfigError after MAX_GENERATION.
     """
     greatest = view.goal_generation
     if operator.identity is not None and greatest > MAX_UNSIGNED:
@@ -60,9 +60,9 @@ def next_generation(operator: Operator, view: MembersView) -> int:
 
 
 def resigned(operator: Operator, goal: Goal, **changes: Any) -> Goal:
-    """The goal with changes, signed anew where keys are in force. ConfigError as `next_goal`.
+    """The goal with changes, signed again in a secured swarm. Raises ConfigError as `next_goal`.
 
-    The goal keeps its id, so that `undo` takes both as one goal.
+    The goal keeps its id, so that `undo` takes both versions as one goal.
     """
     goal = replace(goal, **changes)
     goal = goal if operator.identity is None else sign_goal(goal, operator.identity)
@@ -82,22 +82,22 @@ def sign_goal(goal: Goal, identity: Identity) -> Goal:
 
 
 def signed_goals(view: MembersView, identity: Identity | None) -> MembersView:
-    """The look without goals that do not count: in a secured swarm those without a signature.
+    """The look without goals that their issuers have not signed; the look itself without keys.
 
-    A robot reports its goals in its status. A stolen robot may report false goals, which an
-    operator must not show as goals of the swarm, and never sign anew. To verify a signature takes
-    some 4 ms. Pure.
+    A robot reports its goals in its status. A stolen robot may report false goals: an operator must
+    not show them as goals of the swarm, and must never sign them. Verifying a signature takes some
+    4 ms. Pure.
     """
     if identity is None:
         return view
     key_of = identity.roster.operators.get
 
     @cache
-    def counts(content: bytes) -> bool:
+    def is_signed(content: bytes) -> bool:
         return is_signed_goal(msgspec.msgpack.decode(content, type=Goal), key_of)
 
     def checked_goal(goal: Goal | None) -> Goal | None:
-        return goal if goal is not None and counts(msgspec.msgpack.encode(goal)) else None
+        return goal if goal is not None and is_signed(msgspec.msgpack.encode(goal)) else None
 
     def checked_known(known: KnownGoal | None) -> KnownGoal | None:
         return known if known is not None and checked_goal(known.goal) is not None else None

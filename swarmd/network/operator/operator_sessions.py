@@ -21,11 +21,12 @@ from swarmd.security.identity import Identity
 if TYPE_CHECKING:
     import zenoh
 
-# Robots found within this time of each other are dialled together, in s.
-GATHER_TIME = 0.004
-# Sessions at a time, and the time before a second one, in s; it doubles with each.
+# s since the last new robot, after which the new robots are dialled together; at most
+# MAX_GATHER_TIMES as long while robots keep being found.
+GATHER_TIME, MAX_GATHER_TIMES = 0.004, 10
+# The most sessions at a time, and the s between two, doubled with each session.
 MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
-# A robot that is heard and does not answer is dialled again after this time, in s and round trips.
+# A robot that does not answer is dialled again after REDIAL_WAIT s and REDIAL_TRIPS round trips.
 REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
 
 Handler = Callable[[str, bytes], object]
@@ -33,7 +34,7 @@ Handler = Callable[[str, bytes], object]
 
 
 class OperatorSessions:
-    """Sessions to the robots of one swarm. `identity`: whose links and queries they are."""
+    """The sessions to the robots of one swarm; `identity`: of the operator in a secured swarm."""
 
     def __init__(
         self, settings: NetworkSettings, identity: Identity | None, arrivals: Arrivals
@@ -51,7 +52,7 @@ class OperatorSessions:
 
     @property
     def needs_links(self) -> bool:
-        """True if robots are dialled; False if routers link all."""
+        """True if robots are dialled; False if routers link all robots."""
         return self._settings.profile != "routed"
 
     @property
@@ -68,9 +69,10 @@ class OperatorSessions:
         return session
 
     def take_identity(self, identity: Identity) -> None:
-        """Dial as this identity from now on; a session to routers stays, since its carrier uses it.
+        """Dial as this identity from now on.
 
-        The roster sets the access rules of sessions that dial robots, and of no other.
+        Sessions to robots are closed: their access rules follow from the roster. A session to
+        routers has no such rules, and stays open for the carrier that uses it.
         """
         self._identity = identity
         if self.needs_links:
@@ -91,28 +93,32 @@ class OperatorSessions:
     # Links
 
     def dial(self, discovery: Discovery, now: float, only: Collection[str] | None = None) -> float:
-        """Dial the robots that were found; the time until it is to be called again, in s.
+        """Dial robots that `discovery` has found; returns the s until the next call, inf if none.
 
-        `only` None: all of them, again if their status does not come.
+        `only`: dial only these robots. None: dial all, and dial those again whose status does not
+        come. Zenoh cannot add an endpoint to a session, so that each call that dials opens a
+        further session; beyond MAX_SESSIONS all are closed and all robots dialled anew.
         """
         with self._arrivals.lock:
             to_dial = discovery.to_dial(now)
             if only is not None:
-                to_dial = {who: address for who, address in to_dial.items() if who[0] in only}
+                to_dial = {key: address for key, address in to_dial.items() if key[0] in only}
             answered = discovery.settled if only is None else frozenset[str]()
             trip = discovery.round_trip
-        again = REDIAL_WAIT + REDIAL_TRIPS * trip
+        redial_after = REDIAL_WAIT + REDIAL_TRIPS * trip
         wanted: dict[tuple[str, str], Address] = {}
-        for who, address in to_dial.items():
-            known, at = self._dialled.get(who, (None, 0.0))
-            is_late = who[0] not in answered and now - max(at, discovery.started) >= again
+        for (robot, instance), address in to_dial.items():
+            known, at = self._dialled.get((robot, instance), (None, 0.0))
+            is_late = robot not in answered and now - max(at, discovery.started) >= redial_after
             if known != address or is_late:
-                wanted[who] = address
+                wanted[robot, instance] = address
         if not wanted or not self.needs_links:
             self._wanted_at = None
             return float("inf")
         self._wanted_at = now if self._wanted_at is None else self._wanted_at
-        gathered = min(discovery.found_at + GATHER_TIME, self._wanted_at + 10 * GATHER_TIME)
+        gathered = min(
+            discovery.found_at + GATHER_TIME, self._wanted_at + MAX_GATHER_TIMES * GATHER_TIME
+        )
         due = max(gathered, self._dial_at)
         if now < due:
             return due - now
@@ -126,16 +132,16 @@ class OperatorSessions:
         for session in opened:
             for name, robot in self._watched:
                 self._subscribe(session, name, robot)
-        self._dialled.update({who: (address, now) for who, address in wanted.items()})
+        self._dialled.update({key: (address, now) for key, address in wanted.items()})
         self._dial_at = now + DIAL_PERIOD * 2 ** len(self._opened)
         return float("inf")
 
     def linked(self, links: QueryLinks, robots: Collection[str]) -> set[str]:
-        """Those of `robots` that a query reaches by now."""
+        """The robots in `robots` to which a link is up, so that a query reaches them."""
         return links.of(robots, self._opened)
 
     def _open_to(self, endpoints: list[str]) -> list[zenoh.Session]:
-        """One session, or several without those endpoints that Zenoh refuses."""
+        """A session to all endpoints; several sessions if Zenoh refuses some of the endpoints."""
         from swarmd.network.carriers.session import open_operator_session
 
         try:
@@ -150,7 +156,7 @@ class OperatorSessions:
     # Queries
 
     def question_links(self, name: str) -> QueryLinks:
-        """Tells which robots take `control/<name>` from this operator; to be closed."""
+        """The links by which a query `control/<name>` of this operator arrives; to be closed."""
         return QueryLinks(build(self._settings.swarm, ANY, CONTROL, name, self._asker))
 
     def get(
@@ -158,8 +164,8 @@ class OperatorSessions:
     ) -> None:
         """Query a key in every session; `handler` takes each reply, with the lock held.
 
-        Queries use DROP, since a reply inherits the query's congestion control and must not block
-        a daemon's loop; a query that may get lost is repeated.
+        A reply inherits the query's congestion control. That is DROP, so that a reply does not
+        block a daemon's loop; the caller repeats a query without a reply.
         """
         import zenoh
         from zenoh.handlers import Callback
@@ -204,7 +210,7 @@ class OperatorSessions:
             self._subscribe(session, name, robot)
 
     def unwatch(self, name: str, robot: str) -> None:
-        """End what `watch` began."""
+        """End the subscriptions that `watch` has made."""
         from swarmd.network.carriers.session import undeclare
 
         self._watched.pop((name, robot), None)
@@ -237,5 +243,5 @@ def endpoint_of(address: Address, interface: str) -> str:
 
 
 def _close(session: zenoh.Session) -> None:
-    with contextlib.suppress(Exception):  # whatever it is, the answer is out already
+    with contextlib.suppress(Exception):  # any error: the command has its answer already
         session.close()

@@ -1,6 +1,7 @@
-"""An operator's name and reasons, mended so that requests and datagrams can carry them.
+"""An operator's name and reasons, shortened so that requests and datagrams can carry them.
 
-A stop must not fail because of its reason, so that a text is mended and not refused.
+A stop must not fail because of its reason: a text that is too long is cut, and a character that
+UTF-8 cannot carry is replaced.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import getpass
 import os
 import socket
 
-# What a request may hold, in characters, and in bytes where it must fit a datagram.
+# Bounds of the texts in a request, in characters, and in a datagram, in bytes.
 MAX_OPERATOR, MAX_OPERATOR_BYTES = 128, 256
 MAX_REASON, MAX_REASON_BYTES = 256, 512
 

@@ -21,23 +21,20 @@ _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
 class Outcome(Struct, frozen=True):
-    """The replies to a request by robot, and the robots that did not answer (`missing`).
-
-    `reached`: how many robots were heard at all, whether or not they answered. `unlisted`: robots
-    that were heard and did not list the members that they know, so that there may be more.
-    `unlabelled`: robots that may be targets by a label, since theirs are not known. `mute`: robots
-    in `missing` that answer this operator otherwise: in a secured swarm they may not permit it.
-    """
+    """The replies to a request, by robot, and the robots that did not answer."""
 
     replies: Mapping[str, Reply]
-    missing: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()  # targets without a reply
     warnings: tuple[str, ...] = ()
-    seconds: float = 0.0
-    duplicates: tuple[str, ...] = ()
-    reached: int = 0
+    seconds: float = 0.0  # the duration of the request
+    duplicates: tuple[str, ...] = ()  # robot ids with replies of several daemons
+    reached: int = 0  # robots that were heard, with or without a reply
     unlisted: tuple[str, ...] = ()
+    """Robots heard whose member list did not come: the swarm may have further robots."""
     unlabelled: tuple[str, ...] = ()
+    """Robots whose labels are not known, so that they may be targets of a label."""
     mute: tuple[str, ...] = ()
+    """Robots in `missing` that answer other questions: a secured robot may refuse the operator."""
 
     @property
     def targeted(self) -> int:
@@ -71,10 +68,9 @@ class Outcome(Struct, frozen=True):
 
     @property
     def mistake(self) -> str:
-        """The text with which all that answered refused one mistake of the operator; else empty.
+        """The text of a mistake of the operator that all answering robots refused; else empty.
 
-        Only the robots know which patterns they have, and which parameters those take. Robots that
-        do not answer are not counted.
+        For example an unknown parameter: only the robots know their patterns and parameters.
         """
         replies = self.replies.values()
         texts = {reply.text for reply in replies}
@@ -109,9 +105,9 @@ def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Out
 class Acks:
     """Collects the replies to one request.
 
-    Two replies of one robot come from two daemons that hold one id. The worse one counts, and the
-    name is among the outcome's `duplicates`. A robot that was stopped and is not known to rest has
-    failed: its ack counts once a later one says that it does.
+    Two replies with one robot id but different instances come from two daemons. The worse reply
+    counts, and the id is among the outcome's `duplicates`. A stopped robot counts as failed until
+    an ack says that its base rests.
     """
 
     def __init__(self, request_id: str) -> None:
@@ -120,7 +116,7 @@ class Acks:
         self._direct: set[tuple[str, str]] = set()
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
-        """Take a reply that came on `robot`'s key; False if it answers another request."""
+        """Take a reply that came on `robot`'s key; False if the reply is not kept."""
         if reply.robot != robot or reply.id != self._request_id:
             return False
         if robot not in self._replies and len(self._replies) >= MAX_ROBOTS:
@@ -133,17 +129,20 @@ class Acks:
         return True
 
     def on_ack(self, ack: Ack) -> bool:
-        """Take the ack of a stop; one that another robot handed on yields to the robot's own."""
+        """Take the ack of a stop; False if the ack is not kept.
+
+        An ack that another robot handed on is dropped once the robot's own ack has come.
+        """
         instance = ack.instance.hex()
         if ack.id != self._request_id or (ack.via and (ack.robot, instance) in self._direct):
             return False
         earlier = self._replies.get(ack.robot, {}).get(instance)
         if ack.is_moving and earlier is not None and not earlier.is_moving:
-            return False  # an older one, handed on
+            return False  # an older ack, which took longer through another robot
         text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
-        if code is not Code.APPLIED:  # a later version may have reasons of its own
+        if code is not Code.APPLIED:  # a later version may send a refusal that is unknown here
             known = [refusal for refusal in Refusal if refusal == ack.refusal]
             refusal = known[0] if known else Refusal.OTHER_VERSION
         reply = Reply(
@@ -161,7 +160,7 @@ class Acks:
         return is_taken
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
-        """True unless the robot answered; if it has several instances, unless each did."""
+        """True if no reply of the robot has come, or not one of each of several `instances`."""
         answered = self._replies.get(robot, {}).keys()
         return not answered or (len(instances) > 1 and not set(instances) <= answered)
 
@@ -170,7 +169,10 @@ class Acks:
         return any(reply.is_moving for reply in self._replies.get(robot, {}).values())
 
     def forget_ended(self, robot: str, instances: Collection[str]) -> None:
-        """Drop what an ended daemon said of a base that moved, once one of `instances` answered."""
+        """Drop the "still moves" acks of ended daemons, once one of `instances` has answered.
+
+        `instances`: the living instances of the robot.
+        """
         replies = self._replies.get(robot, {})
         if not replies.keys().isdisjoint(instances):
             for instance in replies.keys() - set(instances):
@@ -192,7 +194,7 @@ class Acks:
     ) -> Outcome:
         """The outcome; a robot that answered without being expected counts as targeted.
 
-        Those in `silent` count as missing even if one of their instances has answered.
+        A robot in `silent` counts as missing even if one of its instances has answered.
         """
         answered = sorted(self._replies.keys() - set(silent))
         worst = {
@@ -210,7 +212,7 @@ class Acks:
 
 
 def _settled(reply: Reply) -> Reply:
-    """The reply as it counts when no later one is waited for."""
+    """The reply as it counts at the end: a base that still moves has failed to stop."""
     if not reply.is_moving:
         return reply
     return replace(reply, code=Code.FAILED, refusal=Refusal.NOT_STOPPED, is_moving=False)

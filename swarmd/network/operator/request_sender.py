@@ -1,4 +1,4 @@
-"""Requests and questions of an operator on their way: repeated until each robot has replied."""
+"""Sends the requests and queries of an operator, and repeats them until each robot has replied."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator_sessions import OperatorSessions
 from swarmd.network.operator.outcome import Acks, Outcome
 
-# A request without a reply is repeated after this time, in s: a congested or closing link loses it.
+# s after which a request without a reply is repeated: a congested or closing link may lose it.
 REPEAT_PERIOD = 0.5
-# A request waits for the sum of these three by default, see discovery.py.
+# By default a request waits for the sum of the first three, at most for REQUEST_CAP.
 REQUEST_WAIT = 5.0  # s
-REQUEST_TRIPS = 8.0  # round trips
-REQUEST_LOSS_WAIT = 15.0  # s, times the loss
-REQUEST_CAP = 45.0  # or `least`, if that is longer
-# How often a request looks for links that have come up, in s.
+REQUEST_TRIPS = 8.0  # round trips, as measured by `discovery.py`
+REQUEST_LOSS_WAIT = 15.0  # s, times the share of solicits that were lost
+REQUEST_CAP = 45.0  # s
+# s between two checks for new links while a robot has none.
 LINK_PERIOD = 0.003
+# s, and round trips, after which robots of another version are not waited for.
+OTHER_VERSION_WAIT, OTHER_VERSION_TRIPS = 1.0, 6.0
 
 
 _reply_header = Decoder(ReplyHeader, any_version=True)
@@ -36,15 +38,18 @@ _reply = Decoder(Reply, MAX_CONTROL)
 
 
 def request_timeout(view: MembersView, least: float) -> float:
-    """How long a request waits for replies, in s: `least`, and more by the trip and the loss."""
+    """Seconds for which a request waits for replies: `least`, longer by round trip and loss.
+
+    At most REQUEST_CAP, or `least` if that is longer.
+    """
     timeout = least + REQUEST_TRIPS * view.round_trip + REQUEST_LOSS_WAIT * view.loss
     return min(timeout, max(least, REQUEST_CAP))
 
 
 def aged(request: AnyRequest, age: float) -> AnyRequest:
-    """The request `age` s after its operator issued it; the age counts for its goal, too.
+    """The request with its `age`, in s since its operator issued it.
 
-    Only requests with a field `age` count from when their operator issued them, as stops do.
+    A kind of request without the field `age` is returned as it is.
     """
     return replace(request, age=age) if "age" in request.__struct_fields__ else request
 
@@ -66,14 +71,16 @@ class RequestSender:
         timeout: float,
         is_ended: Callable[[], bool] = lambda: False,
     ) -> tuple[Outcome, set[str]]:
-        """Send to those of `targets` that are `asked`; the outcome, and the robots with a link.
+        """Send a request to the robots in `asked`, until all have replied.
 
-        `view`: the last look. Robots without a link yet are dialled as `discovery` finds them. It
-        waits no longer once `is_ended`, asked after each wait.
+        Returns the outcome for `targets`, and the robots in `asked` with a link. Robots without a
+        link are dialled as `discovery` finds them. The wait ends after `timeout` s, or once
+        `is_ended` returns True. `view`: the last look; robots of another version in it are waited
+        for only a short time, since they may not reply.
         """
-        others = set(asked) & set(view.of_other_version())
+        of_other_version = set(asked) & set(view.of_other_version())
         acks = Acks(request.id)
-        patience = min(timeout, 1.0 + 6.0 * view.round_trip)
+        patience = min(timeout, OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip)
         started = now = boottime()
         links = self._sessions.question_links(request.verb)
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
@@ -97,11 +104,11 @@ class RequestSender:
                 robots, now = acks.missing(asked), boottime()
             if is_ended():
                 break
-            if now - started >= patience and others.issuperset(robots):
-                break  # they may not know how to refuse it
+            if now - started >= patience and of_other_version.issuperset(robots):
+                break
         links.close()
         with self._arrivals.lock:
-            for name in acks.missing(others):
+            for name in acks.missing(of_other_version):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
         return outcome, set(asked) - unlinked
@@ -109,7 +116,10 @@ class RequestSender:
     def ask(
         self, robots: Iterable[str], name: str, payload: bytes, timeout: float
     ) -> dict[str, bytes]:
-        """The answers to `control/<name>` of those of `robots` that did answer."""
+        """The answers to the query `control/<name>`, by robot, within `timeout` s.
+
+        Robots that did not answer are left out.
+        """
         asked, answers = sorted(set(robots)), dict[str, bytes]()
         until = boottime() + timeout
         while len(answers) < len(asked) and (left := until - boottime()) > 0:
@@ -125,7 +135,7 @@ class RequestSender:
 
 
 def _collect(acks: Acks) -> Callable[[str, bytes], object]:
-    """Take a reply of this version, and what can be read of another version's."""
+    """The handler of replies; a reply of another version counts as refused, with its text."""
 
     def take(robot: str, payload: bytes) -> None:
         if version_of(payload) == codec.VERSION:
@@ -145,7 +155,7 @@ def _collect(acks: Acks) -> Callable[[str, bytes], object]:
 
 
 def _refused(request: str, robot: str, wire: int | None) -> Reply:
-    """The refusal of a robot of another version that did not refuse the request itself."""
+    """The reply in place of that of a robot of another version that did not reply."""
     return Reply(
         id=request,
         robot=robot,

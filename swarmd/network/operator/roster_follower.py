@@ -1,6 +1,6 @@
-"""The newer roster and the keys that an operator or viewer lacks, and how they are taken.
+"""Takes the newer roster, or the missing keys, of an operator or viewer from robots.
 
-Robots do not answer what is signed with keys of an earlier generation.
+Robots do not answer a datagram that is signed with keys of an earlier generation of the roster.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from swarmd.security.identity import Identity
 
 MAX_MISSING_KEYS = 2048
 CLOSING = "swarmd-closing"
-"""The name of the threads that close sessions or take rosters: Python must not end before them."""
+"""The name of threads that close sessions or take rosters: a command waits for them at its end."""
 
 
 class Follower(Protocol):
@@ -29,9 +29,10 @@ class Follower(Protocol):
 
 
 class RosterFollower:
-    """Takes newer rosters for `operator`; nothing if not `is_on`. `notices`: lines for the user.
+    """Takes newer rosters and missing keys for `operator`; does nothing if not `is_on`.
 
-    `shown`: a robot, its address and the generation that it shows, which is not proven.
+    `notices`: lines for the user. `shown`: a robot with a newer roster, its address and the
+    generation; no signature proves them.
     """
 
     def __init__(self, operator: Follower, *, is_on: bool) -> None:
@@ -43,22 +44,22 @@ class RosterFollower:
         self.notices: list[str] = []
 
     def on_shown(self, robot: str, address: Address, generation: int) -> None:
-        """A robot has shown a newer generation.
+        """Note a robot that shows a newer generation.
 
-        The own roster must have that robot: no link proves the names of others.
+        A robot of the own roster replaces any other: a link can prove only names of the roster.
         """
         if self.shown is None or self._is_known(robot):
             self.shown = robot, address, generation
 
     def on_missing_key(self, robot: str, address: Address) -> None:
-        """A robot was heard whose key is missing."""
+        """Note a robot whose key is missing."""
         if len(self._missing) < MAX_MISSING_KEYS:
             self._missing.add((robot, address))
 
     def update(self) -> None:
-        """Take the roster that was shown and missing keys, if any; waits.
+        """Take the newer roster and the missing keys that were noted; waits for robots.
 
-        NetworkError if the roster lacks the own name.
+        Raises NetworkError if the new roster lacks the own name.
         """
         if self._updating is not None:
             self._updating.join()
@@ -66,7 +67,7 @@ class RosterFollower:
         self._take()
 
     def begin(self) -> None:
-        """Take them on a thread, so that a stop under way goes on being sent."""
+        """As `update`, on a thread: a stop under way goes on. Errors become notices."""
 
         def run() -> None:
             try:

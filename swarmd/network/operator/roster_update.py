@@ -1,8 +1,9 @@
-"""An operator or viewer whose roster is older than that of the robots takes theirs.
+"""Pulls a newer roster, or missing keys, for an operator or viewer from robots.
 
-Robots do not answer datagrams signed with keys of an earlier generation, so that nothing else works
-before. The key with a robot that was added later is taken from that robot: its link proves the
-name, since `access.py` lets a robot answer on its own keys alone.
+Robots do not answer datagrams signed with keys of an earlier generation of the roster: until the
+newer roster is taken, no request works. The key that the operator shares with a robot added later
+is pulled from that robot. The link proves the robot's name, since the rules of `access.py` let a
+robot answer only on its own keys.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ def pulled_roster(
 ) -> tuple[Identity | None, str]:
     """The identity with the roster that a robot hands over, and a line for the user.
 
-    The identity's folder gets it, too. None if the roster cannot be had. Raises NetworkError in one
-    line if this name is no longer on it.
+    The new roster is also written to the identity's folder. The identity is None if the roster
+    cannot be pulled or verified. Raises NetworkError in one line if the roster lacks this name.
     """
     try:
         shared = asyncio.run(_pull_shared(settings, identity, robot, address))
@@ -50,13 +51,14 @@ def pulled_roster(
 def pulled_keys(
     settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> Identity | None:
-    """The identity with the keys that these robots hand over, each its own; None without any.
+    """The identity with the keys that these robots hand over; None if no robot does.
 
-    `robots`: with the addresses at which they were heard, of which some may be false.
+    Each robot hands over the key that it shares with this identity. `robots`: names and the
+    addresses at which they were heard; an address may be false.
     """
     try:
         keys = asyncio.run(_pull_keys(settings, identity, robots))
-    except OSError:  # no loop, such as without a free file: they are asked for again
+    except OSError:  # no event loop, for example without a free file: the caller asks again
         return None
     return take_answers(identity, keys) if keys else None
 

@@ -1,4 +1,4 @@
-"""Round trips of an operator's solicits, and the share of them without an answer. Pure."""
+"""Round trips of an operator's solicits, and the share of solicits without an answer. Pure."""
 
 from __future__ import annotations
 
@@ -6,39 +6,41 @@ from collections.abc import Iterable
 
 from msgspec import Struct
 
-# An answer takes at most this long beside the round trip, in s.
-QUIET_TIME = 0.1
+QUIET_TIME = 0.1  # s that an answer takes at most beyond the round trip
 MAX_ECHOES = 256
-# The bound of the round trip, in s, which is the longest of a few robots and the median of many.
-MAX_ROUND_TRIP, FEW_ROBOTS = 5.0, 8
-LEAST_ASKED = 4  # solicits from which on a share without an answer says something
+MAX_ROUND_TRIP = 5.0  # s: bound of the round trip
+FEW_ROBOTS = 8  # up to this number the longest round trip counts, beyond it the median
+LEAST_ASKED = 4  # solicits to an instance from which on its loss is measured
 
 
 class _Answers(Struct):
-    """The solicits that an instance answered, and how many were sent before it was first heard."""
+    """The solicits that an instance answered."""
 
-    asked: int
-    echoes: set[int] = set()
+    asked: int  # solicits sent until the instance was first heard
+    echoes: set[int] = set()  # numbers of the solicits that it answered
 
 
 class RoundTrips:
-    """What the robots' beacons tell of the way to them; instances are `(robot, instance)`."""
+    """Measures round trip and loss from beacons that echo solicits.
+
+    An instance is a pair (robot, instance).
+    """
 
     def __init__(self) -> None:
-        self.solicits = 0  # that were sent
+        self.solicits = 0  # solicits sent
         self._sent: dict[int, float] = {}
         self._answers: dict[tuple[str, str], _Answers] = {}
         self._trips: dict[str, float] = {}
 
     def on_solicit(self, echo: int, now: float) -> None:
-        """A `Solicit` with this number is sent now."""
+        """Note that a `Solicit` with this number is sent now."""
         self.solicits += 1
         self._sent[echo] = now
         if len(self._sent) > MAX_ECHOES:
             del self._sent[next(iter(self._sent))]
 
     def on_echo(self, robot: str, instance: str, echo: int, now: float) -> None:
-        """A beacon of an instance that did not leave; `echo`: the number that it answers."""
+        """Note a beacon of an instance; `echo`: the number of the solicit that it answers, or 0."""
         known = self._answers.setdefault((robot, instance), _Answers(self.solicits))
         sent = self._sent.get(echo)
         if sent is not None and echo not in known.echoes:
@@ -57,9 +59,10 @@ class RoundTrips:
 
     @property
     def round_trip(self) -> float:
-        """The round trip, in s: the longest, the median of many robots; 0 without an answer.
+        """The round trip in s: the longest of few robots, the median of many; 0 without an answer.
 
-        Robots that answered one solicit alone count only while no robot answered two.
+        Of each robot its shortest round trip counts. Once a robot has answered two solicits, robots
+        that answered a single solicit are left out.
         """
         twice = {robot for (robot, _), answers in self._answers.items() if len(answers.echoes) > 1}
         trips = sorted(trip for robot, trip in self._trips.items() if not twice or robot in twice)
@@ -69,11 +72,14 @@ class RoundTrips:
         return min(trip, MAX_ROUND_TRIP)
 
     def loss(self, instances: Iterable[tuple[str, str]], now: float) -> float:
-        """The largest share of solicits, 0 to 1, that one of these instances left unanswered."""
+        """The largest share of solicits, 0 to 1, that an instance in `instances` did not answer.
+
+        Solicits of the last round trip are left out: their answers may still come.
+        """
         trip, worst = self.round_trip, 0.0
         recent = sum(1 for at in self._sent.values() if now - at <= trip + QUIET_TIME)
-        for who in instances:
-            if known := self._answers.get(who):
+        for instance in instances:
+            if known := self._answers.get(instance):
                 asked = self.solicits - recent - max(known.asked - 1, 0)
                 if asked >= LEAST_ASKED:
                     worst = max(worst, 1.0 - len(known.echoes) / asked)

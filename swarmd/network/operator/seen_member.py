@@ -1,4 +1,4 @@
-"""One robot as an operator sees it, from its beacons, its status and reports of others. Pure."""
+"""Makes a robot's `SeenMember` from its beacons, its status and other robots' reports. Pure."""
 
 from __future__ import annotations
 
@@ -16,25 +16,34 @@ INDIRECT_TIME = 10.0  # s for which a robot that only other robots heard counts 
 def present_member(
     robot: str, heard: Life | None, answer: StatusAnswer | None, now: float
 ) -> SeenMember:
-    """A robot that is heard, or that answered."""
+    """A robot that is heard, or that answered. The status counts before the beacon."""
     status = answer.status if answer is not None else None
-    at = answer.at if answer is not None else heard.heard if heard is not None else now
+    at = now
+    if answer is not None:
+        at = answer.at
+    elif heard is not None:
+        at = heard.heard
     beacon = heard.beacon if heard is not None else None
     contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
     if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
         contact = Contact.OTHER_VERSION
     epoch = None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
-    shown = STATES[beacon.state] if beacon and beacon.state < len(STATES) else ""
+    instance, state, version = "unknown", "", heard.version if heard else ""
+    if status is not None:
+        instance, state, version = status.instance, status.state, status.version
+    elif beacon is not None:
+        instance = beacon.instance.hex()
+        state = STATES[beacon.state] if beacon.state < len(STATES) else ""
     return SeenMember(
         robot=robot,
-        instance=status.instance if status else beacon.instance.hex() if beacon else "unknown",
+        instance=instance,
         presence=Presence.ALIVE,
         age=max(now - at, 0.0),
         status=status if isinstance(status, Status) else None,
         contact=contact,
-        state=status.state if status else shown,
+        state=state,
         wire=beacon.wire if beacon else None,
-        version=status.version if status else heard.version if heard else "",
+        version=version,
         header=status if isinstance(status, StatusHeader) else None,
         epoch=status.epoch if isinstance(status, Status) else epoch,
     )
@@ -47,10 +56,11 @@ def silent_member(
     report: PeerReport | None,
     now: float,
 ) -> SeenMember | None:
-    """A robot that is not heard now; None for a robot that is not known.
+    """A robot whose beacons do not arrive now; None for a robot that was never heard or reported.
 
-    `report`: the most certain report on the robot. The robot is alive if another robot heard it
-    within INDIRECT_TIME. The robot has failed if its last beacon is newer than the report.
+    `report`: the most certain report of other robots. If this operator's last beacon of the robot
+    is newer than the report, the robot has failed. If another robot heard the robot within
+    INDIRECT_TIME, it is alive and unreachable. Otherwise it failed or left, as reported.
     """
     if heard is not None and (report is None or report.at <= heard.heard):
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)

@@ -11,11 +11,11 @@ from swarmd.network.members.membership import MAX_INSTANCES
 
 
 class StatusAnswer(Struct, frozen=True):
-    """A robot's status, or what is read of another version's, and its members; `at` in s."""
+    """The answer of a robot to a query of its status."""
 
-    status: Status | StatusHeader
-    members: tuple[Member, ...]
-    at: float
+    status: Status | StatusHeader  # a header from a robot of another version
+    members: tuple[Member, ...]  # as the robot sees them
+    at: float  # s
 
 
 class StatusTable:
@@ -25,7 +25,7 @@ class StatusTable:
         self._answers: dict[str, dict[str, StatusAnswer]] = {}
 
     def add(self, robot: str, answer: StatusAnswer) -> bool:
-        """Keep an answer; True if that instance had not answered."""
+        """Keep an answer; True if it is the first answer of its instance."""
         known = self._answers.setdefault(robot, {})
         instance = answer.status.instance
         is_new = instance not in known
@@ -40,7 +40,7 @@ class StatusTable:
 
     @property
     def robots(self) -> KeysView[str]:
-        """The robots of which an instance answered, also if it left."""
+        """The robots of which an instance has answered, whether or not that instance left."""
         return self._answers.keys()
 
     def instances(self, robot: str) -> Mapping[str, StatusAnswer]:
@@ -48,7 +48,7 @@ class StatusTable:
         return self._answers.get(robot, {})
 
     def newest(self, robot: str, living: Collection[str]) -> StatusAnswer | None:
-        """The newest answer of a robot; of an instance in `living`, if there are any."""
+        """The newest answer of a robot; only of instances in `living`, unless that is empty."""
         answers = self.instances(robot).values()
         counted = [answer for answer in answers if not living or answer.status.instance in living]
         return max(counted, key=lambda answer: answer.at, default=None)
@@ -61,7 +61,7 @@ class StatusTable:
                     yield robot, answer.status, answer.members
 
     def agree(self, robots: Collection[str]) -> bool:
-        """True if two robots or more answered, and each has all of `robots` as alive members."""
+        """True if at least two robots answered, and each lists all of `robots` as alive."""
         views = [(robot, members) for robot, _, members in self.statuses()]
         if len(robots) < 2 or len(views) < 2:
             return False

@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 
 ORIGIN_BYTES = 4
 FILE = "stops"
-_MAX_COUNTER = 2**52  # a greater one is damaged
+_MAX_COUNTER = 2**52  # a file with a greater counter is damaged
 
 
 class _Record(Struct, frozen=True, array_like=True):
@@ -27,9 +27,9 @@ def _wall_clock() -> float:
 
 
 class StopOrigin:
-    """Gives each stop an origin and a counter; see `stop_freshness.py`. It never raises or waits.
+    """Gives each stop an origin and a counter (`stop_freshness.py`); never raises or waits.
 
-    `folder` None, or a file that cannot be read, locked and written: a random origin.
+    Without a `folder`, or if the file cannot be read, locked and written: a random origin.
     """
 
     def __init__(self, folder: Path | None, clock: Callable[[], float] = _wall_clock) -> None:
@@ -37,7 +37,7 @@ class StopOrigin:
         self._clock = clock
 
     def next(self, *, is_new: bool = False) -> tuple[bytes, int]:
-        """The origin and counter of one stop; `is_new`: with an origin that was never used."""
+        """The origin and counter of one stop; `is_new`: take an origin that was never used."""
         least = max(int(1000.0 * self._clock()), 1)
         fresh = _Record(os.urandom(ORIGIN_BYTES), least)
         if self._path is None:
@@ -61,7 +61,7 @@ class StopOrigin:
 
 
 def _following(content: bytes, fresh: _Record) -> _Record:
-    """The record after the one in the file; `fresh` if that is damaged."""
+    """The record after the record in the file; `fresh` if the file is damaged."""
     try:
         last = msgspec.msgpack.decode(content, type=_Record)
     except msgspec.MsgspecError:

@@ -1,4 +1,4 @@
-"""The state of a stop or estop on its way: which robots lack an ack, and when it is done. Pure.
+"""The state of a stop or estop under way: which robots lack an ack, and when it is done. Pure.
 
 A robot acks at once, and its ack shows whether its base is known to rest. The stop is repeated to
 the robot until the base rests, or the robot reports that it has not stopped.
@@ -18,24 +18,26 @@ from swarmd.network.stops.stop_freshness import REPLAYED
 
 Select = Callable[[Collection[str]], Collection[str]]
 Renew = Callable[[], tuple[bytes, int]]
-"""Gives an origin that was never used, and a counter."""
-RENEW_PERIOD = 0.5  # s between two new origins: answers to the one before are on their way
-# Names in one datagram, in bytes: beside an operator's name and a reason of full length.
+"""Returns an origin that was never used, and a counter (`stop_freshness.py`)."""
+RENEW_PERIOD = 0.5  # s between two new origins: refusals of the origin before may still arrive
+# Bytes for target names in one datagram, beside an operator's name and a reason of full length.
 _ROOM = 400
-# By default a stop goes on for this long, in s, and for so many round trips since the last news.
+# By default a stop goes on for at least STOP_WAIT s and STOP_TRIPS round trips.
 STOP_WAIT, STOP_TRIPS = 3.0, 8.0
-# A bound that no datagram can raise, in s, beside so many round trips of at most this many s.
+# It ends at the latest after STOP_CAP s and STOP_TRIPS round trips, of which each counts as at most
+# MAX_STOP_TRIP s: no datagram can raise this bound.
 STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
 
 
 class PendingStop:
     """One stop or estop that is repeated until every expected robot acked.
 
-    - `select` picks from the names known so far; None: all.
-    - `names` are targets from the start, known or not.
-    - A stop of all has no targets, and needs no membership.
-    - Every repeat has the same id.
-    - `renew`: for robots that refuse the stop as replayed (`stop_freshness.py`).
+    - `select` picks the targets from the names known so far; None: a stop of all robots, which
+      needs no membership.
+    - `names`: targets from the start, whether or not they are known.
+    - `renew`: gives the stop a new origin if a robot refuses the stop as replayed.
+
+    Every repeat has the same id.
     """
 
     def __init__(
@@ -60,9 +62,10 @@ class PendingStop:
     def datagrams(
         self, now: float, names: Collection[str] | None = None
     ) -> Iterator[tuple[Stop, tuple[Address, ...]]]:
-        """What to send now, each with the addresses of its targets without an ack.
+        """The datagrams to send now, each with the addresses of its targets that lack an ack.
 
-        Nothing while no target is known. `names` None: for all targets, else for these alone.
+        A stop of named targets has as many datagrams as the names need: no datagram while no target
+        is known. `names`: only for these targets; None: for all targets.
         """
         age = round((now - self._started) * 1000)
         stop = replace(self._stop, age=age, repeated=age)
@@ -89,7 +92,10 @@ class PendingStop:
         return tuple(sorted(address for address in addresses if address is not None))
 
     def on_ack(self, ack: Ack, now: float) -> bool:
-        """Take an ack; False if it is of another request."""
+        """Take an ack; False if it is not kept: of another request, or a refusal as replayed.
+
+        A robot that refuses the stop as replayed makes the next repeat have a new origin.
+        """
         if ack.refusal != REPLAYED or self._renew is None:
             return self.acks.on_ack(ack)
         if ack.id == self._stop.id and now - self._renewed >= RENEW_PERIOD:
@@ -104,14 +110,14 @@ class PendingStop:
         return known if self._select is None else self._names | frozenset(self._select(known))
 
     def lacking(self, now: float) -> tuple[str, ...]:
-        """The expected robots without an ack, and those that have acked and do not rest yet."""
+        """The expected robots that have not acked, or whose ack says that the base still moves."""
         silent, expected = set(self.silent(now)), sorted(self._expected(now))
         for name in expected:
             self.acks.forget_ended(name, self._discovery.holders(name))
         return tuple(name for name in expected if name in silent or self.acks.is_moving(name))
 
     def silent(self, now: float) -> tuple[str, ...]:
-        """The expected robots without an ack; of an id that two daemons hold, both must ack."""
+        """The expected robots without an ack; if two daemons hold an id, both must ack."""
         return tuple(
             name
             for name in sorted(self._expected(now))
@@ -124,15 +130,15 @@ class PendingStop:
         return is_known and not self.lacking(now)
 
     def is_over(self, now: float) -> bool:
-        """True after a wait that is long enough, by the round trip, for robots without an ack."""
+        """True once the stop need not be repeated longer for robots that lack an ack."""
         trip = self._discovery.round_trip
         if now - self._started >= STOP_CAP + STOP_TRIPS * min(trip, MAX_STOP_TRIP):
             return True
-        least = self._started + STOP_WAIT + STOP_TRIPS * trip
-        if now < least:
+        earliest_end = self._started + STOP_WAIT + STOP_TRIPS * trip
+        if now < earliest_end:
             return False
-        is_bare = not self._discovery.heard or not self._expected(now)
-        return is_bare or now >= self._discovery.ends_at(now, self.lacking(now))
+        is_without_robots = not self._discovery.heard or not self._expected(now)
+        return is_without_robots or now >= self._discovery.ends_at(now, self.lacking(now))
 
     def outcome(self, now: float) -> Outcome:
         """The outcome if the stop ended now."""
@@ -146,10 +152,10 @@ class PendingStop:
         )
 
     def _expected(self, now: float) -> frozenset[str]:
-        """The robots that must ack: all selected robots but those that left.
+        """The robots that must ack: all selected robots except those that left.
 
-        Failed robots count, and so does the whole roster: a robot that cannot be reached may move.
-        A farewell may be false, and counts only while no other robot lists the robot as alive.
+        Failed robots and the whole roster are expected: a robot that cannot be reached may move.
+        A farewell may be forged: it counts only while no other robot lists the robot as alive.
         """
         view = self._discovery.result(now)
         left = {name for name, member in view.members.items() if member.presence is Presence.LEFT}

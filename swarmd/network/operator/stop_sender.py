@@ -1,4 +1,4 @@
-"""A stop or estop of an operator on its way: sent at once, repeated until each robot has acked."""
+"""Sends a stop or estop of an operator, and repeats it until each robot has acked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from swarmd.network.operator.roster_follower import RosterFollower
 from swarmd.network.operator.stop_request import STOP_WAIT, PendingStop
 
 STOP_PACE = ((1.0, 0.1), (float("inf"), 0.25))  # steps of a RepeatTimer
-PROGRESS_PERIOD = 3.0
+PROGRESS_PERIOD = 3.0  # s between two reports of robots without an ack
+END_PERIOD = 0.05  # s between two tests of the end
 
 
 class StopSender:
@@ -43,15 +44,20 @@ class StopSender:
         on_progress: Callable[[tuple[str, ...]], None],
         is_ended: Callable[[], bool],
     ) -> Outcome:
-        """Send until it is done or over, as `Operator.send_stop` describes; `until`: not longer."""
+        """Send until the stop is done or over, as `Operator.send_stop` describes.
+
+        `until`: s at which the wait ends; None: by `pending.is_over`, or, with `until_all`, never.
+        Each turn: 1. test the ends, 2. send the stop to all if a repeat is due, else only to robots
+        that were just found, 3. solicit, 4. report progress, 5. wait for arrivals.
+        """
         with self._arrivals.lock:
             self._pending = pending
         now = boottime()
-        named = now + STOP_WAIT
+        names_moving_at = now + STOP_WAIT
         solicit, repeat = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
         progress = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
         selected: frozenset[str] = frozenset()
-        shown: tuple[str, ...] | None = None
+        reported: tuple[str, ...] | None = None
         try:
             while True:
                 with self._arrivals.lock:
@@ -63,8 +69,9 @@ class StopSender:
                         break
                     before, selected = selected, pending.selected()
                     lacking = pending.lacking(now)
-                    # By then each base rests, or its robot has failed; a robot in motion has left.
-                    silent = lacking if now >= named else pending.silent(now)
+                    # By `names_moving_at` each base rests, or its robot has reported that it has
+                    # not stopped: a robot whose last ack says "moving" counts as lost from then on.
+                    silent = lacking if now >= names_moving_at else pending.silent(now)
                     is_due, new = repeat.is_due(now), selected - before
                     # Robots that were just found get a copy of their own before the next repeat.
                     stops = tuple(pending.datagrams(now, None if is_due else new))
@@ -73,12 +80,13 @@ class StopSender:
                 self._rosters.begin()
                 if solicit.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                is_new = silent != shown and bool(silent or not lacking)
+                is_new = silent != reported and bool(silent or not lacking)
                 if until_all and is_new and progress.is_due(now):
-                    shown = silent
+                    reported = silent
                     on_progress(silent)
                 pause = min(solicit.pause(now), repeat.pause(now))
-                self._arrivals.wait(count, min(pause, 0.05 if until is None else until - now))
+                longest = END_PERIOD if until is None else until - now
+                self._arrivals.wait(count, min(pause, longest))
         except KeyboardInterrupt:
             if not until_all:
                 raise

@@ -1,6 +1,7 @@
-"""When a robot may ask another one for what its beacon shows, so that no beacon costs much. Pure.
+"""Limits the questions of a robot for the records whose digests beacons show. Pure.
 
-Latches, goals, pushed patterns and rosters are asked for by this one rule, each with its own times.
+Latches, goals, pushed patterns and rosters are asked for by this rule, each with its own times. So
+no beacon, even a forged one, makes a robot send many questions.
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ MAX_KNOWN = 1024
 
 
 class Asks:
-    """Decides when a peer may be asked; it sends nothing.
+    """Decides when a peer may be asked.
 
-    `take` permits one question to a peer in `period` s, and questions to at most `at_once` peers of
-    one group in `window` s (None: the period). A peer that has answered for a digest is known until
-    its beacon shows another digest. Each table keeps the newest MAX_KNOWN keys.
+    1. `take` permits one question to a peer in `period` s.
+    2. `take` permits questions to at most `at_once` peers of a group in `window` s (default:
+       `period`).
+    3. A peer that has answered for a digest is known until its beacon shows another digest.
+
+    Each table keeps the newest MAX_KNOWN keys.
     """
 
     def __init__(self, period: float, at_once: int = 1, window: float | None = None) -> None:
@@ -33,15 +37,15 @@ class Asks:
         return self._known.get(peer) == digest
 
     def answered(self, peer: Hashable, digest: bytes) -> None:
-        """The peer has answered for this digest."""
+        """Note that the peer has answered for this digest."""
         keep_newest(self._known, peer, digest, MAX_KNOWN)
 
     def forget(self, peer: Hashable) -> None:
-        """The answer of the peer does not count: ask again."""
+        """Forget the answer of the peer, which could not be used, so that it is asked again."""
         self._known.pop(peer, None)
 
     def may(self, peer: Hashable, now: float) -> bool:
-        """True if the peer may be asked now, whatever its group."""
+        """True if the peer may be asked now; the limit of its group is not tested."""
         return now >= self._asked_until.get(peer, -math.inf)
 
     def wait(self, peer: Hashable, until: float) -> None:
@@ -49,7 +53,7 @@ class Asks:
         keep_newest(self._asked_until, peer, until, MAX_KNOWN)
 
     def take(self, peer: Hashable, now: float, group: Hashable = None) -> bool:
-        """True if the peer is to be asked now, which counts as asked; `group` None: of no group."""
+        """True if the peer may be asked now; it then counts as asked. `group` None: no group."""
         if not self.may(peer, now):
             return False
         if group is not None:

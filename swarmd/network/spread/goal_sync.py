@@ -1,9 +1,10 @@
-"""How the greatest goal spreads: digests in beacons, the goal where they differ. Pure.
+"""How the greatest goal spreads: beacons show digests, and a robot asks for a goal. Pure.
 
-A robot whose beacon shows another goal, of at least the own generation, is asked for it. Each
-question has a random number that the answer repeats: an answer to no question is dropped, so that a
-recorded answer brings no goal and no age. The time from question to answer is added to the age. A
-robot that does not know the age of its goal asks robots that hold the same goal.
+1. A robot whose beacon shows another goal, of at least the own generation, is asked for its goal.
+2. Each question has a random number that the answer repeats. An answer to no question is dropped,
+   so that a recorded answer brings no goal and no age.
+3. The time from question to answer is added to the age of the goal.
+4. A robot that does not know the age of its own goal asks robots that hold the same goal.
 """
 
 from __future__ import annotations
@@ -29,18 +30,16 @@ ANSWER_TIMEOUT = 2.0  # s
 MAX_REPEATS = 3
 MAX_CHECKED = 64
 CHECK_RATE, CHECK_BURST = 4.0, 8.0
-"""Signatures that are verified per second: each takes about 4 ms of a core."""
+"""Signatures verified per second, and at once: each takes about 4 ms of a core."""
 
 
 class FoundGoal(NamedTuple):
-    """A goal of a peer, and its age in s; None: the peer does not know it.
-
-    `may_join`: what the other peers hold is known, too, so that the robot may join its run.
-    """
+    """A goal of a peer."""
 
     goal: Goal
-    age: float | None
+    age: float | None  # s since the goal was set; None: the peer does not know the age
     may_join: bool = False
+    """The goals of all other peers are known, too: the robot may join the run of this goal."""
 
 
 class _Question(NamedTuple):
@@ -53,7 +52,7 @@ class _Question(NamedTuple):
 
 
 class GoalSync:
-    """Which robots to ask for their goals; `seed` of the numbers of questions."""
+    """Which robots to ask for their goals; `seed`: of the random numbers of questions."""
 
     def __init__(self, seed: int) -> None:
         from random import Random  # here: operators import this file and make no GoalSync
@@ -67,7 +66,10 @@ class GoalSync:
     def wants(
         self, instance: bytes, digest: bytes, source: Address, own: HeldGoal | None, now: float
     ) -> int | None:
-        """The number of a question to a beacon's sender with this digest; None: no question."""
+        """The number of the question to the sender of a beacon; None if it is not asked.
+
+        `digest`: of the goal in the beacon.
+        """
         if own is not None and digest == own.digest:
             is_due = _lacks_age(own) and now - self._age_asked >= AGE_PERIOD
             self._age_asked = now if is_due else self._age_asked
@@ -77,7 +79,10 @@ class GoalSync:
         return self._ask(_Question(instance, digest, source, now), now) if is_due else None
 
     def repeats(self, own: HeldGoal | None, now: float) -> list[tuple[int, Address]]:
-        """Questions to repeat, since their answers are overdue: number and receiver."""
+        """The questions to repeat, since their answers are overdue: number and receiver.
+
+        A question ends after ANSWER_TIMEOUT or MAX_REPEATS, or once its goal is held with its age.
+        """
         asked: list[tuple[int, Address]] = []
         for echo, question in list(self._questions.items()):
             if now - question.at < ASK_PERIOD:
@@ -94,7 +99,7 @@ class GoalSync:
         return asked
 
     def on_report(self, report: GoalReport, now: float) -> FoundGoal | None:
-        """The goal in an answer; None if it was not asked for, or cannot be read."""
+        """The goal in an answer; None if the answer is late, unasked for, or unreadable."""
         question = self._questions.pop(report.echo, None)
         if question is None or question.instance != report.instance:
             return None
@@ -113,11 +118,14 @@ class GoalSync:
         return FoundGoal(goal, min(report.age / 1000.0 + trip, MAX_SECONDS))
 
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
-        """True if a robot shows a goal that may be greater than the own one, and is not known."""
+        """True if a robot shows a goal that may be greater than the own, and must be asked for.
+
+        False once the robot has answered for this digest.
+        """
         return may_replace(digest, own) and not self._asks.knows(instance, digest)
 
     def retry(self, instance: bytes) -> None:
-        """The answer of a robot could not be used: ask it again."""
+        """Ask a robot again: its answer could not be used."""
         self._asks.forget(instance)
 
     def _ask(self, question: _Question, now: float) -> int | None:
@@ -141,10 +149,10 @@ def is_signed_goal(goal: Goal, key_of: Callable[[str], bytes | None]) -> bool:
 
 
 class GoalCheck:
-    """Whether goals are signed by their issuers; `key_of`: the public key of an operator.
+    """Verifies that goals are signed by their issuers; `key_of`: the public key of an operator.
 
-    Each goal is verified once, and not more than CHECK_RATE a second. A goal without a pattern
-    needs no signature up to the generation MAX_UNSIGNED, since it only stops.
+    Each goal is verified once, at most CHECK_RATE goals a second. A goal without a pattern only
+    stops robots: it needs no signature up to the generation MAX_UNSIGNED.
     """
 
     def __init__(self, key_of: Callable[[str], bytes | None]) -> None:
@@ -153,7 +161,7 @@ class GoalCheck:
         self._budget = TokenBucket(CHECK_RATE, CHECK_BURST)
 
     def __call__(self, goal: Goal, now: float) -> bool | None:
-        """True if the goal counts; None if it cannot be verified now, for the limit of the rate."""
+        """True if the goal is accepted; None if the limit of the rate forbids a check now."""
         if needs_no_signature(goal):
             return True
         public_key = self._key_of(goal.issuer)

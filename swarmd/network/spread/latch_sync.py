@@ -1,8 +1,9 @@
-"""How swarm-wide emergency stops spread: digests in beacons, latches when they differ. Pure.
+"""How swarm-wide emergency stops spread: beacons show digests, and robots ask for latches. Pure.
 
-A robot whose beacon shows another digest than its own is asked for its latches, until an answer
-with that digest has come. So a robot that joins, restarts or was cut off takes over what it missed,
-and nothing is sent while all agree.
+A latch is the lasting state of an emergency stop. A robot asks the sender of a beacon for its
+latches if the beacon's digest differs from the own digest, until an answer with that digest has
+come. So a robot that joins, restarts or was cut off takes over the latches that it missed. While
+all digests are equal, no latches are sent.
 """
 
 from __future__ import annotations
@@ -56,16 +57,19 @@ def _cut(text: str, size: int) -> str:
 
 
 class LatchSync:
-    """Which robots to ask for their latches; those heard for long before strangers."""
+    """Which robots to ask for their latches.
+
+    Strangers, robots heard for a short time only, share a limit of STRANGERS_ASKED per period.
+    """
 
     def __init__(self) -> None:
         self._asks = Asks(ASK_PERIOD, STRANGERS_ASKED)
         self._partial: dict[tuple[bytes, bytes], dict[str, Latch]] = {}
-        self._open: set[bytes] = set()
+        self._open: set[bytes] = set()  # instances whose latches are wanted
 
     @property
     def is_open(self) -> bool:
-        """True while the latches of a robot are wanted that has not answered."""
+        """True while a robot whose latches are wanted has not answered."""
         return bool(self._open)
 
     def wants(
@@ -79,11 +83,11 @@ class LatchSync:
             self._open.add(instance)
         is_due = self._asks.take(instance, now, "strangers" if is_stranger else None)
         if is_due:
-            self._partial.pop((instance, digest), None)  # of an answer not whole, or forged
+            self._partial.pop((instance, digest), None)  # parts of an incomplete or forged answer
         return is_due
 
     def on_latches(self, latches: Latches) -> None:
-        """An answer came; with the last part its digest is known."""
+        """Take a part of an answer; with the last part the robot has answered for its digest."""
         key = latches.instance, latches.digest
         parts = self._partial.get(key, {})
         parts.update(

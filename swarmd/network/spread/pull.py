@@ -1,8 +1,8 @@
-"""A robot or operator pulls a named blob from a peer: a roster, a table or a pushed pattern.
+"""Pulls a named blob (a roster, a table or a pushed pattern) from a peer, and serves blobs.
 
-Robots have no links to each other. A pull opens a short session to the address of one peer, asks
-for pieces on `swarm/<swarm>/<peer>/shared/<what>/<asker>`, compares the SHA-256 of the whole, and
-closes the session. A daemon pulls one blob at a time, and no more often than PULL_RATE.
+Robots have no lasting Zenoh links to each other. A pull opens a short session to the address of one
+peer, asks for pieces on `swarm/<swarm>/<peer>/shared/<what>/<asker>`, compares the SHA-256 of the
+whole blob, and closes the session. A daemon pulls one blob at a time, at most PULL_RATE per second.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ PIECE = 64 * 1024
 """Bytes of one answer; a whole blob exceeds what one message may have on a narrow link."""
 MAX_BLOB = 1024 * 1024
 PULL_TIMEOUT = 20.0  # s for a whole blob, with the opening of the session
-PIECE_TIMEOUT = 2.0  # s for one piece; then it is asked for again
+PIECE_TIMEOUT = 2.0  # s after which a piece is asked for again
 PULL_RATE, PULL_BURST = 1.0, 4.0  # pulls a second
 SERVE_RATE, SERVE_BURST = 64.0, 64.0  # pieces a second
 MAX_ASKERS = 64
@@ -47,9 +47,9 @@ DIGEST_BYTES = 32
 
 Blob = bytes | None
 Provider = Callable[[str, str], Blob]
-"""(name, asker) to the blob of that name; None if it is not here. It is called in a thread.
+"""Takes (name, asker), returns the blob of that name, or None. It is called in a thread.
 
-In a secured swarm the link has proved the asker.
+In a secured swarm the link has proved the name of the asker.
 """
 
 
@@ -62,13 +62,13 @@ class PullQuery(Struct, frozen=True, kw_only=True):
 
 
 class PullReply(Struct, frozen=True, kw_only=True):
-    """A piece of a blob; `size` and SHA-256 (`digest`) of the whole; `text`: why not."""
+    """A piece of a blob, or the reason of a refusal."""
 
-    size: Count = 0
+    size: Count = 0  # bytes of the whole blob
     offset: Count = 0
     data: Annotated[bytes, Meta(max_length=PIECE)] = b""
-    digest: Annotated[bytes, Meta(max_length=DIGEST_BYTES)] = b""
-    text: Line = ""
+    digest: Annotated[bytes, Meta(max_length=DIGEST_BYTES)] = b""  # SHA-256 of the whole blob
+    text: Line = ""  # why there is no blob; empty otherwise
 
 
 _query = Decoder(PullQuery)
@@ -79,9 +79,9 @@ _reply = Decoder(PullReply, 2 * PIECE)
 
 
 class Puller:
-    """Pulls blobs for one daemon, one at a time; `asker` is its own name. Use it on the loop.
+    """Pulls blobs for one daemon, one at a time. Use it on the loop.
 
-    `drops` counts the blobs that cannot be taken because of an error.
+    `asker`: the daemon's own name. `drops` counts pulls that fail by an unexpected error.
     """
 
     def __init__(
@@ -110,10 +110,11 @@ class Puller:
         digest: bytes | None = None,
         on_done: Callable[[Blob, str], object],
     ) -> bool:
-        """Begin to pull `what` from `peer`, unless another pull is under way or came just before.
+        """Begin to pull the blob `name` of `what` from `peer`; False if the pull was not begun.
 
-        `on_done` gets the blob, or None and the reason. `digest`: the SHA-256 that is wanted. False
-        if it was not begun; the caller tries again later.
+        It is not begun while another pull is under way, or beyond PULL_RATE: try again later.
+        `digest`: the SHA-256 that the blob must have; None: the digest that the peer states.
+        `on_done(blob, reason)`: the blob, or None and the reason.
         """
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
@@ -161,8 +162,8 @@ async def pull(
 ) -> bytes:
     """The blob `name` that `peer` shares as `what`.
 
-    Raises NetworkError in one line if the peer is not reached, does not have it, or sends more than
-    `limit` bytes or other bytes than `digest`; TimeoutError after `timeout` s.
+    Raises NetworkError in one line if the peer is not reached, lacks the blob, or sends more than
+    `limit` bytes or bytes with another SHA-256 than `digest`; TimeoutError after `timeout` s.
     """
     key = build(settings.swarm, peer, SHARED, what, asker)
     async with asyncio.timeout(timeout):
@@ -180,7 +181,7 @@ async def _pieces(
     while first is None or len(content) < first.size:
         reply = await _piece(session, key, PullQuery(name=name, offset=len(content)))
         if reply is None:
-            continue  # it was lost, or the peer is busy; the caller's time is bounded
+            continue  # the answer was lost, or the peer is busy; the caller bounds the time
         first = first or reply
         if reply.text:
             raise NetworkError(f"{label}: {reply.text}")
@@ -198,7 +199,7 @@ async def _pieces(
 
 
 async def _piece(session: zenoh.Session, key: str, query: PullQuery) -> PullReply | None:
-    """One answer; None without an answer within PIECE_TIMEOUT."""
+    """The answer to a query of one piece; None without an answer within PIECE_TIMEOUT."""
     loop = asyncio.get_running_loop()
     answered: asyncio.Future[bytes] = loop.create_future()
 
@@ -234,10 +235,10 @@ def _close(session: zenoh.Session) -> None:
 
 
 def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
-    """Hand the blobs of `provider` to the robots and operators that ask for `what`.
+    """Serve the blobs of `provider` to the robots and operators that ask for `what`.
 
-    Queries of one asker beyond SERVE_RATE, and beyond MAX_SERVING at a time, get no answer; the
-    asker repeats.
+    No answer gets a query beyond SERVE_RATE of its asker, a second query of an asker at a time, or
+    a query while MAX_SERVING are being served. The asker repeats it.
     """
     loop = asyncio.get_running_loop()
     rates: dict[str, TokenBucket] = {}

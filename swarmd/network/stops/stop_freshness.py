@@ -1,17 +1,18 @@
-"""Which stops are replayed, although robots and operators share no clock. Pure.
+"""Detection of replayed stops without a shared clock. Pure.
 
 A stop carries the `origin` of its operator's installation (4 random bytes) and a `counter`: ms of
-the operator's clock, and never less than that of the last stop plus 1. A robot takes
+the operator's clock, and at least the counter of the last stop plus 1. A robot accepts
 
-- a copy of a stop that it knows by its id. The age of the stop is at least the time since the robot
-  first heard of the stop. So a copy ends no run that began later, and does not renew an emergency
-  stop that was reset since.
-- any other stop, unless its counter is SLACK below the greatest of its origin: such a stop is
-  replayed. SLACK covers stops that operators issue at one time and robots hand on in another order.
+- a copy of a stop whose id it knows. The age of the copy is at least the time since the robot first
+  heard the stop. So a copy ends no run that began later, and does not renew an emergency stop that
+  was reset since.
+- any other stop whose counter is above the greatest counter heard of its origin, less SLACK. Any
+  stop below is refused as replayed. SLACK covers stops that operators issue at the same time, and
+  that robots relay in another order.
 
 An emergency stop must never be refused wrongly. A robot that refuses a stop answers `REPLAYED`,
-proven for the operator. An operator that waits for an answer then repeats the stop with an origin
-that was never used. An attacker who replays cannot do so. The cases:
+with a proof for the operator. The operator then repeats the stop with an origin that was never
+used. An attacker, who can only replay, cannot. The cases:
 
 ===============================  ===================================================================
 two machines of one operator     each has an origin of its own
@@ -29,8 +30,8 @@ relayed copies                   are known by their ids, or come within SLACK. R
 a stolen robot forges counters   as for a copied home
 ===============================  ===================================================================
 
-Left over: a robot that heard no stop of an origin with this or a later counter takes a replayed
-stop. The robot stops late, which is the safe direction, and logs the operator's name.
+Not covered: a robot that never heard the stop, nor a later stop of its origin, accepts a replayed
+copy. The robot then stops late, which is the safe direction, and logs the operator's name.
 """
 
 from __future__ import annotations
@@ -51,14 +52,18 @@ MAX_IDS = 1024
 
 
 class TakenStop(Struct, frozen=True):
-    """A stop that counts, with its least age; `is_repeated`: a copy of it was heard before."""
+    """A stop that is accepted."""
 
-    stop: Stop
-    is_repeated: bool
+    stop: Stop  # with an age of at least the time since its first copy
+    is_repeated: bool  # a copy was heard before
 
 
 class StopFreshness:
-    """The stops that a robot has heard; `floors`: the greatest counters of its earlier life."""
+    """The stops that a robot has heard.
+
+    `floors`: the greatest counter of each origin in the robot's earlier life. Of these origins no
+    stop is accepted up to that counter: SLACK does not apply.
+    """
 
     def __init__(self, floors: Mapping[bytes, int] | None = None) -> None:
         self._floors = dict(floors or {})
@@ -67,11 +72,11 @@ class StopFreshness:
 
     @property
     def counters(self) -> Mapping[bytes, int]:
-        """The greatest counter of each origin, to be kept for the next life."""
+        """The greatest counter of each origin, to be kept on disk for the robot's next life."""
         return self._greatest
 
     def take(self, stop: Stop, now: float) -> TakenStop | None:
-        """A stop arrived; None if it is replayed."""
+        """Take a stop; None if it is refused as replayed."""
         first = self._first.get(stop.id)
         greatest = self._greatest.get(stop.origin)
         if first is not None:

@@ -1,15 +1,17 @@
-"""Stops and emergency stops that a robot passes on to others. Pure: datagrams and times in.
+"""Relay of stops and emergency stops to other robots. Pure: datagrams and times in.
 
-A stop that reaches one robot reaches all that this robot hears: it repeats the stop as the Trickle
-algorithm does (RFC 6206): at intervals that double, at a random moment of each,
-and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
-operator send little, and a robot that only one of them reaches gets it. It goes on until LIFETIME
-after the operator sent its last copy, or until all named targets have acked and rest. Each copy has
-the age at which the operator sent it, so that no copy that travels in a circle prolongs that. A
-robot hands on no stop that it would refuse itself.
+Each robot that hears a stop repeats it by the Trickle algorithm (RFC 6206):
 
-Acks travel back the same way: a robot hands those that it gets to the sender of the stop, with its
-own name as `via`.
+1. Intervals double, from FIRST_INTERVAL to LAST_INTERVAL. The stop is sent at a random moment of
+   each interval, unless REDUNDANCY other robots have sent it in that interval. So a hundred robots
+   that all heard the operator send little, and a robot that only one of them reaches gets the stop.
+2. The relay ends LIFETIME after the operator sent its last copy, or once all named targets have
+   acked and rest. Each copy carries the age at which the operator sent it (`repeated`), so that a
+   copy that travels in a circle does not prolong the relay.
+3. A robot relays no stop that it would refuse itself.
+
+Acks travel back by the same robots: a robot hands the acks that it gets to the senders of the stop,
+with its own name as `via`.
 """
 
 from __future__ import annotations
@@ -27,46 +29,46 @@ _Key = tuple[str, str, tuple[str, ...] | None]
 Send = tuple[Stop | Ack, Address | None]  # None: to all
 
 FIRST_INTERVAL = 0.2  # s
-LAST_INTERVAL = 6.4
-LIFETIME = 60.0
-REDUNDANCY = 2
+LAST_INTERVAL = 6.4  # s
+LIFETIME = 60.0  # s
+REDUNDANCY = 2  # copies of other robots in an interval after which this robot does not send
 MAX_STOPS = 64
 MAX_SOURCES = 4
 MAX_ACKS = 256
 MAX_HANDED_ON = 8 * MAX_ACKS * MAX_SOURCES
-ACKS_AT_ONCE = 16  # acks of others that one repeat of a stop returns
-MAX_AGE_SHIFT = 2.0  # s
-# So long a stop is handed on whatever acks say, in s: one of them may be forged. So long it is also
-# handed on at FIRST_INTERVAL while a base moves: of bases that rest after 1 s, 270 of 300 said so
-# within 3 s at 30 % loss, at intervals that double 184.
+ACKS_AT_ONCE = 16  # acks of other robots that one repeat of a stop returns
+MAX_AGE_SHIFT = 2.0  # s by which later copies may make the stop older than its first copy says
+# s for which a stop is relayed whatever acks say: an ack may be forged. While a base moves, the
+# stop is also relayed at FIRST_INTERVAL for this time. Measured at 30 % loss, bases at rest after
+# 1 s: within 3 s 270 of 300 had reported that they rest; with intervals that double, 184.
 TRUSTLESS_TIME = 3.0
-DIRECT_TIMEOUT = 2.0  # the operator is heard directly if it was within this time, in s
-ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10 Hz
+DIRECT_TIMEOUT = 2.0  # s since a copy of the operator itself, for which it counts as heard directly
+ACK_PERIOD = 0.08  # s between acks to one source: an operator repeats at 10 Hz
+_NEVER = -1e9  # s
+_SENT = -1.0  # value of `_Relayed.due` once the stop was sent in the present interval
+# The stop is sent at a random moment between these shares of an interval.
+_FIRST_SHARE, _LAST_SHARE = 0.1, 1.0
 
 
 @dataclass(slots=True)
 class _Relayed:
-    """A stop under way.
-
-    `issued`: on the own clock. `repeated`: the greatest age at which the operator sent a copy, in
-    s. `heard`: when the first copy came. `sources`: the senders, and when the last ack went to
-    each.
-    """
+    """A stop under way. Times are in s on the own clock."""
 
     stop: Stop
-    issued: float
-    first_issued: float
-    repeated: float
-    heard: float
-    interval: float
+    issued: float  # when the operator issued the stop, by the ages of all copies
+    first_issued: float  # when the operator issued the stop, by the age of the first copy
+    repeated: float  # the greatest age at which the operator itself sent a copy
+    heard: float  # when the first copy came
+    interval: float  # the length of the present interval
     interval_ends: float
-    due: float
-    copies: int = 0
-    sources: dict[Address, float] = field(default_factory=dict)
-    heard_directly: float = -1e9
-    acks: dict[str, Ack] = field(default_factory=dict)
-    acks_sent: float = -1e9
+    due: float  # when to send in the present interval, or _SENT
+    copies: int = 0  # copies of other members in the present interval
+    sources: dict[Address, float] = field(default_factory=dict)  # senders; last ack to each
+    heard_directly: float = _NEVER  # the last copy of the operator itself
+    acks: dict[str, Ack] = field(default_factory=dict)  # the last ack of each other robot
+    acks_sent: float = _NEVER  # when acks of other robots were last returned
     handed_on: set[tuple[str, Address, bytes | None, str, bool]] = field(default_factory=set)
+    """Acks that were handed on: robot, receiver, origin of a refusal, code, is_moving."""
 
 
 class StopRelay:
@@ -81,10 +83,10 @@ class StopRelay:
     def on_stop(
         self, stop: Stop, source: Address, now: float, *, is_member: bool = True
     ) -> list[Send]:
-        """A stop arrived; the acks of others that its sender is to have.
+        """Take a stop; returns the acks of other robots that its sender is to have.
 
-        `wants_ack` then shows whether the robot's own ack goes to this sender. Copies of senders
-        that are no member (not `is_member`) do not keep this robot from handing it on.
+        Ask `wants_ack` next for the robot's own ack. `is_member` False: the sender is no member of
+        the swarm, so that its copy does not count for REDUNDANCY.
         """
         key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key)
@@ -95,11 +97,12 @@ class StopRelay:
             relayed = _Relayed(
                 stop, issued, issued, 0.0, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0
             )
-            relayed.due = now + self._random.uniform(0.1, 1.0) * FIRST_INTERVAL
+            relayed.due = self._moment(now, FIRST_INTERVAL)
             self._stops[key] = relayed
-        # Ages grow along different ways; a forged one must not make the stop look older than a run.
+        # Copies by several ways have different ages. A forged age must not make the stop look older
+        # than the present run, which would be exempt from it.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
-        repeated = min(stop.repeated / 1000.0, now - relayed.issued)  # it may be forged
+        repeated = min(stop.repeated / 1000.0, now - relayed.issued)  # it may be forged, too
         relayed.repeated = max(relayed.repeated, repeated)
         if stop.hops <= relayed.stop.hops:
             origin = {"origin": stop.origin, "counter": stop.counter}
@@ -112,13 +115,13 @@ class StopRelay:
             if stop.hops == 0 and len(relayed.sources) >= MAX_SOURCES:
                 del relayed.sources[next(iter(relayed.sources))]
             if len(relayed.sources) < MAX_SOURCES:
-                relayed.sources[source] = -1e9
-        if stop.hops == 0 and source in relayed.sources:  # it repeats: it may lack some
+                relayed.sources[source] = _NEVER
+        if stop.hops == 0 and source in relayed.sources:  # the operator repeats: it may lack acks
             return self._acks_again(relayed, source, now)
         return []
 
     def _acks_again(self, relayed: _Relayed, source: Address, now: float) -> list[Send]:
-        """Some acks of others for a sender that repeats the stop, in turn."""
+        """The next ACKS_AT_ONCE acks of other robots for a sender that repeats the stop."""
         if now - relayed.acks_sent < ACK_PERIOD:
             return []
         relayed.acks_sent = now
@@ -143,25 +146,25 @@ class StopRelay:
         return True
 
     def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
-        """Another robot acked a stop that this one handed on; whom to hand the ack to."""
+        """Take another robot's ack of a relayed stop; returns copies for the stop's senders."""
         parts = [part for key, part in self._stops.items() if key[0] == ack.id]
         sends: list[Send] = []
         for relayed in parts:
             if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
                 continue
             handed = replace(ack, via=self._own)
-            others = [address for address in relayed.sources if address != source]
+            receivers = [address for address in relayed.sources if address != source]
             origin: bytes | None = None
             if ack.refusal == REPLAYED:  # the operator repeats the stop for this robot
                 # Each refusal may have a new origin. A refusal that robots hand on again and again
                 # travels in circles.
                 origin = relayed.stop.origin
                 if not ack.via:
-                    sends += [(handed, address) for address in others]
+                    sends += [(handed, address) for address in receivers]
                     continue
             elif not ack.is_moving or ack.robot not in relayed.acks:
                 relayed.acks[ack.robot] = ack
-            for address in others:
+            for address in receivers:
                 key = ack.robot, address, origin, ack.code, ack.is_moving
                 if key not in relayed.handed_on and len(relayed.handed_on) < MAX_HANDED_ON:
                     relayed.handed_on.add(key)
@@ -171,14 +174,17 @@ class StopRelay:
     def advance(
         self, now: float, is_over: Callable[[Stop, float], bool] = lambda stop, issued: False
     ) -> list[Stop]:
-        """The stops to send to all now; none that `is_over`, which takes the time of its issue."""
+        """The stops to send to all now, and the begin of new intervals.
+
+        `is_over(stop, issued)`: True for a stop that this robot would refuse; it is not sent.
+        """
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
             if now - relayed.issued - relayed.repeated > LIFETIME:
                 del self._stops[key]
                 continue
-            if now >= relayed.due and relayed.due >= 0.0:
-                relayed.due = -1.0
+            if now >= relayed.due and relayed.due != _SENT:
+                relayed.due = _SENT
                 is_needed = relayed.copies < REDUNDANCY and self._is_needed(relayed, now)
                 if is_needed and not is_over(relayed.stop, relayed.issued):
                     age, repeated = now - relayed.issued, relayed.repeated
@@ -193,7 +199,7 @@ class StopRelay:
                 is_new = now - relayed.heard < TRUSTLESS_TIME
                 moves = is_new and any(ack.is_moving for ack in relayed.acks.values())
                 relayed.interval = FIRST_INTERVAL if moves else doubled
-                relayed.due = now + self._random.uniform(0.1, 1.0) * relayed.interval
+                relayed.due = self._moment(now, relayed.interval)
                 relayed.interval_ends = now + relayed.interval
                 relayed.copies = 0
         return due
@@ -201,12 +207,20 @@ class StopRelay:
     def wake_at(self) -> float | None:
         """When `advance` has something to do; None without a stop under way."""
         times = [
-            relayed.due if relayed.due >= 0.0 else relayed.interval_ends
+            relayed.due if relayed.due != _SENT else relayed.interval_ends
             for relayed in self._stops.values()
         ]
         return min(times, default=None)
 
+    def _moment(self, now: float, interval: float) -> float:
+        """A random moment of the interval that begins now."""
+        return now + self._random.uniform(_FIRST_SHARE, _LAST_SHARE) * interval
+
     def _is_needed(self, relayed: _Relayed, now: float) -> bool:
+        """False at MAX_HOPS, and once all other named targets have acked and rest.
+
+        Within TRUSTLESS_TIME acks do not count.
+        """
         stop = relayed.stop
         if stop.hops >= MAX_HOPS:
             return False
@@ -214,5 +228,5 @@ class StopRelay:
             return True
         others = {*stop.targets} - {self._own}
         is_new = now - relayed.heard < TRUSTLESS_TIME and bool(others)
-        rest = {name for name, ack in relayed.acks.items() if not ack.is_moving}
-        return is_new or not others <= rest
+        resting = {name for name, ack in relayed.acks.items() if not ack.is_moving}
+        return is_new or not others <= resting

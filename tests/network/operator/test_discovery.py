@@ -334,7 +334,7 @@ def test_a_robot_that_was_heard_before_the_look_alone_is_waited_for_as_one_that_
 ) -> None:
     looked.look_again(60.0)
     looked.found.on_solicit(2, 60.0)
-    assert looked.found.ends_at(60.0, ["b"]) == pytest.approx(60.0 + looked.found._nobody_wait)
+    assert looked.found.ends_at(60.0, ["b"]) == pytest.approx(60.0 + looked.found._first_robot_wait)
     looked.hear("a", at=60.01, echo=2, sequence=2)
     ends = looked.found.ends_at(60.02, ["b"])
     assert ends == pytest.approx(60.0 + GONE_WAIT + GONE_TRIPS * looked.found.round_trip)
