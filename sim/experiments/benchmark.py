@@ -68,7 +68,7 @@ class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A pattern to try, with `parameters` for all judged groups and `by_group` for single groups."""
+    """A pattern to try: `parameters` for all judged groups, `by_group` for single groups."""
 
     pattern: str
     parameters: Values = {}

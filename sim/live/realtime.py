@@ -1,8 +1,8 @@
 """A world in real time: steps on deadlines, publishes sensor data, applies commands.
 
-A command whose decision rests on a scan older than `stale_after` counts as zero: commands that a
-frozen daemon left in its socket arrive when it resumes. Commands to an emulated robot do not name
-their scan, so it follows them, as a real base would.
+A command that was decided on a scan older than `stale_after` counts as zero. Such commands arrive
+when a frozen daemon resumes: they waited in its socket. A command to an emulated robot does not
+name its scan, so the robot follows each command, as a real base does.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ class RealTimeWorld:
     ) -> None:
         """`clock` is the clock with which `link` and `emulated` stamp arrivals.
 
-        - `radio`: gives the neighbors. Without a radio, no neighbors are published and all robots
-          hear all.
-        - `has_shared_frame`: each robot is given its pose in the world.
-        - `emulated`: the source of the robots' sensors and commands instead of the link.
+        - `radio`: gives the neighbors. Without a radio, no neighbors are published, and every robot
+          hears every other robot.
+        - `has_shared_frame`: the world sends each robot its pose.
+        - `emulated`: carries the robots' sensor data and commands in place of the link.
         - `command_timeouts`: for each robot the seconds without a command after which its base
-          stops, inf for never, by default `COMMAND_TIMEOUT`.
-        - `seed`: of the order in which the robots' sensors measure, which favours no row.
+          stops, by default `COMMAND_TIMEOUT`; inf: the base never stops.
+        - `seed`: of the random order in which the robots' sensors measure.
         """
         self._world = world
         self._link = link
@@ -126,7 +126,7 @@ class RealTimeWorld:
             self._answer(pending)
 
     def _is_fresh(self, now: float) -> NDArray[np.bool_]:
-        # NaN before the first command: then none is fresh, even without a timeout.
+        # NaN before the first command compares as false: not fresh, even with an infinite timeout.
         quiet = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
         return np.less_equal(quiet, self._command_timeouts)
 
@@ -162,10 +162,11 @@ class RealTimeWorld:
             self._link.publish_state(self._state())
 
     def _publish_radio(self, radio: Radio) -> None:
-        """Carry messages, and tell robots their neighbors: robots whose daemons command them.
+        """Deliver messages of patterns, and publish the neighbors of each robot at its rate.
 
-        When a daemon comes or goes all robots are told at once, so that robots that start together
-        hear one another from then on.
+        Only robots whose daemons send commands are neighbors. When a daemon comes or goes, the
+        neighbors of all robots are published at once, so that robots that start together hear each
+        other from that instant on.
         """
         world, ids = self._world, self._world.ids
         messages, due = self._link.take_messages(), self._neighbors_due.due(world.time)
