@@ -33,10 +33,10 @@ _SMALLEST = 13  # pixels of text
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmSettings:
-    """`speed` times real time; `size` in pixels (None: by the file's suffix).
+    """The settings of a film.
 
-    `start` and `stop` in s from the begin of the run (None: its end). `trail`: s of the path behind
-    each robot.
+    `speed` times real time; `size` in pixels (None: by the file's suffix). `start` and `stop` in s
+    from the begin of the run (None: its end). `trail`: the path of each robot in the last s.
     """
 
     camera: Camera = "top"
@@ -49,7 +49,7 @@ class FilmSettings:
 
 
 def title_of(trace: Trace) -> str:
-    """What a run was, in a few words."""
+    """A title for a run: scenario and seed, or pattern, number and platforms of the robots."""
     meta = trace.meta
     if "scenario" in meta:
         return f"{meta['scenario']}, seed {meta.get('seed', 0)}"
@@ -64,10 +64,11 @@ def make_film(
     settings: FilmSettings,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[str]:
-    """Write the film of a run to `path`; notes on what is not as it was.
+    """Write the film of a run to `path` atomically.
 
-    The file appears whole or not at all. ConfigError for wrong settings, PluginError if ffmpeg or
-    OpenGL is missing, SwarmError if the trace is empty or the film cannot be written.
+    Returns notes on what the film cannot show as in the run: platforms whose heights are assumed.
+    ConfigError for wrong settings, PluginError if ffmpeg or OpenGL is missing, SwarmError if the
+    trace is empty or the film cannot be written.
     """
     check_output(path)
     trace = run.trace

@@ -23,11 +23,12 @@ from swarmd.sim.trace import Trace, poses_at
 
 Camera = Literal["top", "perspective"]
 BACKENDS = ("egl", "osmesa")
-_FOVY = 40.0  # degrees, of the perspective camera, as the next two
+# The perspective camera, in degrees.
+_FOVY = 40.0
 _ELEVATION = -48.0
 _AZIMUTH = 90.0
 _MARGIN = 1.06
-_HOUSING = 0.62  # how dark a lidar is beside the body
+_HOUSING = 0.62  # brightness of a lidar housing relative to the robot's body
 _TRAIL_STEPS = 24  # segments of a trail
 _MAX_TRAILS = 4000  # segments of all trails
 
@@ -59,21 +60,22 @@ class Renderer:
         self.close()
 
     def close(self) -> None:
-        """Free the context of OpenGL, in another thread as far as that thread can."""
+        """Free the context of OpenGL; a different thread than the maker's frees it in part."""
         with suppress(SwarmError):
             self._make_current()
             self._context.free()
         self._gl.free()
 
     def show(self, trace: Trace, colouring: Colouring) -> None:
-        """Draw this trace from now on: other instants of the same robots in the same arena."""
+        """Set the trace to draw, which must have the robots and the arena of the stage's run."""
         self._trace, self._colouring = trace, colouring
         self._t = trace.t - trace.t[0]
 
     def frame(self, time: float, trail: float = 0.0) -> NDArray[np.uint8]:
-        """The run at `time` in s from its start; `trail`: s of the path behind each robot.
+        """The picture at `time` s from the start of the run: (height, width, 3) uint8.
 
-        ConfigError if the caller's thread did not make the renderer.
+        `trail`: the path of each robot in the last s. ConfigError if the renderer was made in a
+        different thread.
         """
         self._make_current()  # another renderer may have been at work
         at = self._place(time)
@@ -107,7 +109,7 @@ class Renderer:
             ) from error
 
     def _place(self, time: float) -> int:
-        """Move and colour everything; the index of the latest instant."""
+        """Set poses and colours for `time` s; returns the index of the latest instant."""
         trace = self._trace
         model = self.stage.model
         n = len(trace.ids)

@@ -42,22 +42,17 @@ _ASSUMED = "waffle_pi"
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A compiled model, the size of frames in pixels, what they show, and the geoms of robots.
-
-    `bodies` and `housings` are the geoms that have the robot's colour, `parts` all of its visible
-    ones. Robots are drawn `factor` times as large as they are. `assumed` names platforms whose
-    heights are not known here.
-    """
+    """A compiled model of a run for films, with the indices of its geoms."""
 
     model: mujoco.MjModel
-    size: tuple[int, int]
-    extent: Extent
-    bodies: NDArray[np.int64]
-    housings: NDArray[np.int64]
-    parts: tuple[NDArray[np.int64], ...]
-    boxes: NDArray[np.int64]
-    factor: float
-    assumed: tuple[str, ...]
+    size: tuple[int, int]  # width and height of a frame in pixels
+    extent: Extent  # the part of the world in a frame
+    bodies: NDArray[np.int64]  # (n,) a geom of each robot that has the robot's colour
+    housings: NDArray[np.int64]  # (n,) the geoms of the lidar housings, in a darker colour
+    parts: tuple[NDArray[np.int64], ...]  # all visible geoms of each robot
+    boxes: NDArray[np.int64]  # (m,) the geoms of the movable boxes
+    factor: float  # robots are drawn this many times larger than they are
+    assumed: tuple[str, ...]  # platforms whose heights are unknown, and assumed
 
 
 def stage_of(
@@ -67,10 +62,10 @@ def stage_of(
     fields: Sequence[Field] = (),
     extent: Extent | None = None,
 ) -> Stage:
-    """The stage of a run for frames of `size` pixels; ConfigError if its arena is not known.
+    """The stage of a run for frames of `size` pixels; ConfigError if the arena is not known.
 
-    `platforms` by name and `fields`, of which the floor is shown, are those of the scenario.
-    `extent`: the part of the world that is shown; None: what the run has used.
+    `platforms`: the scenario's platforms by name. `fields`: the scenario's fields, of which a floor
+    is shown. `extent`: the part of the world to show; None: the part that the run has used.
     """
     text = str(trace.meta.get("arena", ""))
     if not text:
@@ -115,7 +110,10 @@ def stage_of(
 
 
 def _platform(name: str, footprint: Array, assumed: list[str]) -> Platform:
-    """The platform; an unknown one, of which a trace holds only the footprint, is noted."""
+    """The platform of a name; for an unknown name, one with assumed heights and this footprint.
+
+    Adds an unknown name to `assumed`.
+    """
     try:
         return load_platform(name)
     except ConfigError:

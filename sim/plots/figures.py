@@ -45,21 +45,18 @@ KINDS = (*STATISTICS, "runs", "trajectories")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """How the pictures of an experiment are drawn.
+    """The settings of an experiment's figures."""
 
-    `suffix`: .png, .svg or .pdf. `width` in inches: for a paper, with texts and lines of that size
-    and without titles, of panels of a `facet` too, which have letters. `facet`: a swept key, with
-    a panel for each of its values. `targets` are by metric; `labels`, such as `lidar range [m]`, by
-    metric or swept key. `only`: the kinds of pictures, of KINDS; None: STATISTICS, and all where
-    seeds are chosen.
-    """
-
-    suffix: str = ".png"
+    suffix: str = ".png"  # .png, .svg or .pdf
     only: Collection[str] | None = None
+    """The kinds of figures, of KINDS; None: STATISTICS, or with chosen seeds all KINDS."""
     labels: Mapping[str, str] = field(default_factory=dict)
+    """Labels such as `lidar range [m]`, by metric or swept key."""
     width: float | None = None
-    facet: str | None = None
-    targets: Mapping[str, float] = field(default_factory=dict)
+    """In inches, for a paper: figures have fitting texts and lines, letters (a), (b) ... as
+    panel titles, and no titles. None: for a screen."""
+    facet: str | None = None  # a swept key; each of its values has a panel
+    targets: Mapping[str, float] = field(default_factory=dict)  # by metric
 
 
 def draw_experiment(
@@ -70,18 +67,21 @@ def draw_experiment(
     seeds: Iterable[int] | None = None,
     look: Look | None = None,
 ) -> list[Path]:
-    """Draw what an experiment's folder holds into `out`, by default its `plots`; the files made.
+    """Draw the figures of an experiment's folder into `out`, by default its `plots`.
 
-    For all variants together: metrics run by run and over time, times to events as survival curves,
-    and differences from the first variant. With `look.only` or `seeds` also for each variant: all
-    runs in one picture, and a typical run (nearest to the median) and the worst run, with their
-    starts and ends. Where neither direction of the metric is good as such, the least typical run
-    is drawn instead of the worst.
-    What has one value in all runs is not drawn.
+    Returns the paths of the files.
 
-    `metrics` replaces the default ones; the first of them selects the typical run. `seeds` limits
-    the runs. A trace that is missing or damaged gives one warning. ConfigError for an unknown
-    metric, seed, facet or folder, SwarmError if no run has finished.
+    For all variants together (STATISTICS): metrics run by run and over time, times to events as
+    survival curves, and differences from the first variant. A metric with one value in all runs is
+    not drawn.
+
+    For each variant (if `look.only` names these kinds, or with `seeds`): all runs in one figure,
+    and paths, starts and ends of a typical run (nearest to the median) and of the worst run. If the
+    metric has no better direction, the least typical run takes the place of the worst.
+
+    `metrics`: in place of the default metrics; the first of them selects the typical run. `seeds`:
+    the runs to draw. A missing or damaged trace gives one warning. ConfigError for an unknown
+    metric, seed, facet or folder. SwarmError if no run has finished.
     """
     look = look or Look()
     kinds = look.only if look.only is not None else STATISTICS if seeds is None else KINDS
@@ -173,7 +173,7 @@ class _Gallery:
                 raise ConfigError(f"--label: {unknown('swept key or metric', name, known)}")
 
     def _quantity(self, metric: Metric, name: str = "") -> select.Quantity:
-        """What the axis of a metric shows; `name` in place of the metric's own."""
+        """Label and unit of a metric's axis; `name` takes the place of the metric's name."""
         text = self._look.labels.get(metric.name)
         own = select.Quantity(select.label_of(name or metric.name), metric.unit)
         return own if text is None else select.Quantity.parse(text)
@@ -276,7 +276,7 @@ class _Gallery:
         nearest = [runs[k] for k in select.typical_first(values)]
         made, typical = self._first_of(nearest, "typical")
         order, word = select.worst_first(values, self._primary.better)
-        # If the trace of the worst is lost, the next one is not the worst.
+        # If the trace of the worst run is lost, no run is drawn as the worst.
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
         return made + self._first_of(worst, word)[0]
 
@@ -349,7 +349,7 @@ class _Gallery:
 
     @property
     def _axis(self) -> str:
-        """What the labels of variants are values of."""
+        """The title of the legend: the swept key whose values are the labels of variants."""
         return next(iter(self._facets.values())).axis
 
     def _by_panel(self) -> dict[str, list[str]]:
@@ -360,7 +360,10 @@ class _Gallery:
         return found
 
     def _has_spread(self, metric: Metric, panel: str, values: Sequence[Array]) -> bool:
-        """Whether the values differ, or some runs have none; a line if all are equal."""
+        """Whether the values of a metric differ, or some runs have no value.
+
+        Logs a line if all values of a metric that the user named are equal.
+        """
         every = np.concatenate(values)
         known = every[np.isfinite(every)]
         if not known.size:
@@ -440,7 +443,7 @@ def _varies(facets: Mapping[str, Mapping[str, Sequence[Series]]]) -> bool:
 
 
 def _lettered(facets: Mapping[str, select.Facet], look: Look) -> dict[str, select.Facet]:
-    """The facets; for a paper their panels are (a), (b), and one line tells which is which."""
+    """The facets; for a paper the panels are named (a), (b) ..., and a log line explains them."""
     panels = [panel for panel in dict.fromkeys(one.panel for one in facets.values()) if panel]
     if look.width is None or not panels:
         return dict(facets)

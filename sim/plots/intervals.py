@@ -50,12 +50,12 @@ class Panel:
 def intervals_figure(
     panels: Sequence[Panel], title: str = "", *, width: float | None = None, axis: str = ""
 ) -> Figure:
-    """A picture of metrics by variant.
+    """A figure of metrics by variant, with a panel for each metric and a row for each variant.
 
-    One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
-    with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
-    runs have the median of all runs instead. `width`: in inches, for a paper. `axis` names the
-    rows. SwarmError if there is nothing to draw.
+    A row has a point for every run, and above the points the mean as a diamond with its 95 %
+    interval (for a share Wilson's interval). For a time to an event that never happened in some
+    runs, the median of all runs takes the place of the mean. `width`: in inches, for a paper.
+    `axis`: the title of the rows. SwarmError without a panel.
     """
     if not panels:
         raise SwarmError("no metric has values: nothing to draw")
@@ -77,9 +77,9 @@ def intervals_figure(
 def grid_of_panels(
     count: int, labels: Sequence[str], width: float | None
 ) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels, side by side as far as it is wide enough; one row a label.
+    """A figure of `count` panels, as many side by side as its width allows.
 
-    Its rows are named only at the left.
+    Each panel has a row for each of `labels`, which stand at the left of the figure alone.
     """
     aside = 0.3 + 0.07 * max(map(len, labels))
     columns = min(count, 3)
@@ -201,10 +201,10 @@ def differences_figure(
     width: float | None = None,
     axis: str = "",
 ) -> Figure:
-    """A picture of the differences of means with their 95 % intervals; filled: 0 is excluded.
+    """A figure of differences of means with their 95 % intervals.
 
-    One panel a metric, one row a variant. `width`: in inches, for a paper. `axis` names the rows.
-    SwarmError if there is no difference.
+    A panel for each metric, a row for each variant. A filled diamond: the interval excludes 0.
+    `width`: in inches, for a paper. `axis`: the title of the rows. SwarmError without a panel.
     """
     if not panels:
         raise SwarmError("no metric has differences: nothing to draw")
