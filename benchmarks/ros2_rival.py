@@ -99,7 +99,7 @@ async def _stand(endpoint: str, until: asyncio.Task[str]) -> str:
 
 
 async def measure(seconds: float, delay: float) -> Sequence[tuple[float, float]]:
-    """The commands that the base took, as (time in s, speed). `delay`: of the link in s, one way."""
+    """The base's commands as (time in s, speed). `delay`: of the link in s, one way."""
     domain = free_domain()
     with (
         tempfile.TemporaryDirectory() as folder,
