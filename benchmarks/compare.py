@@ -1,8 +1,9 @@
-"""Another commit beside this one: `python -m benchmarks --compare COMMIT [NAME...]`.
+"""Comparison of this commit with a second: `python -m benchmarks --compare COMMIT [NAME...]`.
 
-Both run each benchmark in turn, in ABBA order, so that a change of the machine's load meets both.
-The ratio is that of the medians (p50) of one pair of runs; the interval is Student's, at 95 %, over
-the logarithms of the ratios. The other commit gets a checkout and an environment in build/compare.
+Both commits run each benchmark alternately, in ABBA order, so that a change of the machine's load
+affects both. The ratio is that of the medians (p50) of a pair of runs. Its interval is Student's t
+interval, at 95 %, of the logarithms of the ratios. The second commit has a checkout and an
+environment in build/compare.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def print_weights(weights: Weights) -> None:
 
 
 def print_touched() -> None:
-    """How many files of source, tests and pages name an example of a feature: medians."""
+    """Print by kind of feature the median number of source files, tests and pages that name one."""
     words = [(table, set(re.findall(r"\w+", text))) for table, _, text in texts()]
     print(f"\n{'files that name':<42}" + "".join(f"{table:>10}" for table in TABLES))
     for feature, names in examples().items():

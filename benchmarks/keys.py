@@ -1,4 +1,4 @@
-"""What keys cost: `python -m benchmarks.keys`. Two swarms of daemons without bases, on loopback.
+"""Cost of keys: `python -m benchmarks.keys`. Two swarms of daemons without bases, on loopback.
 
 One swarm has keys, the other swarm does not. `swarmctl members` and `swarmctl run drive --all` of
 both are measured in turn, as processes from their start to their end, then the opening of a link,

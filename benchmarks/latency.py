@@ -1,8 +1,9 @@
-"""From a scan to the command it leads to: seven live daemons, one world, all on this machine.
+"""Latency from a scan to its command: seven live daemons and one world on this machine.
 
-Reflex: from the moment at which the world sends a scan to the arrival, at the world, of the first
-command whose decision used that scan. Full: to the first whose requested command used it. The bases
-apply a command with the next 100 Hz step, up to 10 ms later; that is not counted.
+Reflex: the time from the sending of a scan by the world to the arrival, at the world, of the first
+command that was decided on this scan. Full: the time to the arrival of the first command whose
+requested command, from the pattern, used this scan. The bases apply a command at the next 100 Hz
+step, up to 10 ms later; this delay is not counted.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ STAGES = (
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """What the world saw: when each scan went out, and when it first came back."""
+    """The times at which the world sent each scan, and received its first command."""
 
     put: Times
     safe_back: Times
@@ -83,10 +84,10 @@ def between(start: Times, end: Times, span: Sequence[int]) -> tuple[list[float],
 
 
 def run_for(swarm: Swarm, pattern: str, seconds: float) -> tuple[tuple[int, int], list[float]]:
-    """Run a pattern for a while; the span in ns, without the first second, and a yardstick.
+    """Run a pattern for `seconds`; the span in ns without the first second, and a yardstick.
 
-    That is how late this process was each time it wanted to be woken, which it does at 100 Hz and
-    else nothing: so late the machine itself is.
+    The yardstick is the lateness in s of each wake-up of this process, which sleeps at 100 Hz and
+    does nothing else: the lateness of the machine itself.
     """
     swarm.run(pattern)
     time.sleep(1.0)
@@ -119,7 +120,7 @@ def healthy(seconds: float) -> Iterator[Row]:
 
 
 def staged(seconds: float) -> Iterator[Row]:
-    """Where the time goes: the same with stamps at every border."""
+    """Rows of each stage of the latency, from times at the borders of the stages."""
     with Swarm(ROBOTS, is_stamped=True) as swarm:
         span, late = run_for(swarm, "timed", seconds)
         swarm.close()

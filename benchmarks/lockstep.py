@@ -1,9 +1,9 @@
 """Simulated time per second of processor time: `benchmarks.lockstep [--patterns ...] [--only ...]`.
 
-Processor time of this process alone, with everything that an experiment has: physics, noisy lidars,
-odometry, robots with protection, patterns, radio and the trace. Each sample is a simulated second
-after the first, so that robots run and caches are as they are in a long run. Rows of two cores
-have wall time, so they need an idle machine.
+Processor time of this process, for all parts of an experiment's run: physics, noisy lidars,
+odometry, robots with protection, patterns, radio and the trace. Each sample is one simulated
+second. The first second is left out, so that robots run and caches are warm as in a long run. Rows
+of two cores are wall time, so they need an idle machine.
 """
 
 from __future__ import annotations

@@ -1,15 +1,16 @@
-"""The network of N robots: packets, bytes, CPU and memory, idle, voting at 2 Hz, chatting at 10 Hz.
+"""Network load of N robots: packets, bytes, CPU and memory, idle, voting at 2 Hz or chat at 10 Hz.
 
-Each robot is a daemon with a fake body in a network namespace of its own, on a bridge of the
-kernel; its interface counts what it sends. Zenoh programs (`--programs 0 1 4`) are together on one
-more: each is linked to all robots, and sends on the channel of the load twice a second. Needs root.
-Group packets are multicast and broadcast, IPv4 only; the rest is unicast. Bytes are those of
-Ethernet frames without preamble and checksum.
+Each robot is a daemon with a fake body in a network namespace of its own. The namespaces are
+connected by a bridge of the kernel, and the interface of a robot counts the packets that it sends.
+Zenoh programs (`--programs 0 1 4`) share one more namespace; each is linked to all robots, and
+sends on the channel of the load twice a second. Needs root. Group packets are multicast and
+broadcast packets (IPv4). All other packets are unicast. Bytes are those of Ethernet frames without
+preamble and checksum.
 
-Air time is that of one channel with one access point, which every frame passes twice: a frame to
-or from a station takes `SMALL_FRAME` (`AGGREGATED_FRAME` where frames are aggregated), and what the
-access point sends to a group `GROUP_OVERHEAD` and its bits at 6 Mbit/s. The second table fits each
-quantity by a constant and a term a peer, and extrapolates.
+Air time is that of one Wi-Fi channel with one access point, which every frame passes twice. A frame
+to or from a station takes `SMALL_FRAME` (`AGGREGATED_FRAME` if frames are aggregated). A frame from
+the access point to a group takes `GROUP_OVERHEAD` and the time of its bits at 6 Mbit/s. The second
+table fits each quantity by a constant and a term per peer, and extrapolates.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ LOADS: dict[str, tuple[str, ...]] = {
     "chat": ("chat",),
 }
 CHANNELS = {"idle": (), "voting": ("majority_rule/opinion", "1"), "chat": ("chat/text", '"x"')}
-"""Where programs send under a load, and what, in JSON."""
+"""The channel and the JSON value that programs send, by load."""
 ETHERNET = 14  # bytes of a frame's header
 READY_TIMEOUT = 180.0
 SMALL_FRAME, AGGREGATED_FRAME, GROUP_OVERHEAD = 200e-6, 60e-6, 100e-6  # s of air time
@@ -52,7 +53,7 @@ LARGE = (100, 300)  # robots
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """What one host has sent so far, and the seconds of CPU that its daemon and host used."""
+    """Packets and bytes that a robot has sent, and CPU seconds of its daemon and pattern host."""
 
     packets: int
     size: int
@@ -64,9 +65,9 @@ class Counters:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Means over the robots: packets and bytes a second that a robot sends, % of a core, MB.
+    """Means over the robots: packets and bytes per second that a robot sends, % of a core, MB.
 
-    `program_packets` and `program_size` are those of all programs together.
+    `program_packets` and `program_size`: the totals of all programs.
     """
 
     robots: int
@@ -104,7 +105,11 @@ class Measured:
 
 
 def air_time(robots: float, unicast: float, group: float, group_size: float, frame: float) -> float:
-    """% of a channel that robots take which each send so many frames and bytes a second."""
+    """The air time of robots, in % of a channel.
+
+    Each robot sends `unicast` and `group` frames and `group_size` group bytes per second. `frame`:
+    s of air time of one frame.
+    """
     to_group = group * (frame + GROUP_OVERHEAD) + 8.0 * group_size / GROUP_RATE
     return 100.0 * robots * (2.0 * unicast * frame + to_group)
 

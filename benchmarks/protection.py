@@ -1,4 +1,4 @@
-"""Protection's decision on a scan of 360 rays, and what surrounds it, in a hot loop.
+"""Time of protection's decision on a scan of 360 rays, and of a robot's whole step, in a hot loop.
 
 Yardstick: the repulsive field alone, ray by ray in plain Python, as ROS2swarm computes it.
 """
@@ -87,12 +87,12 @@ class LiveRobot:
         return replace(scan, seq=self.seq, stamp=self.now)
 
     def answer(self) -> None:
-        """What the pattern host says to a step."""
+        """The pattern host's answer to a step."""
         self.robot.step(HostInput(Stepped(1, Outputs(twist=REQUESTED), self.seq)), self.now)
 
 
 def live_rows(platform: Platform, scans: Sequence[Scan]) -> Iterator[Row]:
-    """The whole of a robot's turn: conditioning, protection, bookkeeping."""
+    """Rows of a robot's whole step on a scan: conditioning, protection, bookkeeping."""
     live, some = LiveRobot(platform), cycle(scans)
 
     def prepare() -> Callable[[], object]:
@@ -136,7 +136,7 @@ class Decider:
         self._decide()
 
     def requested(self) -> None:
-        """A tick: a decision some time after the last one, nothing of which is of use."""
+        """A decision on a tick, some time after the last scan, without any cached result."""
         self._age += 1e-5
         self._decide()
 

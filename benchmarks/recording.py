@@ -1,9 +1,9 @@
-"""What a recording costs: CPU of one daemon and its recorder, and the lateness of its loop.
+"""Cost of a recording: CPU of one daemon and its recorder process, and lateness of its loop.
 
-One robot with 360 rays at 10 Hz walks at random; it records in every second window. CPU is what
-daemon, pattern host and recorder process used in a window, in % of one core, from /proc. Lateness
-is the daemon's own 99th percentile of how late its loop wakes. Both depend on other work: compare
-the windows of one run.
+One robot with 360 rays at 10 Hz runs random_walk, and records in every second window. CPU is the
+time of daemon, pattern host and recorder process in a window, in % of one core, from /proc.
+Lateness is the 99th percentile of the delays with which the daemon's loop wakes, as its status
+reports. Both depend on the load of the machine, so compare only windows of one run.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""From a scan to the command it leads to over ROS 1: through the driver, and by a node in rospy.
+"""Latency from a scan to its command over ROS 1: through the driver, and by a plain rospy node.
 
-Both subscribe, compute a potential field over 360 rays with the same lines and publish, on loopback
-with a real roscore. Two more do more behind the driver: the field that patterns use, and the
-robot's core, which conditions and protects. The robot asks one after the other, so that all are
-measured under the same load; what each process waits for a busy processor is measured too, unless
-it is run with `chrt -f 5`.
+Both subscribe to scans, compute a potential field over 360 rays with the same code, and publish a
+command, on loopback with a real roscore. Two more rows are through the driver: with the potential
+field of patterns, and with the robot's core, which conditions scans and protects.
+
+The robot's node sends a scan to each of the four in turn, so that all are measured under the same
+load. Times include waits for a busy processor, unless the benchmark runs with `chrt -f 5`.
 """
 
 from __future__ import annotations
@@ -59,12 +60,12 @@ class Answering(CollectingSink):
 
 
 def field(scan: Scan) -> Twist:
-    """What the plain node does."""
+    """The command of the plain node."""
     return Twist(*plain_field(scan.ranges.tolist()))
 
 
 def patterns_field(scan: Scan) -> Twist:
-    """The field that patterns use, which knows nothing of where the rays look."""
+    """The command of the potential field that patterns use, for rays at any bearings."""
     potential = potential_field(
         scan.ranges,
         scan.bearings,

@@ -1,12 +1,12 @@
-"""From a scan to the command it leads to through the ROS 2 drivers: `benchmarks.ros2`.
+"""Latency from a scan to its command through the ROS 2 drivers: `benchmarks.ros2`.
 
-A robot in a process of its own, at its own Zenoh router, sends a 360-ray LaserScan and waits for
-the command; the driver answers with a potential field over the rays, as `benchmarks.ros1` has it
-done over ROS 1 and by a plain node in rospy. Where there is a zenoh-bridge-ros2dds, the robot is
-also a ROS 2 node on DDS, answered by the driver through the bridge, and by a plain node directly.
+A robot in a process of its own, with a Zenoh router of its own, sends a 360-ray LaserScan and waits
+for the command. The driver answers with a potential field over the rays, as in `benchmarks.ros1`.
+If zenoh-bridge-ros2dds is installed, the robot is also a ROS 2 node on DDS. Then two programs
+answer: the driver through the bridge, and a plain node directly.
 
 Robot and driver read one clock, so the time of each stage is known: from the robot to the driver's
-thread of Zenoh (for DDS: write, bridge in, Zenoh), from there to the loop, decoding, the decision
+Zenoh thread (with DDS: write, bridge, Zenoh), from that thread to the loop, decoding, the decision
 of the benchmark, encoding and publishing, and back to the robot.
 """
 
@@ -77,7 +77,7 @@ class Answering(CollectingSink):
 
 
 class TimedSamples(LatestSamples):
-    """Knows when the last sample came to Zenoh's thread, and when to the loop."""
+    """Records when the last sample reached the Zenoh thread, and when it reached the loop."""
 
     arrived = taken = 0.0
 
@@ -91,7 +91,7 @@ class TimedSamples(LatestSamples):
 
 
 def robot(name: str, seconds: float) -> None:
-    """Print where it is, then, in the end, when each scan was sent and answered, as JSON."""
+    """Run the robot: print its endpoint, and at the end the times of scans and answers as JSON."""
     if name in BRIDGED:
         with ros2_dds.robot() as (place, exchange):
             _tell(place, exchange, seconds)

@@ -1,7 +1,7 @@
-"""The DDS end of `benchmarks.ros2`: a robot behind a real bridge, and a plain node that answers it.
+"""The DDS side of `benchmarks.ros2`: a robot behind a real bridge, and a plain node that answers.
 
-Both are nodes in cyclonedds. The plain one does what the driver's side does: it subscribes, takes
-the potential field over the rays, and publishes.
+Both are nodes in cyclonedds. The plain node does the work of the driver's side: it subscribes to
+scans, computes the potential field over the rays, and publishes a command.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ def robot() -> Iterator[tuple[str, Callable[[], tuple[float, float] | None]]]:
 
 
 def answer(domain: int, until: Callable[[], str], marks: list[tuple[float, ...]]) -> str:
-    """Act as the plain node until `until` returns; its text.
+    """Run the plain node until `until` returns; the text of `until`.
 
-    `marks` gets for each scan the times at which it was there, read, decided and published; it has
-    no loop of its own.
+    For each scan, appends to `marks` the times in s of arrival (twice, since the node has no event
+    loop), decoding, decision and publication.
     """
-    found: list[str] = []
-    waiting = threading.Thread(target=lambda: found.append(until()))
+    texts: list[str] = []
+    waiting = threading.Thread(target=lambda: texts.append(until()))
     waiting.start()
     held = Domain(domain, LOOPBACK)
     node = DdsNode(domain, "plain", published=COMMAND, subscribed=SCAN)
@@ -76,4 +76,4 @@ def answer(domain: int, until: Callable[[], str], marks: list[tuple[float, ...]]
         marks.append((there, there, read, decided, time.perf_counter()))
     node.close()
     del held
-    return found[0]
+    return texts[0]

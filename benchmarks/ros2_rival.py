@@ -1,11 +1,14 @@
-"""How long a stopped robot has the command of another node: `benchmarks.ros2_rival`.
+"""The share of time for which a stopped robot has a rival's command: `benchmarks.ros2_rival`.
 
-Another node publishes a command at 50 Hz on DDS while the driver answers with zeros through a real
-bridge, if wanted over a link with a delay. The base, the other node and the driver are processes of
-their own. A base that acts on each message has the other's command from its arrival to that of the
-next zero. A base that samples its last command at 50 Hz has it for a whole period if it had it at
-the sample: on average for the same share, but at the rate of the other node its share depends on
-the phase between the two, which may stay for minutes.
+The rival is a node that publishes a command to move at 50 Hz on DDS. The driver of the stopped
+robot answers each command with zero, through a real bridge, and on request over a delayed link.
+Base, rival and driver are processes of their own.
+
+A base that acts on each message has the rival's command from its arrival until the arrival of the
+next zero. A base that samples its newest command at 50 Hz has the rival's command for a whole
+period if the command is the newest at the sample. On average both shares are equal. But since rival
+and base have equal rates, the share of a sampling base depends on the phase between them, which may
+stay constant for minutes.
 """
 
 from __future__ import annotations
@@ -54,7 +57,7 @@ def rival(domain: int, seconds: float) -> None:
 
 
 def base(domain: int, seconds: float) -> None:
-    """Publish scans and take commands; print what arrived when, as JSON."""
+    """Publish scans and take commands; print (time in s, speed) of each command as JSON."""
     held = Domain(domain, LOOPBACK)
     node = DdsNode(domain, "base", {"/scan": dds.LaserScan}, {"/cmd_vel": dds.Twist})
     message = dds.LaserScan.deserialize(cdr.encode(scan()))
@@ -81,7 +84,7 @@ def _start(role: str, domain: int, seconds: float) -> subprocess.Popen[str]:
 
 
 async def _stand(endpoint: str, until: asyncio.Task[str]) -> str:
-    """Hold a stopped robot until the text is there."""
+    """Run the driver of a stopped robot until the task `until` is done; the task's text."""
     options = {"endpoint": endpoint}
     driver = make_driver(swarm="s", robot="r", platform=load_platform("burger"), options=options)
     running = asyncio.create_task(driver.run(CollectingSink()))
@@ -96,7 +99,7 @@ async def _stand(endpoint: str, until: asyncio.Task[str]) -> str:
 
 
 async def measure(seconds: float, delay: float) -> Sequence[tuple[float, float]]:
-    """The commands that the base got, each after its time in s. `delay` in s, each way."""
+    """The base's commands as (time in s, speed). `delay`: of the link in s, one way."""
     domain = free_domain()
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -115,7 +118,7 @@ async def measure(seconds: float, delay: float) -> Sequence[tuple[float, float]]
 
 @asynccontextmanager
 async def _delayed(endpoint: str, delay: float) -> AsyncIterator[str]:
-    """An endpoint that forwards to another one, each piece `delay` s later; that one without."""
+    """An endpoint that forwards to `endpoint` with a delay; `endpoint` itself without a delay."""
     if not delay:
         yield endpoint
         return
@@ -135,7 +138,7 @@ async def _delayed(endpoint: str, delay: float) -> AsyncIterator[str]:
 
 
 def shares(arrivals: Sequence[tuple[float, float]]) -> list[float]:
-    """The share of samples at 50 Hz that find the other's command, at each of 40 phases."""
+    """The share of samples at 50 Hz that find the rival's command, for each of 40 phases."""
     times, values = np.array(arrivals).T
     phases = []
     for phase in np.arange(40) / 40.0 * BASE_PERIOD:

@@ -1,8 +1,9 @@
-"""The daemon, stamping each stage that a scan passes through.
+"""The daemon, which records the time of each stage that a scan passes through.
 
-`python -m benchmarks.stamped_daemon CONFIG.yaml STAMPS.json PARENT`. It is the daemon as it is,
-with stamps (ns, CLOCK_MONOTONIC) at the borders between its parts; `plugins/timed.py` stamps within
-the pattern host. Of each scan only the first time at each border counts.
+`python -m benchmarks.stamped_daemon CONFIG.yaml STAMPS.json PARENT`. The daemon is the usual one,
+and records times (stamps, ns of CLOCK_MONOTONIC) at the borders between its parts.
+`plugins/timed.py` records the times within the pattern host. Only the first time of a scan at a
+border counts.
 """
 
 from __future__ import annotations

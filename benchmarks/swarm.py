@@ -33,12 +33,14 @@ Process = subprocess.Popen[bytes]
 
 
 class Swarm:
-    """`count` robots of a platform in a world with MuJoCo at 100 Hz, ready for a run.
+    """A context manager with a world and `count` daemons, ready for a run.
 
-    A context manager. The world stamps scans and commands at its Zenoh session; the stamps are in
-    `folder` after `close`. `is_stamped` daemons also stamp each stage in between. `others` are
-    further robots, by name, with their platforms, that have no daemon; `world` further fields of
-    its `WorldOptions`.
+    The world steps MuJoCo at 100 Hz. It records the times of scans and commands at its network
+    links; `close` leaves them in `folder`.
+
+    - `is_stamped`: the daemons also record the times of the stages in between.
+    - `others`: platforms, by name, of further robots without a daemon.
+    - `world`: further fields of `WorldOptions`.
     """
 
     def __init__(

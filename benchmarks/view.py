@@ -1,9 +1,9 @@
-"""The page of `swarmctl view --web` in a headless Chromium, with robots whose messages are fed.
+"""Speed of the page of `swarmctl view --web` in a headless Chromium, with generated messages.
 
-The server runs in a process of its own and gets a motion of each robot ten times and a status once
-a second, encoded; it decodes them, as it does those that come by Zenoh. The page is 1400 x 850
-pixels large, with trails of all robots, and the list. Tasks are those of the page's main thread,
-later than START s after it knows all robots, as the browser traces them.
+The server runs in a process of its own. A generator hands it encoded messages, ten motions and one
+status of each robot per second, which the server decodes like messages that arrive over Zenoh. The
+page has 1400 x 850 pixels, and shows the list and the trails of all robots. The browser traces the
+tasks of the page's main thread, from START s after the page knows all robots.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def server(count: int) -> Iterator[tuple[int, str]]:
 
 
 def measure(browser: Browser, count: int, seconds: float) -> Iterator[Row]:
-    """The rows of so many robots."""
+    """The rows of the table for `count` robots."""
     with server(count) as (pid, address), browser.page() as page:
         page.open(address)
         known = "[...swarm.model.robots.values()].filter((r) => r.row.state && r.x === r.x).length"
@@ -80,7 +80,7 @@ def measure(browser: Browser, count: int, seconds: float) -> Iterator[Row]:
 
 
 def trace(page: Page, seconds: float) -> list[tuple[float, float]]:
-    """Each task of the page's main thread: how long it took, and its processor time, in s."""
+    """(duration, processor time) in s of each task of the page's main thread, for `seconds`."""
     config = {"includedCategories": ["toplevel", "__metadata"], "excludedCategories": ["*"]}
     page.call("Tracing.start", transferMode="ReportEvents", traceConfig=config)
     time.sleep(seconds)

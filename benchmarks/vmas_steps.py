@@ -1,9 +1,10 @@
-"""Agent-steps a processor second of VMAS: `PYTHON benchmarks/vmas_steps.py AGENTS [AGENTS ...]`.
+"""Speed of the simulator VMAS: `PYTHON benchmarks/vmas_steps.py AGENTS [AGENTS ...]`.
 
-PYTHON has vmas and torch, which are no dependencies of swarmd; `python -m benchmarks.learning
---vmas PYTHON` runs this file. The tasks are those with a lidar, which BenchMARL takes over; random
-actions, one environment and 32 at once, one thread. Prints a JSON list of rows: task, agents,
-environments, rays, and a rate for each sample.
+The speed is in agent-steps per second of processor time. PYTHON is an interpreter with vmas and
+torch, which are no dependencies of swarmd; `python -m benchmarks.learning --vmas PYTHON` runs this
+file. The tasks are those of VMAS with a lidar, which BenchMARL uses, too. Actions are random, in
+one environment and in 32 at once, on one thread. Prints a JSON list of rows: task, agents,
+environments, rays, and the speed of each sample.
 """
 
 from __future__ import annotations
@@ -30,7 +31,10 @@ SAMPLES, SECONDS = 5, 1.0
 
 
 def rates(task: str, agents: int, environments: int) -> tuple[int, list[float]]:
-    """Rays of an agent, and its agent-steps a processor second of each sample, after a first."""
+    """The rays of an agent, and agent-steps per processor second by sample.
+
+    A first sample, for warming up, is discarded.
+    """
     env = vmas.make_env(
         scenario=task.partition(",")[0],
         num_envs=environments,

@@ -160,7 +160,7 @@ class Trace:
 
 
 def poses_at(t: Array, poses: Array, time: float) -> Array:
-    """Poses (k, 3) at a time, interpolated; `poses` (T, k, 3) are those at the instants `t`."""
+    """Poses (k, 3) at `time` s, interpolated between `poses` (T, k, 3) at instants `t` (T,)."""
     last = min(int(np.searchsorted(t, time)), len(t) - 1)
     first = max(last - 1, 0)
     span = float(t[last] - t[first])
@@ -170,9 +170,9 @@ def poses_at(t: Array, poses: Array, time: float) -> Array:
 
 
 def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
-    """Names of patterns, and (T, n) the place of the pattern that each robot runs or ran last.
+    """Names of patterns, and (T, n) the index of the pattern that each robot runs or ran last.
 
-    The first name is that of the whole run: empty unless one pattern was run on all from the start.
+    The first name is the pattern that all robots run from the start; empty if there is none.
     """
     names = [str(trace.meta.get("pattern", ""))]
     places = np.zeros(trace.pose.shape[:2], dtype=np.int16)
@@ -306,11 +306,11 @@ class TraceBuilder:
 
 DECISION_ARRAYS = ("state", "reason", "active", "recovering", "gap", "scan_age", "bound")
 NO_DECISION: tuple[Any, ...] = ("", "", False, False, np.nan, np.nan, (np.nan, np.nan, np.nan))
-"""What a robot reports that reports nothing, in the order of DECISION_ARRAYS."""
+"""The values of a robot without a report, in the order of DECISION_ARRAYS."""
 
 
 def blank_decisions(shape: tuple[int, ...]) -> dict[str, NDArray[Any]]:
-    """The arrays that `enter_decision` fills, as of robots that reported nothing."""
+    """The arrays that `enter_decision` fills, with the values of robots without a report."""
     return {
         name: np.full(shape + np.shape(blank), blank, dtype=WORD if blank == "" else None)
         for name, blank in zip(DECISION_ARRAYS, NO_DECISION, strict=True)
@@ -324,7 +324,7 @@ def enter_decision(
     reason: str,
     decision: Decision | DecisionSummary,
 ) -> None:
-    """Enter what a robot reports of its decision at `place`, an index of the arrays."""
+    """Write a robot's state, reason and decision at the index `place` of the arrays."""
     values = decision_values(state, reason, decision)
     for name, value in zip(DECISION_ARRAYS, values, strict=True):
         arrays[name][place] = value
@@ -333,7 +333,7 @@ def enter_decision(
 def decision_values(
     state: str, reason: str, decision: Decision | DecisionSummary
 ) -> tuple[Any, ...]:
-    """What a robot reports of its decision, in the order of DECISION_ARRAYS."""
+    """State, reason and values of a robot's decision, in the order of DECISION_ARRAYS."""
     gap, age = decision.min_gap, decision.scan_age
     rows = decision.rows
     return (
@@ -350,9 +350,9 @@ def decision_values(
 def enter_named(
     named: Mapping[str, dict[str, NDArray[Any]]], place: Any, shape: tuple[int, int], status: Status
 ) -> None:
-    """Enter what a status reports by name, at `place` of arrays of `shape` (T, n) in `named`.
+    """Write the reports and readings of a status at the index `place` of the arrays in `named`.
 
-    A name that the status leaves out has no value any more.
+    New arrays have `shape` (T, n). A name that the status leaves out becomes blank at `place`.
     """
     for kind, blank in NAMED.items():
         for values in named[kind].values():

@@ -32,7 +32,7 @@ IN_STEP: Mapping[str, Value] = {
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A debate to run; see `VotingSim`. It ends `settled` s after all agreed."""
+    """The settings of a debate (see `VotingSim`), which ends `settled` s after all have agreed."""
 
     pattern: str
     count: int
@@ -46,16 +46,16 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The time of agreement in s (inf: never), the opinion, the rounds and the messages sent."""
+    """The result of a debate."""
 
-    agreed_at: float
-    winner: int | None
-    rounds: float
-    sent: int
+    agreed_at: float  # s; inf: never
+    winner: int | None  # the common opinion; None without one
+    rounds: float  # until all robots held one opinion; inf: never
+    sent: int  # messages of all robots
 
 
 def hold(motion: Motion) -> Result:
-    """One debate."""
+    """Run one debate."""
     m = motion
     swarm = VotingSim(m.pattern, m.count, seed=m.seed, params=m.params, held=m.held, air=m.air)
     debate = swarm.run(m.seconds, until_agreed=m.settled)
@@ -63,7 +63,7 @@ def hold(motion: Motion) -> Result:
 
 
 def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:
-    """All debates in their order, in `jobs` processes."""
+    """Run all debates in `jobs` processes; the results in the order of `motions`."""
     return each(hold, list(motions), jobs)
 
 
@@ -133,7 +133,7 @@ def _add_one(states: Mapping[Counts, float], chances: Sequence[float]) -> dict[C
 
 
 def _reachable(start: Mapping[Counts, float]) -> Iterable[Counts]:
-    """All states of that many robots and opinions."""
+    """All states with as many robots and opinions as the states of `start`."""
     some = next(iter(start))
     return at_random(sum(some), len(some))
 

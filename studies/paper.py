@@ -2,10 +2,11 @@
 
 Experiment 2 is `python -m studies.paper exp2 [OUT]`.
 
-Runs every scenario with the original equations and with ours, with both visibilities, under the
-barrier, and with the original equations under the original protection, as published. Writes the
-tables and figures of docs/paper.md to OUT. Runs that OUT already holds are not repeated; with
-`--draw`, nothing is run.
+Runs every scenario with two laws of attraction, the original equations (`paper`) and ours
+(`settling`), under our protection (the barrier) and with both visibilities of robots to lidars.
+Runs the original equations also under the original protection, as published. Writes the tables and
+figures of docs/paper.md to OUT. Runs that OUT already holds are not repeated. `--draw` runs nothing
+and draws the runs in OUT.
 """
 
 from __future__ import annotations
@@ -74,14 +75,14 @@ def variant_of(visibility: str) -> str:
 
 
 def share(values: NDArray[np.bool_]) -> str:
-    """The share of (n,) that is true, with Wilson's interval."""
+    """The share of true `values` (n,) as a text, with Wilson's interval."""
     count, n = int(values.sum()), len(values)
     around = wilson(count, n)
     return f"{count}/{n} ({around.low:.2f}-{around.high:.2f})"
 
 
 def median(values: Array) -> str:
-    """The median of (n,) with its interval."""
+    """The median of `values` (n,) as a text, with its interval."""
     around = median_interval(values)
     text = f"{np.median(values):.2f}"
     return f"{text} ({around.low:.2f}-{around.high:.2f})" if around else text
@@ -98,7 +99,10 @@ def _share(
 
 
 def _met(results: Results, variant: str, name: str, when: str, bound: float) -> str:
-    """The share within a bound, of TurtleBots; Jackals stand too close in the row and spread."""
+    """The share of runs within the bound; "-" except for TurtleBots.
+
+    Jackals start too close to each other, and spread.
+    """
     values = results.metric(f"mean_distance_to_centroid_{when}", variant)
     return share(values <= bound) if name in TURTLEBOTS else "-"
 
@@ -142,7 +146,10 @@ def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
 
 
 def hardware_rows(results: Results) -> Iterator[tuple[str, list[str]]]:
-    """The statements of the paper on its hardware experiment, with links of 1.0 m and 0.8 m."""
+    """Rows of the table that checks the paper's statements on its hardware experiment.
+
+    Robots within a link of 1.0 m or 0.8 m of each other are in one group.
+    """
     for visibility in VISIBILITIES:
         variant = variant_of(visibility)
         runs = [run for run in results.runs if run.variant.name == variant]
@@ -220,7 +227,7 @@ def draw(by_run: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """All runs, in the order in which they matter, then tables and figures."""
+    """Do all runs, the most important first, then write tables and figures."""
     out, is_drawing = out_of(arguments, "build/paper")
     by_run: dict[tuple[str, str, bool], Results] = {}
     for law, seeds, names in PLAN:

@@ -35,9 +35,12 @@ SPREAD_BY = 40.0
 KEPT_FOR = 30.0
 TOLERANCE = 0.03
 """Three standard deviations of the lidar's noise, in m."""
-STRAYED, MOVING, STILL = 0.1, 0.05, 0.01
-"""Robots stand if none moves farther than the first number in m, and none moves for a larger share
-of the time than the second; slower than the third, in m/s, is no motion."""
+STRAYED = 0.1
+"""Standing robots stay within this distance in m of a position."""
+MOVING = 0.05
+"""Standing robots move for at most this mean share of the time."""
+STILL = 0.01
+"""Slower than this speed in m/s is no motion."""
 JOINED = 50.0
 LARGER = (9.24, 6.72)
 """1.4 times the paper's arena along both sides."""
@@ -54,36 +57,42 @@ TITLES = {"paper": "6.6 x 4.8 m", "larger": "9.24 x 6.72 m", "late": "one joins 
 class Course:
     """The result of one run. Times in s from the start, lengths in m.
 
-    `opinion`: the opinion of all robots from 20 s on; -1 if they differ. `moved`: the largest
-    distance of a robot from its start before 20 s. `wanted`: f(opinion). `kept_since`: the time
-    from which every range is at least `wanted` less the tolerance until 70 s; inf: never. `least`:
-    the least range from 40 to 70 s. `strayed`: the largest distance of a robot in that time from
-    its position at 40 s. `moving`: the mean share of that time in which a robot moves. `contacts`:
-    instants in contact.
+    A range is the true distance of a robot's lidar to the nearest robot or wall.
     """
 
     opinion: int
+    """The opinion of all robots from 20 s on; -1 if they differ."""
     moved: float
+    """The largest distance of a robot from its start before 20 s."""
     wanted: float
+    """The wanted distance f(opinion)."""
     kept_since: float
+    """The time from which until 70 s all ranges are at least `wanted` - TOLERANCE; inf: never."""
     least: float
+    """The least range from 40 to 70 s."""
     strayed: float
+    """The largest distance of a robot from its position at 40 s, from 40 to 70 s."""
     moving: float
+    """The mean share of the time from 40 to 70 s in which a robot moves."""
     contacts: int
+    """The number of contact steps of the run."""
 
     @property
     def is_kept(self) -> bool:
-        """Whether every range was kept from 40 s to 70 s."""
+        """Whether all ranges were large enough from 40 s to 70 s."""
         return self.kept_since <= SPREAD_BY
 
     @property
     def is_standing(self) -> bool:
-        """Whether the robots stood then, except for small corrections."""
+        """Whether the robots stood from 40 s to 70 s, except for small corrections."""
         return self.strayed <= STRAYED and self.moving <= MOVING
 
 
 def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
-    """The course of a trace of experiment 2; f is that of the paper, not the reported one."""
+    """The result of a trace of experiment 2; f(opinion) = `base` + `step` * opinion, in m.
+
+    This f is the paper's function, not the distance that robots report.
+    """
     time = trace.t - trace.t[0]
     opinion = trace.report["opinion"]
     since, until = time >= DISCUSS - 1e-6, time <= SPREAD_BY + KEPT_FOR + 1e-6
@@ -92,14 +101,15 @@ def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
     places = trace.pose[..., :2]
     least = ranges(trace).min(axis=1)
     wanted = base + step * float(agreed if agreed >= 0 else np.max(opinion[-1]))
-    kept = np.append(time[until], np.inf)  # the times after the last that is too near
-    broken = np.flatnonzero(least[until] < wanted - TOLERANCE)
+    times = np.append(time[until], np.inf)
+    too_near = np.flatnonzero(least[until] < wanted - TOLERANCE)
+    kept_since = times[too_near[-1] + 1] if len(too_near) else 0.0
     speeds = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0)) / np.diff(trace.t)[:, None]
     return Course(
         opinion=agreed,
         moved=float(away(places[~since]).max()),
         wanted=wanted,
-        kept_since=float(kept[broken[-1] + 1 if len(broken) else 0]),
+        kept_since=float(kept_since),
         least=float(least[late].min()),
         strayed=float(away(places[late]).max()),
         moving=float((speeds[late[1:]] > STILL).mean()),
@@ -108,7 +118,7 @@ def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
 
 
 def away(places: Array) -> Array:
-    """(T, n) the distance in m of positions (T, n, 2) from the first."""
+    """(T, n) the distance in m of positions (T, n, 2) from those at the first instant."""
     distance: Array = np.hypot(*np.moveaxis(places - places[0], -1, 0))
     return distance
 
@@ -133,18 +143,13 @@ def ranges(trace: Trace) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Joining:
-    """The result of a run in which an eighth robot joins late with another opinion.
+    """The result of a run in which an eighth robot joins late with another opinion."""
 
-    `adopted`: seconds until it holds the opinion of the seven. `is_swayed`: whether one of the
-    seven ever changes its opinion. `stirred`: the largest distance in m that one of them moves
-    afterwards. `least`: the least range in m in the last 20 s. `contacts`: instants in contact.
-    """
-
-    adopted: float
-    is_swayed: bool
-    stirred: float
-    least: float
-    contacts: int
+    adopted: float  # s until the eighth robot holds the opinion of the seven; inf: never
+    is_swayed: bool  # one of the seven changes its opinion after the eighth has joined
+    stirred: float  # m, the largest distance that one of the seven moves after that
+    least: float  # m, the least range in the last 20 s
+    contacts: int  # contact steps of the run
 
 
 def joined(trace: Trace, at: float = JOINED) -> Joining:
@@ -168,7 +173,7 @@ HEAD = ("", "runs", "all agree from 20 s on", "moved before 20 s [m]",
 
 
 def row(courses: Sequence[Course]) -> list[str]:
-    """One line of the table, of runs with one opinion."""
+    """The cells of one line of the table, for runs with one opinion, without its first cell."""
     n = len(courses)
 
     def count(flags: Sequence[bool]) -> str:
@@ -237,7 +242,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def out_of(arguments: Sequence[str], usual: str) -> tuple[Path, bool]:
-    """The folder among the arguments, or the usual one, and whether `--draw` is among them."""
+    """The output folder of the command line, by default `usual`, and whether `--draw` is given."""
     places = [word for word in arguments if not word.startswith("-")]
     return Path(places[0] if places else usual), "--draw" in arguments
 
@@ -245,7 +250,10 @@ def out_of(arguments: Sequence[str], usual: str) -> tuple[Path, bool]:
 def results_of(
     folder: Path, is_drawing: bool, scenario: str, seeds: Sequence[int], **options: Any
 ) -> Results | None:
-    """The runs of a scenario, kept in `folder`; if `is_drawing`, those that it holds or None."""
+    """The runs of a scenario in `folder`; missing runs are done unless `is_drawing`.
+
+    None if `is_drawing` and the folder holds no runs.
+    """
     if is_drawing and not (folder / "runs.csv").exists():
         return None
     jobs = os.cpu_count() or 1

@@ -1,8 +1,8 @@
-"""A swarm of points that run one pattern: exact motion and an exact radio, hundreds of robots.
+"""A simulation of hundreds of point robots that run one pattern, with exact motion and radio.
 
-Each robot's pattern runs in a `PatternExecutor` as on a robot, at its own rate and phase. The
-robots are unicycles without bodies: commands apply at once, and no protection changes them. Their
-odometry is their pose. A run in lockstep has bodies, lidars and protection, and costs some ten
+Each robot's pattern runs in a `PatternExecutor` as on a robot, at a rate and phase of its own. The
+robots are unicycles without bodies. Commands take effect at once, without protection. The odometry
+of a robot is its true pose. A run in lockstep, with bodies, lidars and protection, costs about ten
 times as much.
 """
 
@@ -55,23 +55,20 @@ Until = Callable[[Sequence[Mapping[str, Scalar]]], bool]
 """Whether the run ends, from the reports of all robots."""
 
 CLEAR = Air()
-"""The radio by default: 20 ms, no loss."""
+"""The default radio: a delay of 20 ms, without loss."""
 
 _PROVIDES = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """Poses (T, n, 3) and reports at times `t` (T,) s; `sent` counts the messages of all robots.
+    """The samples of a run of n robots at T instants."""
 
-    `stepped` (T, n) are the times in s of the steps that made the reports; NaN before the first.
-    """
-
-    t: Array
-    pose: Array
-    stepped: Array
-    reports: Sequence[Sequence[Mapping[str, Scalar]]]
-    sent: int
+    t: Array  # (T,) s
+    pose: Array  # (T, n, 3)
+    stepped: Array  # (T, n) s of the step that made the report; NaN before the first step
+    reports: Sequence[Sequence[Mapping[str, Scalar]]]  # by instant, then by robot
+    sent: int  # messages of all robots
 
     def reported(self, name: str, missing: float = math.nan) -> Array:
         """One reported number (T, n); `missing` where a robot is absent or does not report it."""
@@ -92,12 +89,16 @@ class _Point:
 
 
 class PointSwarm:
-    """Robots with one pattern that start at `poses` (n, 3). The same seed gives the same run.
+    """Point robots that run one pattern and start at `poses` (n, 3); equal seeds give equal runs.
 
-    `links` (n, n) are the robots that hear and sense each other; by default all within `reach` m.
-    `torus`: the side in m of a square whose opposite sides are joined. `hearers`: a message reaches
-    as many random ones of the linked robots, as where robots mix. `params` apply to all robots,
-    `own` to one robot each. A robot is absent from `ends[row]` s on.
+    - `params`: parameters of all robots; `own`: further parameters by row.
+    - `links` (n, n): the robots that hear and sense each other; None: all within `reach` m.
+    - `torus`: the side in m of a square with periodic boundaries; None: an unbounded plane.
+    - `hearers`: the number of linked robots, drawn at random, that receive a message, as in a well
+      mixed swarm; None: all linked robots.
+    - `ends`: by row the time in s at which a robot leaves.
+    - `air`: delay, jitter, loss and duplication of messages.
+    - `sense`, `see`: readings and scans of a robot; None: it has none.
     """
 
     def __init__(
@@ -127,7 +128,7 @@ class PointSwarm:
         ]
         loader, platform = _loader_and_platform()
         self._has_bearings = any(need in _PROVIDES for need in loader(pattern).needs)
-        self._linked: dict[int, list[int]] = {}  # by row, where it does not change
+        self._linked: dict[int, list[int]] = {}  # linked rows by row, if they do not change
         limits = platform.limits
         self._limits = np.array([limits.linear, limits.angular])
         self._base, self._since = np.array(poses, float), np.zeros(count)
@@ -138,7 +139,7 @@ class PointSwarm:
         heapq.heapify(self._queue)
 
     def run(self, seconds: float, every: float = 0.1, until: Until | None = None) -> Track:
-        """The run of so many seconds, or `until` it holds, sampled every so many."""
+        """Run for `seconds`, or until `until` is true; a sample each `every` s."""
         times = np.array([every * k for k in range(round(seconds / every) + 1)])
         poses, reports, stepped = [], [], []
         for now in times.tolist():
@@ -162,7 +163,7 @@ class PointSwarm:
         heapq.heappush(self._queue, (math.inf, row))
 
     def _poses(self, now: float) -> Array:
-        """Where each robot's arc has led it."""
+        """The poses (n, 3) at `now` s: each robot follows an arc since its last command."""
         linear, angular = self._twist.T
         dt = now - self._since
         half = 0.5 * angular * dt
@@ -201,7 +202,7 @@ class PointSwarm:
             self._send(Message(point.name, channel, value, 0.0), near, now)
 
     def _near(self, row: int, now: float, poses: Array) -> list[int]:
-        """The rows of the robots that hear it."""
+        """The rows of the present robots that are linked to robot `row`."""
         if row not in self._linked:
             if self._links is None:
                 is_near = np.hypot(*self._off(row, poses).T) <= self._reach
@@ -215,14 +216,14 @@ class PointSwarm:
         return [n for n in self._linked[row] if now < self._ends.get(n, math.inf)]
 
     def _off(self, row: int, poses: Array) -> Array:
-        """The places (n, 2) of all robots from that of robot `row`."""
+        """The positions (n, 2) of all robots relative to robot `row`, in m along x and y."""
         off = poses[:, :2] - poses[row, :2]
         if self._torus is not None:
             off -= self._torus * np.round(off / self._torus)
         return off
 
     def _sensed(self, row: int, near: list[int], poses: Array) -> tuple[Neighbor, ...]:
-        """The robots in reach with range, bearing and heading."""
+        """The robots `near` as neighbors of robot `row`, with range, bearing and heading."""
         off, yaw = self._off(row, poses)[near], poses[row, 2]
         values = zip(
             near,
@@ -275,7 +276,7 @@ def _load(pattern: str, name: str, params: Mapping[str, Value], seed: int) -> _P
 
 @lru_cache(maxsize=1)
 def _loader_and_platform() -> tuple[PatternLoader, Platform]:
-    """Shared by all runs; reading them takes longer than many runs."""
+    """The patterns and the platform of all runs, cached: reading them takes longer than a run."""
     origins = pattern_names(None)
     loader = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
     return loader, load_platform("burger")

@@ -1,8 +1,8 @@
-"""Times of agreement, and who wins: `python -m studies.voting [OUT]`, about half an hour.
+"""Figures of the voting patterns: `python -m studies.voting [OUT]`, about half an hour.
 
-Draws `figure.png` of majority_rule and voter_model, by the number of robots, and of
-collective_perception, by the share of black tiles, into folders of OUT, by default `patterns`, and
-prints their numbers.
+Draws the time until agreement and the winning opinion: for majority_rule and voter_model by the
+number of robots, for collective_perception by the share of black tiles. Writes
+`OUT/PATTERN/figure.png`, with OUT by default `patterns`, and prints the numbers.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ FIRST = 10_000
 def motions(
     pattern: str, count: int, params: Mapping[str, Value], held: Sequence[int] | None = None
 ) -> list[Motion]:
-    """`RUNS` debates; first opinions `held` are given to the robots in a random order."""
+    """The settings of `RUNS` debates with different seeds.
+
+    `held`: the first opinions, dealt to the robots in a random order; None: the pattern's own.
+    """
     settled = 2.0 * float(str(params.get("window", 5.0)))
     made = []
     for seed in range(FIRST, FIRST + RUNS):
@@ -49,7 +52,7 @@ def motions(
 
 
 def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
-    """All debates of all groups, in as many processes as there are processors."""
+    """The results of the debates of all groups, by group, on all processors."""
     motions = [motion for group in groups.values() for motion in group]
     results = iter(hold_all(motions, os.cpu_count() or 1))
     return {key: [next(results) for _ in group] for key, group in groups.items()}

@@ -1,6 +1,6 @@
-"""Modules, classes and functions in Markdown, from their source: signatures and docstrings.
+"""Signatures and docstrings of modules, classes and functions as Markdown.
 
-Nothing is imported: the text of a file says all that a page shows.
+The source files are parsed, and no module is imported.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _Definition = ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def module(name: str, members: Sequence[str] | None = None) -> Iterator[str]:
-    """A module with its public members, or with `members` alone.
+    """The sections of a module with its public members, or with `members` alone.
 
-    The names in `__all__` of a module stand under the modules that they are imported from.
+    A name that the module imports for its `__all__` is listed under the module that defines it.
     """
     tree = _tree(name)
     origins = _origins(tree)
@@ -39,7 +39,7 @@ def module(name: str, members: Sequence[str] | None = None) -> Iterator[str]:
 
 
 def prose(text: str) -> str:
-    """Text of a docstring in Markdown: indented blocks after `::` are code, the rest is escaped."""
+    """A docstring as Markdown: an indented block after `::` becomes code, other text is escaped."""
     parts = re.split(r"(?m)^(.*)::\n\n((?:[ ]{4}.*\n|\n)+)", inspect.cleandoc(text) + "\n")
     shown = _escaped(parts[0])
     for head, code, rest in zip(parts[1::3], parts[2::3], parts[3::3], strict=True):
@@ -129,7 +129,10 @@ def _defined(node: _Definition, name: str, level: str) -> Iterator[str]:
 
 
 def _class(node: ast.ClassDef) -> str:
-    """The head of a class, and its fields or its constructor; no fields of parameters."""
+    """The head of a class with its public fields and its constructor.
+
+    The fields of a class of pattern parameters (`Params`) are left out.
+    """
     bases = ", ".join(map(ast.unparse, [*node.bases, *node.keywords]))
     lines = [*_decorators(node), f"class {node.name}{f'({bases})' if bases else ''}:"]
     is_params = any(ast.unparse(base).endswith("Params") for base in node.bases)
@@ -146,7 +149,7 @@ def _class(node: ast.ClassDef) -> str:
 
 
 def _function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> str:
-    """The decorators and the signature, a parameter a line where it is long."""
+    """The decorators and the signature; a long signature has a line for each parameter."""
     word = "async def" if isinstance(node, ast.AsyncFunctionDef) else "def"
     returned = f" -> {ast.unparse(node.returns)}" if node.returns else ""
     line = f"{word} {node.name}({ast.unparse(node.args)}){returned}"
@@ -157,7 +160,7 @@ def _function(node: ast.FunctionDef | ast.AsyncFunctionDef) -> str:
 
 
 def _parameters(text: str) -> Iterator[str]:
-    """The parameters of a signature; commas in brackets and texts divide none."""
+    """The parameters of a signature, split at commas outside of brackets and strings."""
     depth, begin, quote = 0, 0, ""
     for index, sign in enumerate(text):
         if quote:
@@ -186,7 +189,7 @@ def _target(node: ast.stmt) -> str:
 
 
 def _text(node: ast.stmt | None) -> str:
-    """The text of a statement that is nothing but a text, as below a field; else empty."""
+    """The string of a bare string statement, such as the docstring of a field; else empty."""
     is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     return str(node.value.value) if is_text else ""
 

@@ -1,4 +1,7 @@
-"""The drivers' messages about example robots, each with its cause and the remedy."""
+"""Tables of the messages of ROS drivers, each with its cause and the remedy.
+
+The drivers' own code makes the messages, for example robots with a fault.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +100,7 @@ def mirrored() -> LaserScan:
 
 
 def no_battery() -> BatteryState:
-    """What a driver publishes whose battery is not there, or not measured yet."""
+    """The message of a driver without a battery, or before its first measurement."""
     return BatteryState(
         header=header(1.0, "base_link"),
         voltage=0.0,
@@ -119,7 +122,7 @@ def no_battery() -> BatteryState:
 
 
 def set_clock() -> str:
-    """The stamps of the one lidar that is there go back twice within 10 s."""
+    """The message about a lidar whose stamps go back twice within 10 s, with one publisher."""
     subscriptions = scans({0.0: 50.0, 0.2: 50.2, 0.4: 49.0, 0.6: 48.0})
     graph = Graph(middleware=Ros2Dds(), endpoints=[Endpoint(True, "/scan", SCAN, node="/lidar")])
     return graph.unreliable(subscriptions.topics["scan"], PLATFORM.scan)
@@ -131,7 +134,7 @@ def silence(
     domain: int | None = None,
     namespace: str = "",
 ) -> str:
-    """Why no scan arrives where these topics are announced."""
+    """The message of a robot without scans, while `published` topics (name, type) are announced."""
     ends = [Endpoint(True, topic, kind, "z", domain, "/lidar") for topic, kind in published]
     options = TopicOptions(namespace=namespace)
     stats = Subscriptions(options, PLATFORM).topics["scan"]
@@ -141,9 +144,10 @@ def silence(
 def subscriber(
     middleware: Middleware, *subscribers: tuple[str, str], is_there: bool = False
 ) -> str:
-    """Why a base gets no command where these nodes subscribe with these types.
+    """The message of a robot whose base gets no commands.
 
-    `is_there`: a node subscribes, announced or not.
+    `subscribers`: (node, type) of the announced subscribers. `is_there`: there is a subscriber,
+    announced or not.
     """
     ends = [Endpoint(False, "/cmd_vel", kind, "z", node=node) for node, kind in subscribers]
     graph = Graph(middleware=middleware, endpoints=ends)
@@ -151,7 +155,7 @@ def subscriber(
 
 
 def action() -> str:
-    """A goal of an action drives."""
+    """The message about an active goal of an action, which drives the base."""
     status, name = f"/dock/{ROS2_ACTIONS.status}", "/motion_control"
     foreign = ForeignCommands(TopicOptions(other_actions=("dock",)), ROS2_ACTIONS)
     goal = SimpleNamespace(status=min(ROS2_ACTIONS.active))
@@ -170,7 +174,7 @@ def ros2() -> Iterator[Row]:
 
 
 def _silent(dds: Ros2Dds, rmw: RmwZenoh) -> Iterator[Row]:
-    """No hub, no topic, or messages that cannot be read."""
+    """Rows for a missing hub, a missing topic, and unreadable messages."""
     yield (
         unreachable(dds, ENDPOINT),
         "the bridge does not run, or listens elsewhere (`-l`)",
@@ -229,7 +233,7 @@ def _silent(dds: Ros2Dds, rmw: RmwZenoh) -> Iterator[Row]:
 
 
 def _commands(dds: Ros2Dds) -> Iterator[Row]:
-    """No base takes the commands, or another node drives it."""
+    """Rows for a base that takes no commands, or that another node drives."""
     yield (
         subscriber(dds, ("/base", f"{TWIST}Stamped"), ("/joy", TWIST)),
         "nodes subscribe to one topic with two types; without `cmd_vel_type` the driver sends the"
@@ -259,7 +263,7 @@ def _commands(dds: Ros2Dds) -> Iterator[Row]:
 
 
 def _scans() -> Iterator[Row]:
-    """Scans that arrive and are of no use."""
+    """Rows for sensor data that arrive but cannot be used."""
     yield (
         check("scan", scans({0.2 * i: 5.0 for i in range(12)})),
         "stamps do not advance",
@@ -317,7 +321,7 @@ def _scans() -> Iterator[Row]:
 
 
 def _nodes(dds: Ros2Dds) -> Iterator[Row]:
-    """Several nodes where one is expected, and what a bridge does not tell."""
+    """Rows for several nodes in place of one, and for nodes that a bridge does not announce."""
     yield (
         conflict(True, "/lidar", "/tb3_02_lidar"),
         "two nodes publish one scan, such as robots in one domain; the robot is held with"
@@ -358,7 +362,7 @@ def _nodes(dds: Ros2Dds) -> Iterator[Row]:
 
 
 def ros1() -> Iterator[Row]:
-    """The rows of ROS 1, but for those that are as in ROS 2."""
+    """The rows of ROS 1 that differ from those of ROS 2."""
     words, kind = Ros1(), "sensor_msgs/LaserScan"
     yield (
         unreachable(words, MASTER, "[Errno 111] Connection refused"),
@@ -407,7 +411,11 @@ def ros1() -> Iterator[Row]:
 
 
 def conflict(is_publisher: bool, *owners: str, since: float = -math.inf, stray: str = "") -> str:
-    """Why a robot is held that has scans, or bases, of these nodes, and a reader without one."""
+    """The message of a robot that is held because several nodes have its topic.
+
+    `is_publisher`: the nodes `owners` publish its scan; else they subscribe to its commands.
+    `stray`: a DDS reader of the commands that belongs to no node. `since`: when the nodes appeared.
+    """
     topic, kind = ("/scan", SCAN) if is_publisher else ("/cmd_vel", TWIST)
     ends = [
         Endpoint(is_publisher, topic, kind, node=owner, process=str(number), since=since)
@@ -422,7 +430,7 @@ def conflict(is_publisher: bool, *owners: str, since: float = -math.inf, stray: 
 
 
 def unrouted(node: str) -> str:
-    """Why no command reaches a base that the bridge lists and does not announce."""
+    """The message about a base that the bridge lists, but whose topic it does not route."""
     ends = [Endpoint(False, "/cmd_vel", TWIST, node=node, is_routed=False)]
     graph = Graph(middleware=Ros2Dds(), endpoints=ends)
     return graph.no_subscriber("/cmd_vel", (Twist,), has_subscriber=False)

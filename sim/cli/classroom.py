@@ -30,16 +30,16 @@ _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What a pupil has handed in, and what was found. `checks`: as of `plugin check`."""
+    """The work of a pupil with the results of its checks."""
 
     pupil: str
-    checks: Sequence[Point] = ()
+    checks: Sequence[Point] = ()  # the points of `plugin check`
     mark: LessonMark | None = None
-    why: str = ""
+    why: str = ""  # the first fault; empty without one
 
     @property
     def is_passed(self) -> bool:
-        """True if nothing is wrong."""
+        """True if the work has a mark and no fault."""
         return self.mark is not None and not self.why
 
     def document(self) -> dict[str, Any]:
@@ -162,7 +162,7 @@ def _handed_in(folder: Path, lesson: Lesson) -> list[Path]:
 
 
 def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeout: float) -> Work:
-    """The work of one pupil; what is wrong with it is never raised."""
+    """Check and mark the work of one pupil; a fault of the work is returned, not raised."""
     from swarmd.sim.experiments.lessons import mark_pattern, mark_results
 
     pupil = path.name if path.is_dir() else path.stem

@@ -205,7 +205,10 @@ def _command(
     repeated: Mapping[str, tuple[str, ...]],
     given: Mapping[str, object],
 ) -> list[str]:
-    """The words of the command line that goes on with an experiment; None: not given."""
+    """The words of the command line that resumes an experiment.
+
+    `repeated`: values of options that may be repeated. `given`: values by option; None: not given.
+    """
     words = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     for option, values in repeated.items():
         words += [word for value in values for word in (option, value)]

@@ -1,8 +1,8 @@
-"""The public suite of benchmark tasks: its files, the patterns that fit, and the table of results.
+"""The public suite of benchmark tasks: task files, patterns that fit a task, and the result table.
 
-A file of `config/benchmark` is a scenario without the pattern that is judged, and a head: what the
-robots shall do, the metric in words, its direction, the seeds, and the patterns that are tried. It
-needs no other file. Every pattern of a task is an experiment in a folder of its own.
+A task file in `config/benchmark` has a scenario without the judged pattern, and a head: what the
+robots shall do, the metric in words with its better direction, the seeds, and the patterns to try.
+A task file needs no other file. Each pattern of a task is an experiment in a folder of its own.
 """
 
 from __future__ import annotations
@@ -44,17 +44,19 @@ if TYPE_CHECKING:
 SUITE = 1
 """The version of the suite: results of different versions do not compare."""
 COLUMNS = ("task", "seed", "value")
-"""The columns of results from elsewhere; a column `name` may name several programs."""
+"""The columns of a CSV file with results of other programs; a column `name` may be added."""
 Bounds = tuple[float | None, float | None]
-_STAND_IN = "drive"  # in place of the pattern that is judged, while a file is checked
+_STAND_IN = "drive"  # in place of the judged pattern, while a task file is checked
 
 
 class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is measured. `formula` says it in words, `name` is what swarmd computes.
+    """The metric of a task.
 
-    - `source`: the publication of the task or the measure.
-    - `better`: which direction is good.
-    - `bounds`: the least and the greatest value that is possible, null where there is no bound.
+    - `name`: the metric that swarmd computes.
+    - `formula`: the metric in words.
+    - `source`: the publication of the task or the metric.
+    - `better`: the better direction.
+    - `bounds`: the least and the greatest possible value; null: no bound.
     """
 
     name: str
@@ -66,7 +68,7 @@ class MetricSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A pattern of swarmd that is tried, with parameters for all groups and `by_group`."""
+    """A pattern to try: `parameters` for all judged groups, `by_group` for single groups."""
 
     pattern: str
     parameters: Values = {}
@@ -78,9 +80,10 @@ class TaskFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     - `suite`: the version of the suite.
     - `task`: what the robots shall do, in words.
-    - `seeds`: their number, from 0 on; a seed decides start poses of layout random, and all noise.
-    - `groups`: those of the scenario whose robots are judged; they have no pattern in the file.
-    - `candidates`: patterns that are tried by default.
+    - `seeds`: the number n of seeds, 0 to n - 1. A seed decides the start poses of layout random,
+      and all noise.
+    - `groups`: the judged groups of the scenario, which have no pattern in the file.
+    - `candidates`: the patterns to try by default.
     - `scenario`: the world and the robots, with the keys of a scenario's file. `duration` is the
       time budget in s. Platforms are complete, with `extends: null`.
     """
@@ -110,7 +113,7 @@ class CompleteTaskFile(TaskFile, frozen=True, kw_only=True, forbid_unknown_field
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A task of the suite by its name; `where` is the file as errors show it."""
+    """A task of the suite; `where` is the file's path as error messages show it."""
 
     name: str
     where: str
@@ -123,9 +126,10 @@ class Task:
         return sum(group.get("count") or len(group["robots"]) for group in groups)
 
     def scenario(self, pattern: str, plugin_dir: Path | None = None) -> Scenario:
-        """The scenario in which the judged groups run `pattern`, with its parameters in the file.
+        """The scenario in which the judged groups run `pattern`.
 
-        ConfigError if the pattern does not fit: it names the need that the robots do not meet.
+        A candidate of the task file has its parameters from the file. ConfigError if the pattern
+        does not fit; the error names the need of the pattern that the robots do not meet.
         """
         declared = next(
             (candidate for candidate in self.file.candidates if candidate.pattern == pattern), None
@@ -147,9 +151,9 @@ def task_names() -> tuple[str, ...]:
 
 
 def load_task(name: str) -> Task:
-    """The task of that name, or of that file if it ends in .yaml.
+    """The task of a name of the suite, or of a task file's path that ends in .yaml.
 
-    ConfigError names file, key and what was expected.
+    ConfigError names the file, the key and the expected value.
     """
     path = user_path(name) if name.endswith(".yaml") else _folder() / f"{name}.yaml"
     if not name.endswith(".yaml") and name not in task_names():
@@ -180,7 +184,7 @@ def load_task(name: str) -> Task:
             )
             raise layers.error(("scenario", "platforms", platform, "extends"), text)
     try:
-        # Whoever runs a task of somebody else would run the code of its author.
+        # A metric of a Python file would run code of the task's author.
         if names_file(file.metric.name):
             raise ConfigError(f"{file.metric.name}: a task names no file; see `exp metrics`")
         metric = metric_of(file.metric.name)
@@ -227,9 +231,10 @@ class Misfit:
 def entries_of(
     tasks: Sequence[Task], patterns: Sequence[str] = (), plugin_dir: Path | None = None
 ) -> tuple[list[TaskEntry], list[Misfit]]:
-    """What to run: `patterns` where they fit, or without any the candidates of each task.
+    """The pairs of task and pattern to run, and the pairs that do not fit.
 
-    A candidate of a file that does not fit is an error of the file: ConfigError.
+    `patterns`: to try in each task; without any, each task tries its own candidates. ConfigError
+    for an unknown pattern, and for a candidate of a task file that does not fit its task.
     """
     for pattern in patterns:
         find_pattern(pattern, plugin_dir)
@@ -258,11 +263,11 @@ def run_entry(
     command: Sequence[str],
     on_progress: OnProgress | None = None,
 ) -> Results:
-    """Run an entry as an experiment in FOLDER/TASK/PATTERN, where missing runs alone are done.
+    """Do the missing runs of an entry as an experiment in FOLDER/TASK/PATTERN.
 
-    `seeds` None: those of the task. `command`: the command line that the manifest keeps.
+    `seeds`: None for the seeds of the task. `command`: the command line for the manifest.
     """
-    # Names of tasks are completed in the shell, which must not wait for the simulator.
+    # Imported here: the completion of task names in the shell must not wait for the simulator.
     from swarmd.sim.experiments.manifest import manifest_of
     from swarmd.sim.experiments.simulate import plan_of, run_experiment
 
@@ -288,10 +293,12 @@ class Cell:
     values: Mapping[int, float]  # by seed; NaN for a run without a value
     summary: statistics.Summary
     rank: int | None = None
-    """From 1 on. None where the interval of the median overlaps the interval of another row (other
-    seeds may change their order), and where either row has no interval."""
+    """The place, if the interval of the median overlaps the interval of no other row.
+
+    None where intervals overlap, since other seeds may change the order, and where either row has
+    no interval."""
     place: float = math.inf
-    """By the medians alone; infinite without a median. Rows of equal median share a place."""
+    """The place by median, from 1 on; inf without a median. Rows of equal median share a place."""
 
 
 Table = dict[str, dict[str, Cell]]
@@ -301,9 +308,9 @@ Table = dict[str, dict[str, Cell]]
 def table_of(
     values: Mapping[tuple[str, str], Mapping[int, float]], better: Mapping[str, Better]
 ) -> Table:
-    """The table of values by (row, task) and seed; `better` by task.
+    """The table of values, which are given by (row, task) and seed; `better` by task.
 
-    Rows in the order of their best place, then of their number of tasks, then of their name.
+    Rows are sorted by their best place, then by their number of tasks, then by name.
     """
     cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
     ranked: Table = {}
@@ -344,7 +351,7 @@ def _summary(values: Mapping[int, float]) -> statistics.Summary:
 
 
 def cell_text(cell: Cell | None) -> str:
-    """Median, its 95 % interval and the rank, if there is one, such as `0.71 (0.6 to 0.8) #2`.
+    """Median, 95 % interval of the median and rank, such as `0.71 (0.6 to 0.8) #2`.
 
     `0.71 (0.6 to 0.8) #2 of 3/20`: only three of twenty runs have a value.
     """

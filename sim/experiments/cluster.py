@@ -1,11 +1,11 @@
 """Runs on the workers of a Dask cluster (dask.org).
 
-Each run goes to one thread of one worker, which does it as on one machine: in a process of its own,
-with the same time-outs. The worker keeps nothing: metrics and trace come back with the result. Runs
-of a worker that ends or falls silent are repeated on other workers.
+Each run goes to one thread of one worker. The thread does the run in a process of its own, with the
+time-outs of a run on one machine. Metrics and trace come back with the result, and the worker keeps
+nothing. The runs of a worker that ends or falls silent are repeated on other workers.
 
-Scheduler and workers need the same software as the client. Each worker tells its own before its
-first run.
+Scheduler and workers need the same software as the client. Before its first run, a worker sends the
+versions and digests of its software.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 MAX_ATTEMPTS = 3
-"""A run whose worker was lost so often has failed: it may be what ends its workers."""
+"""A run has failed if its workers were lost this many times: the run may be the cause."""
 CONNECT_TIMEOUT = 10.0  # s
-_LOOK_PERIOD = 1.0  # s between two looks at the workers
+_LOOK_PERIOD = 1.0  # s between two queries of the scheduler about its workers
 _POLL_PERIOD = 0.25  # s
 _MIN_SILENCE = 5.0  # s; workers report to the scheduler every 0.5 s, of a large cluster every 5 s
 
@@ -54,20 +54,22 @@ Note = Callable[[str], None]
 
 @dataclass(slots=True)
 class _Worker:
-    """A worker of the cluster: `threads` runs at a time, last `seen` by the scheduler.
-
-    `silence`: the time in s since `seen` changed, by this machine's clock. `is_fit`: None until it
-    has told its software.
-    """
+    """A worker of the cluster."""
 
     threads: int
+    """The number of runs at a time."""
     seen: float
+    """When the scheduler last heard the worker, in s by the scheduler's clock."""
     silence: float = 0.0
+    """The time in s since `seen` changed, by this machine's clock."""
     is_fit: bool | None = None
+    """Whether the worker has the software of the manifest; None before its answer."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Attempt:
+    """A job in progress on a worker."""
+
     job: Job
     worker: str
     future: Future[Any]
@@ -77,10 +79,12 @@ class _Attempt:
 def connect(
     address: str, manifest: Manifest, timeout: float, note: Note, at_a_time: int | None = None
 ) -> Iterator[Cluster]:
-    """The cluster at the scheduler's address, once its present workers have told their software.
+    """The cluster at the scheduler's address, after a check of its workers' software.
 
-    ConfigError if there is no scheduler, or a worker's software differs from that of the manifest;
-    SwarmError if no worker answers. `note` receives a line about what happens to workers.
+    `timeout`: in s, of workers and runs. `note` is called with a line when a worker is lost or not
+    used. `at_a_time`: the most runs in progress; None: one for each thread of the workers.
+    ConfigError if there is no scheduler, or if a worker's software differs from the manifest's.
+    SwarmError if no worker answers.
     """
     import dask
 
@@ -101,7 +105,7 @@ def connect(
 
 
 class Cluster:
-    """A Dask cluster that does runs. `manifest` names the processors of its workers."""
+    """A Dask cluster that does runs; `manifest` names the processors of its workers."""
 
     def __init__(
         self,
@@ -131,9 +135,9 @@ class Cluster:
         client.subscribe_topic(self._topic, lambda event: self._shares.update(event[1]))
 
     def await_workers(self) -> None:
-        """Return once a worker is fit and all others have told their software, or are silent.
+        """Wait for the answers of all workers about their software, for `timeout` s at most.
 
-        ConfigError if a worker's software differs.
+        ConfigError if a worker's software differs. SwarmError if no worker answered.
         """
         deadline = time.monotonic() + self._timeout
         while time.monotonic() < deadline:
@@ -148,19 +152,20 @@ class Cluster:
                 f"{len(self._workers)} workers, and none answers" if self._workers else "no worker"
             )
             raise SwarmError(f"the cluster at {self._address} has {text}; start some: dask worker")
-        # This machine runs nothing: the processors are those of the workers.
+        # This machine does no runs, so the manifest names the processors of the workers alone.
         manifest = reduce(joined, self._software)
         self.manifest = structs.replace(self.manifest, made_with=manifest.made_with)
         self._is_open = True
 
     def run_jobs(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
-        """The result of each job as it arrives, and meanwhile their progress.
+        """Yield the result of each job as it arrives, and meanwhile the progress of all runs.
 
-        SwarmError if scheduler or workers are gone. What is in progress ends with the client.
+        SwarmError if the scheduler or all workers are lost. Runs in progress are cancelled when the
+        client closes.
         """
         waiting, attempts = deque(jobs), Counter[str]()
         runs: dict[str, _Attempt] = {}
-        usable = time.monotonic()
+        last_usable = time.monotonic()  # when a worker last had a run, or was free for one
         while waiting or runs:
             self._look()
             now = time.monotonic()
@@ -168,8 +173,9 @@ class Cluster:
                 if not self._is_alive(attempt.worker):
                     yield from self._repeat(runs.pop(key), waiting, attempts)
             free = self._free(runs)
-            usable = now if runs or free else usable
-            if now > usable + self._timeout:
+            if runs or free:
+                last_usable = now
+            if now > last_usable + self._timeout:
                 raise SwarmError(
                     f"the cluster at {self._address} has no worker left; finished runs are"
                     " kept: start workers and give the same command again"
@@ -195,7 +201,7 @@ class Cluster:
     def _repeat(
         self, attempt: _Attempt, waiting: deque[Job], attempts: Counter[str]
     ) -> Iterator[JobResult]:
-        """Put the run of a lost worker in front again; its failure if that happens too often."""
+        """Queue the run of a lost worker first; after MAX_ATTEMPTS losses yield a failure."""
         attempt.future.cancel()
         run = attempt.job.run
         attempts[run] += 1
@@ -208,11 +214,14 @@ class Cluster:
             yield JobResult(run, reason=reason)
 
     def _look(self) -> None:
-        """Update what is known of the workers, once a second; ask new ones for their software."""
+        """Update the workers from the scheduler, once a second; ask new workers for their software.
+
+        SwarmError if the scheduler is lost.
+        """
         now = time.monotonic()
         if now < self._next_look:
             return
-        # Time in which this process or the scheduler stood still is no silence of a worker.
+        # Time in which this process or the scheduler was suspended is no silence of a worker.
         passed = min(now - self._next_look, _LOOK_PERIOD) + _LOOK_PERIOD
         self._next_look = now + _LOOK_PERIOD
         self._check_scheduler()
@@ -231,10 +240,10 @@ class Cluster:
                 worker.silence = worker.silence + passed if is_same else 0.0
 
     def _listed(self) -> dict[str, Any]:
-        """What the scheduler tells of each worker; SwarmError if it is gone or silent."""
+        """The scheduler's description of each worker, by name; SwarmError without an answer."""
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
-        def ask() -> None:  # it may wait for ever, if the scheduler is silent
+        def ask() -> None:  # waits for ever if the scheduler is silent
             try:
                 answers.put(self._client.scheduler_info(n_workers=-1)["workers"])
             except Exception as error:
@@ -242,7 +251,7 @@ class Cluster:
 
         threading.Thread(target=ask, daemon=True).start()
         limit = max(self._timeout, _MIN_SILENCE)
-        # In small waits, so that time in which this process stood still does not count.
+        # Short waits: time in which this process was suspended does not count as silence.
         for _ in range(math.ceil(limit / _POLL_PERIOD)):
             with suppress(queue.Empty):
                 answer = answers.get(timeout=_POLL_PERIOD)
@@ -252,7 +261,7 @@ class Cluster:
         raise self._lost_scheduler(f"has not answered for {limit:g} s")
 
     def _check_scheduler(self) -> None:
-        """SwarmError if the connection to the scheduler is lost, and with it all that runs."""
+        """SwarmError if the connection to the scheduler, and with it each run, is lost."""
         if self._client.status != "running":
             raise self._lost_scheduler()
 
@@ -267,7 +276,7 @@ class Cluster:
         return worker is not None and worker.silence < max(self._timeout, _MIN_SILENCE)
 
     def _free(self, runs: dict[str, _Attempt]) -> list[str]:
-        """Workers that can take a run, once for each free thread; those with least to do first."""
+        """Names of workers, once for each run that a worker can take; the least busy come first."""
         busy = Counter(attempt.worker for attempt in runs.values())
         slots = [
             (number, name)
@@ -279,11 +288,14 @@ class Cluster:
         return [name for _, name in sorted(slots)[:limit]]
 
     def _submit(self, call: Callable[[], object], worker: str) -> tuple[str, Future[Any]]:
-        """Let one worker call something; its key, with which the answer arrives."""
+        """Let one worker call a function; `_receive` later gives the answer with the returned key.
+
+        The answer is what the function returns, or the exception.
+        """
         key = f"swarmd-{uuid.uuid4().hex}"
         future = self._client.submit(call, key=key, workers=[worker], pure=False)
 
-        def fetch() -> None:  # it may wait for ever, if the worker is silent
+        def fetch() -> None:  # waits for ever if the worker is silent
             try:
                 answer: Any = future.result()
             except BaseException as error:
@@ -294,7 +306,10 @@ class Cluster:
         return key, future
 
     def _receive(self) -> tuple[str, Any]:
-        """An answer and its key, empty if none came; answers about software are used here."""
+        """The next answer of a run with its key; an empty key if none came within _POLL_PERIOD.
+
+        An answer about a worker's software sets `is_fit` of the worker, and gives an empty key.
+        """
         try:
             key, answer = self._answers.get(timeout=_POLL_PERIOD)
         except queue.Empty:
@@ -312,7 +327,11 @@ class Cluster:
         return "", None
 
     def _difference(self, answer: Any) -> str | None:
-        """Why a worker with this software, or error instead, cannot be used; None if it can."""
+        """Why a worker cannot be used, after its answer about its software; None if it can be.
+
+        Adds the software of a usable worker to `_software`. `answer`: the result of `_software`, or
+        an exception.
+        """
         if isinstance(answer, BaseException):
             return one_line(f"{type(answer).__name__}: {answer}")
         made, plugins = answer
@@ -328,15 +347,15 @@ class Cluster:
 def _software(
     folders: Sequence[str], metrics: Sequence[str]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """What a worker runs with: versions, and the digests of plugins and custom metrics."""
+    """A worker's software: versions by name, and digests of its plugins and custom metrics."""
     own = digests_of_metrics(map(metric_of, metrics))
     return made_with(), {**digests_of_folders(folders), **own}
 
 
 def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | None]:
-    """Do a job on a worker: its result, and its trace as a file's bytes.
+    """Do a job on a worker: the result, and the bytes of the trace file or None.
 
-    RuntimeError if it was cancelled.
+    RuntimeError if the client has cancelled the job or is gone.
     """
     from distributed import get_worker
 
@@ -360,7 +379,7 @@ def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | N
 
 
 def _kept(job: Job, result: JobResult, trace: bytes | None) -> JobResult:
-    """The result, with its trace written where the job wants it."""
+    """Write a trace to the path of its job; the result, with `write_error` if that fails."""
     if job.trace is None or trace is None:
         return result
     try:

@@ -1,4 +1,4 @@
-"""Which metrics differ between experiments or variants, by how much, and how certain that is."""
+"""Comparison of two experiments or variants: difference, interval and p of each metric."""
 
 from __future__ import annotations
 
@@ -37,35 +37,37 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How one metric differs: `difference` is the mean of `b` less the mean of `a`.
+    """The comparison of one metric between side a and side b.
 
-    `interval` is the 95 % interval of the difference. `is_paired`: the difference is taken seed by
-    seed. `n_a` and `n_b` count the runs that were compared: those with a value, and if `is_paired`
-    only the seeds with a value on both sides. A mean is None if its own side has no such run,
-    `difference` if either has none, `interval` also with fewer than two pairs or runs on a side.
-    `better` is the better side; None if the sides do not differ,
-    or if neither direction is good as such. `p`: that there is no difference; `p_holm`: corrected
-    for all metrics of the comparison.
-
-    `never_a` and `never_b` count the runs in which the event of a time to an event never happened.
-    With such runs the means are those up to `horizon` s, and `p` is that of the log-rank test.
+    A compared run has a value; if `is_paired`, the run of the same seed on the opposite side has a
+    value, too. If the metric is a time to an event that never happened in some runs, the means are
+    restricted to `horizon` s, and `p` is that of the log-rank test.
     """
 
     metric: str
     unit: str
     n_a: int
+    """The number of compared runs of side a."""
     n_b: int
     mean_a: float | None = None
+    """None if side a has no compared run."""
     mean_b: float | None = None
     difference: float | None = None
+    """`mean_b` - `mean_a`; None if either mean is None."""
     interval: Interval | None = None
+    """The 95 % interval of the difference; None with fewer than two pairs, or runs on a side."""
     is_paired: bool = False
+    """Runs of the same seed are pairs."""
     better: Literal["a", "b"] | None = None
+    """The better side; None if the interval holds 0, or if the metric has no better direction."""
     never_a: int = 0
+    """The number of runs of side a in which the event of a time to an event never happened."""
     never_b: int = 0
     horizon: float | None = None
     p: float | None = None
+    """Of the null hypothesis that the sides do not differ; None with too few runs."""
     p_holm: float | None = None
+    """`p` with Holm's correction for all metrics of the comparison."""
 
     @property
     def differs(self) -> bool:
@@ -74,16 +76,17 @@ class Difference:
 
     @property
     def conclusion(self) -> str:
-        """The result of the comparison in a few words."""
+        """The result of the comparison in a few words; "-" if a side has no compared run."""
         if self.difference is None:
             return "-"
-        text = "differs" if self.better is None else f"{self.better.upper()} is better"
         if self.interval is None:
             text = "too few runs"
         elif not self.differs:
             text = "no difference shown"
-        elif not self.holds:
-            text += ", not after Holm"
+        else:
+            text = "differs" if self.better is None else f"{self.better.upper()} is better"
+            if not self.holds:
+                text += ", not after Holm"
         if self.horizon is None:
             return text
         never = f"never: {self.never_a} of {self.n_a}, {self.never_b} of {self.n_b}"
@@ -91,15 +94,15 @@ class Difference:
 
     @property
     def holds(self) -> bool:
-        """Whether the metric differs after Holm's correction, too."""
+        """Whether the metric still differs after Holm's correction."""
         return self.differs and self.p_holm is not None and self.p_holm <= 1.0 - LEVEL
 
 
 def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]]:
-    """The pairs of variants that `A` and `B` name: FOLDER, or FOLDER:VARIANT of a sweep.
+    """The pairs of variants to compare. `a` and `b`: FOLDER, or FOLDER:VARIANT of a sweep.
 
-    Two folders with the same variants are compared variant by variant. ConfigError if the names
-    are ambiguous. `is_trusted`: as of `load_results`.
+    Two folders with the same variants give a pair for each variant. ConfigError if the folders have
+    different variants, or only one of them has several. `is_trusted`: as of `load_results`.
     """
     left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
     if len(left) == 1 or len(right) == 1:
@@ -131,11 +134,11 @@ def sides_of(text: str, *, is_trusted: bool = False) -> list[Side]:
 
 
 def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> list[Difference]:
-    """The difference of each metric that both sides have; ConfigError for an unknown name.
+    """The difference of each of the metrics `names`, by default of those that both sides have.
 
-    With the same planned seeds on both sides, each run is compared with the run of the same seed,
-    which removes the common effect of the seed; a failed run drops its counterpart too. Otherwise
-    the sides are resampled independently.
+    If both sides have the same planned seeds, runs of the same seed are pairs, which removes the
+    common effect of the seed. A pair with a failed run is left out. With different seeds the sides
+    are independent samples. ConfigError for an unknown name.
     """
     both = [name for name in a.results.metrics if name in b.results.metrics]
     differences = [
@@ -145,7 +148,7 @@ def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> li
 
 
 def corrected(differences: Sequence[Difference]) -> list[Difference]:
-    """The differences with Holm's correction for all of them."""
+    """The differences with `p_holm` set: Holm's correction for all of them together."""
     values = holm([difference.p for difference in differences])
     return [
         replace(difference, p_holm=p) for difference, p in zip(differences, values, strict=True)
@@ -171,7 +174,7 @@ def difference_row(difference: Difference) -> tuple[str, ...]:
 
 
 def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:
-    """A comparison as plain values."""
+    """A comparison as dicts, lists, texts and numbers, for JSON."""
     return {
         "a": a.label,
         "b": b.label,
@@ -190,37 +193,40 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 
 def _difference(a: Side, b: Side, metric: Metric) -> Difference:
-    name, unit = metric.name, metric.unit
-    left, right = a.results.metric(metric, a.variant), b.results.metric(metric, b.variant)
-    never_a, never_b = int(np.isnan(left).sum()), int(np.isnan(right).sum())
+    """The difference of one metric, without Holm's correction."""
+    values_a = a.results.metric(metric, a.variant)
+    values_b = b.results.metric(metric, b.variant)
+    never_a, never_b = int(np.isnan(values_a).sum()), int(np.isnan(values_b).sum())
     horizon, p = None, None
     if metric.is_time_to_event and (never_a or never_b):
         end_a, end_b = _duration(a), _duration(b)
         horizon = min(end_a, end_b)
-        p = logrank_p(left, right, end_a, end_b)
-        left, right = restricted(left, horizon), restricted(right, horizon)
+        p = logrank_p(values_a, values_b, end_a, end_b)
+        values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
         _, places_a, places_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
-        left, right = left[places_a], right[places_b]
-        both = ~(np.isnan(left) | np.isnan(right))
-        left, right = left[both], right[both]
-        bounds = mean_interval(right - left)
+        values_a, values_b = values_a[places_a], values_b[places_b]
+        have_values = ~(np.isnan(values_a) | np.isnan(values_b))
+        values_a, values_b = values_a[have_values], values_b[have_values]
+        bounds = mean_interval(values_b - values_a)
     else:
-        left, right = left[~np.isnan(left)], right[~np.isnan(right)]
-        bounds = difference_interval(left, right)
+        values_a, values_b = values_a[~np.isnan(values_a)], values_b[~np.isnan(values_b)]
+        bounds = difference_interval(values_a, values_b)
     better: Literal["a", "b"] | None = None
     if bounds is not None and metric.better is not None and 0.0 not in bounds:
-        better = "b" if (bounds.low > 0.0) == (metric.better == "more") else "a"
+        is_b_greater = bounds.low > 0.0
+        better = "b" if is_b_greater == (metric.better == "more") else "a"
     if horizon is None:
-        p = difference_p(left, right, is_paired=is_paired)
-    mean_a, mean_b = (float(some.mean()) if some.size else None for some in (left, right))
+        p = difference_p(values_a, values_b, is_paired=is_paired)
+    mean_a = float(values_a.mean()) if values_a.size else None
+    mean_b = float(values_b.mean()) if values_b.size else None
     return Difference(
-        metric=name,
-        unit=unit,
-        n_a=left.size,
-        n_b=right.size,
+        metric=metric.name,
+        unit=metric.unit,
+        n_a=values_a.size,
+        n_b=values_b.size,
         mean_a=mean_a,
         mean_b=mean_b,
         difference=None if mean_a is None or mean_b is None else mean_b - mean_a,

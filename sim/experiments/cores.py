@@ -1,4 +1,4 @@
-"""How many processes this machine lets a program use."""
+"""The number of processor cores that a program may use on this machine."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 
 MAX_PROCESSES = 256
 LARGE_RUN = 100
-"""Robots from which a run is shared among cores that no other run uses."""
+"""From this number of robots on, several cores share a run if other runs leave cores free."""
 
 
 def usable_cores(root: Path = Path("/")) -> int:
-    """The cores that this process may use, at least 1.
+    """The number of cores that this process may use, 1 to MAX_PROCESSES.
 
-    Those of its affinity mask, or fewer where a control group has a quota (cgroup v1 and v2); a
-    fraction of a core counts as one. `root` is the root of /proc and /sys.
+    The cores of its affinity mask, limited by the quotas of its control groups (cgroup v1 and v2).
+    A quota is rounded up to whole cores. `root`: the folder that holds /proc and /sys.
     """
     quotas = [_quota(folder) for folder in _groups(root)]
     limits = [math.ceil(quota) for quota in quotas if quota < math.inf]
@@ -26,9 +26,10 @@ def usable_cores(root: Path = Path("/")) -> int:
 
 
 def cores_of_a_run(cores: int, runs: int, robots: int) -> int:
-    """The cores that share each of `runs` runs of `robots` robots, at least 1.
+    """The number of cores that share each of `runs` runs of `robots` robots, at least 1.
 
-    Each run has a core first: that takes less than to share one.
+    Cores are first given to different runs, since a run on one core costs less processor time than
+    a shared run.
     """
     return max(1, cores // max(runs, 1)) if robots >= LARGE_RUN else 1
 

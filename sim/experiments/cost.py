@@ -1,4 +1,4 @@
-"""What a run costs on this machine, from runs recorded here or from a short calibration."""
+"""The wall time of runs on this machine, from recorded runs or from a short calibration."""
 
 from __future__ import annotations
 
@@ -22,14 +22,11 @@ _NEWEST = 20  # folders that are read
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Seconds per robot-second, `of` scenarios by name and otherwise `usual`.
+    """Wall time in s of one robot-second, one simulated second of one robot."""
 
-    `basis`: what was measured, in words.
-    """
-
-    usual: float
-    of: dict[str, float]
-    basis: str
+    usual: float  # of scenarios that are not in `of`
+    of: dict[str, float]  # by name of the scenario
+    basis: str  # what was measured, in words
 
     def run_seconds(self, scenario: str, robots: int, duration: float) -> float:
         """The expected wall time in s of one run."""
@@ -37,12 +34,10 @@ class Cost:
 
 
 def measured_cost(folder: Path) -> Cost:
-    """The cost by the newest experiments in `folder` that this software made.
+    """The cost of the newest experiments in `folder`; without any, a short simulation measures it.
 
-    If there are none, a short simulation measures it now.
-
-    Experiments that were made with other software, on another processor, with `--cores` or on a
-    cluster are left out.
+    Left out are experiments made with other software, on another processor, with `--cores` or on a
+    cluster.
     """
     software = made_with()
     costs_of: dict[str, list[float]] = {}

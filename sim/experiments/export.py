@@ -1,4 +1,4 @@
-"""An experiment for other programs: tables as CSV or Parquet, and runs as MCAP."""
+"""Export of an experiment for other programs: tables as CSV or Parquet, runs as MCAP."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Form: TypeAlias = Literal["csv", "parquet", "mcap"]
 
 
 def export(results: Results, form: Form, out: Path, *, traces: bool = True) -> Iterator[Path]:
-    """Write the finished runs of an experiment into `out`; each file as it is written.
+    """Write the finished runs of an experiment into `out`; yield the path of each file.
 
     CSV and Parquet: `results` with a row for each run, and `traces/RUN` with a row for each instant
-    and robot. MCAP: `RUN.mcap`. Without `traces` only the results. A file appears whole or not at
-    all. SwarmError if a trace is missing, or a file cannot be written.
+    and robot. MCAP: `RUN.mcap` for each run. Without `traces` only `results` is written. Files are
+    written atomically. SwarmError if a trace is missing, or a file cannot be written.
     """
     if form != "mcap":
         yield _written(out / f"results.{form}", partial(_save, results.frame(), form))
@@ -70,11 +70,14 @@ def _written(path: Path, write: Callable[[Path], None]) -> Path:
 
 
 def write_mcap(trace: Trace, path: Path) -> None:
-    """Write a run as MCAP with the ROS 2 messages of a robot's recording.
+    """Write a run as MCAP with the ROS 2 messages of a robot's recording; time begins at 0.
 
-    Topics of each robot: `ground_truth` (Odometry: true pose and speed in the frame odom, which is
-    that of the arena), `command/safe` and `command/requested`, `report` (numbers by name) and
-    `status` (JSON: state, reason and reported texts, where they change). Time begins at 0.
+    Topics of each robot:
+
+    - `ground_truth`: Odometry with the true pose and speed in the frame odom, here the arena's;
+    - `command/safe` and `command/requested`;
+    - `report` and `readings`: numbers by name;
+    - `status`: JSON of state, reason and reported texts, when one of them changes.
     """
     from mcap.writer import CompressionType, Writer
 
@@ -92,7 +95,7 @@ def write_mcap(trace: Trace, path: Path) -> None:
 
 
 def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
-    """Time in ns, topic and message, in the order of time; a robot without a pose has none."""
+    """Time in ns, topic and message, in the order of time; none at instants without a pose."""
     from swarmd.recording import messages
 
     speeds = _speeds(trace)

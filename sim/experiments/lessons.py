@@ -1,7 +1,8 @@
-"""The lessons of the tutorial, and how the work of a pupil meets their targets.
+"""The lessons of the tutorial, and the check of a pupil's work against their targets.
 
-A lesson with a pattern is simulated: in processes that may read nothing of the user but the pupil's
-folder, write nothing, and grow by 1 GB. Of the other lessons a pupil hands in the results.
+In a lesson with a pattern, a pupil hands in a pattern, which is simulated. The processes of the
+simulation may read none of the user's files but the pupil's folder, write nothing, and grow by
+1 GB. In the other lessons a pupil hands in a folder of results.
 """
 
 from __future__ import annotations
@@ -38,18 +39,14 @@ _STAND_IN = "drive"  # in place of the pupil's pattern, while this process check
 
 
 class Lesson(Struct, frozen=True, forbid_unknown_fields=True):
-    """What a lesson wants: requirements by `FOLDER[:VARIANT]`, a folder of results.
-
-    With a `pattern`, the name of the file that a pupil hands in, `scenario` is run by it for the
-    seeds below `seeds` and each combination of `sweep`.
-    """
+    """A lesson of the tutorial. A lesson with a `pattern` is run in its `scenario`."""
 
     title: str
-    targets: dict[str, list[str]]
-    pattern: str = ""
-    seeds: int = 1
-    sweep: dict[str, list[Any]] = {}
-    scenario: dict[str, Any] = {}
+    targets: dict[str, list[str]]  # requirements by `FOLDER[:VARIANT]`, a folder of results
+    pattern: str = ""  # the name of the pattern and of the file that a pupil hands in
+    seeds: int = 1  # the number of seeds, from 0 on
+    sweep: dict[str, list[Any]] = {}  # each combination of these values is run
+    scenario: dict[str, Any] = {}  # without a pattern
 
 
 class _LessonsFile(Struct, frozen=True, forbid_unknown_fields=True):
@@ -58,13 +55,12 @@ class _LessonsFile(Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class LessonMark:
-    """How the work of a pupil meets the targets: a finding for each, as far as there are results.
-
-    `why`: the first thing that is wrong, in one line; empty if nothing is.
-    """
+    """The check of a pupil's work."""
 
     findings: Sequence[RequirementFinding] = ()
+    """A finding for each target that has results."""
     why: str = ""
+    """The first fault in one line; empty if the work meets all targets."""
 
 
 def load_lessons() -> Mapping[str, Lesson]:
@@ -100,9 +96,9 @@ def mark_results(lesson: Lesson, folder: Path) -> LessonMark:
 def mark_pattern(
     lesson: Lesson, plan: Plan, folder: Path, *, processes: int, timeout: float
 ) -> LessonMark:
-    """The mark of the pattern that a pupil's folder holds, by runs of at most `timeout` s in all.
+    """The mark of the pattern in a pupil's folder, from runs of at most `timeout` s in total.
 
-    `plan` is that of `plan_of_lesson`.
+    `plan`: of `plan_of_lesson`. Ends at the first failed run.
     """
     by_id = {run.id: run for run in plan.runs}
     jobs = []
@@ -130,7 +126,7 @@ def mark_pattern(
 
 
 def _bounded(jobs: Sequence[Job], processes: int, timeout: float) -> Iterator[JobResult]:
-    """The results that come within the time; after the first failure no further ones."""
+    """The results that arrive within `timeout` s; the caller may close the iterator early."""
     deadline = time.monotonic() + timeout
     with closing(run_jobs(jobs, processes, min(STEP_TIMEOUT, timeout / 2.0))) as results:
         for result in results:

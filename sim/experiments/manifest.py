@@ -20,7 +20,7 @@ from swarmd.sim.metrics.metric import Better, Metric
 NAME = "manifest.json"
 FORMAT = 1
 PROCESSOR = ("machine", "simd", "blas")
-"""What of `made_with` depends on the processor. It changes last bits at most."""
+"""The keys of `made_with` that depend on the processor, which changes last bits at most."""
 
 
 class _Format(msgspec.Struct):
@@ -28,9 +28,9 @@ class _Format(msgspec.Struct):
 
 
 class OwnMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A metric that an experiment measures besides the catalog's; the fields are those of Metric.
+    """A metric beyond the catalog that an experiment measures; the fields are those of Metric.
 
-    `unit` and `better` are those of the run, also where the code is not there any more.
+    The manifest keeps the fields for the case that the metric's code is missing later.
     """
 
     name: str
@@ -53,15 +53,15 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     traces: bool  # whether traces are kept
     made_with: dict[str, str]  # versions, and the digest of the code
     git: dict[str, GitState | None]  # checkouts of swarmd and of the scenario's folder, or None
-    plugins: dict[str, str]  # digests of one-file patterns, and of custom metrics by origin
+    plugins: dict[str, str]  # digests of patterns by path, and of custom metrics by origin
     variants: list[Variant]  # with the complete scenarios
     shard: Shard | None = None  # the part of the runs that the folder holds, None for all
-    metrics: list[OwnMetric] = []  # those measured besides the catalog's
+    metrics: list[OwnMetric] = []  # beyond the catalog
     shown: list[str] = []  # names of the metrics that the user asked for
 
     @property
     def plan(self) -> Plan:
-        """The runs, from the manifest alone and not from a scenario file."""
+        """The plan of the runs, made from the manifest alone without the scenario's file."""
         return Plan(
             scenario=self.scenario,
             seeds=check_seeds(self.seeds),
@@ -80,9 +80,9 @@ def manifest_of(
     metrics: Iterable[Metric] = (),
     shown: Iterable[str] = (),
 ) -> Manifest:
-    """The manifest of a plan, with the present software; `metrics` are those beyond the catalog.
+    """The manifest of a plan with the present software; `metrics`: those beyond the catalog.
 
-    ConfigError if two of them have one name, or a path is not UTF-8.
+    ConfigError if two metrics have the same name, or a path is not UTF-8.
     """
     own = list(metrics)
     measured = [msgspec.convert(metric, OwnMetric, from_attributes=True) for metric in own]
@@ -126,9 +126,9 @@ def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values as JSON gives them back, so that runs and manifest agree.
+    """The values after a round trip through JSON, so that runs and manifest have equal values.
 
-    SwarmError for values that JSON cannot hold, such as infinite ones.
+    SwarmError for a value that JSON cannot hold, such as infinity.
     """
     try:
         text = json.dumps(values, allow_nan=False)
@@ -139,7 +139,7 @@ def plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of an experiment's folder; ConfigError in one line without one."""
+    """The manifest of an experiment's folder; ConfigError if it is missing or damaged."""
     path = folder / NAME
     try:
         data = path.read_bytes()
@@ -202,13 +202,13 @@ def plugin_folders(plan: Plan) -> list[str]:
 
 
 def joined(a: Manifest, b: Manifest) -> Manifest:
-    """`a`, with the processors of both."""
+    """The manifest `a`, with the processors of both manifests."""
     both = {name: " or ".join(sorted({*_either(a, name), *_either(b, name)})) for name in PROCESSOR}
     return msgspec.structs.replace(a, made_with={**a.made_with, **both})
 
 
 def software_conflict(a: Manifest, b: Manifest) -> str | None:
-    """The first difference of software, the processor left out; None if all is equal."""
+    """The first difference of software, processors left out; None if there is no difference."""
     return next(software_differences(joined(a, b), joined(b, a)), None)
 
 
@@ -217,12 +217,12 @@ def _either(manifest: Manifest, name: str) -> list[str]:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write a JSON file; it appears whole or not at all."""
+    """Write a JSON file atomically."""
     write_whole(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file; it appears whole or not at all, and a failure leaves nothing."""
+    """Write a text file atomically; a failure leaves no partial file."""
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
 

@@ -30,12 +30,14 @@ _NAMED = 10  # runs that a message lists
 def merge(
     folders: Sequence[Path], out: Path, *, is_trusted: bool = False
 ) -> tuple[Results, list[str]]:
-    """Join parts in the folder `out`: its results, and a line for each part that lacks runs.
+    """Join the parts `folders` of an experiment in the folder `out`.
 
-    The folder equals that of a single machine, except for the durations of runs. Parts may
-    overlap, and `out` may hold parts already. ConfigError, with nothing changed, if they are not of
-    one experiment and software, if they have different results of a run, or lack a trace.
-    Processors may differ: the manifest then names them all. `is_trusted`: as of `load_results`.
+    Returns the results, and a line for each part that lacks runs. Except for the durations of runs,
+    `out` equals the folder of an experiment on one machine. Parts may have common runs, and `out`
+    may hold parts from an earlier call. ConfigError, with nothing changed, if the parts are of
+    different experiments or software, have different results of one run, or lack a trace. Parts
+    from different processors are joined, and the manifest names all processors. `is_trusted`: as of
+    `load_results`.
     """
     if out.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigError(f"--out {out} is one of the parts; name another folder")
@@ -83,7 +85,7 @@ def _whole(parts: dict[Path, Manifest], out: Path) -> Manifest:
 
 
 def _command(command: Sequence[str], out: Path) -> list[str]:
-    """The command without its part, for the joined folder."""
+    """The command line without `--shard`, and with `out` as its `--out`."""
     kept = [
         word
         for before, word in pairwise(["", *command])
@@ -93,7 +95,7 @@ def _command(command: Sequence[str], out: Path) -> list[str]:
 
 
 def _check_same(known: Row, place: Path, row: Row, folder: Path, *, has_traces: bool) -> None:
-    """ConfigError if two parts differ in a run (but for its duration), or a trace is missing."""
+    """ConfigError if two parts differ in metrics or trace of a run, or the trace is missing."""
     try:
         is_same = known.metrics == row.metrics
         if has_traces:
@@ -111,7 +113,7 @@ def _check_same(known: Row, place: Path, row: Row, folder: Path, *, has_traces: 
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a trace, which appears whole or not at all; SwarmError if it cannot be written."""
+    """Copy a trace atomically; SwarmError if the copy cannot be written."""
     try:
         with whole_file(target) as partial:
             shutil.copyfile(source, partial)
@@ -122,23 +124,28 @@ def _copy(source: Path, target: Path) -> None:
 
 def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
     """A line for each part that lacks runs, and one for runs that are in no part."""
-    left = {run.id for run in missing}
-    lines, planned = [], set[str]()
+    missing_ids = {run.id for run in missing}
+    lines: list[str] = []
+    planned: set[str] = set()
     for folder, part in parts.items():
-        own = [run.id for run in part.plan.runs]
-        lost = [run for run in own if run in left]
-        planned |= set(own)
+        runs = [run.id for run in part.plan.runs]
+        lost = [run for run in runs if run in missing_ids]
+        planned |= set(runs)
         if lost:
-            what = f"{folder} (part {part.shard})" if part.shard else str(folder)
-            lines.append(f"{what}: {len(lost)} of {len(own)} runs: {_listed(lost)}")
+            name = f"{folder} (part {part.shard})" if part.shard else str(folder)
+            lines.append(f"{name}: {len(lost)} of {len(runs)} runs: {_listed(lost)}")
     nowhere = [run.id for run in missing if run.id not in planned]
     if nowhere:
+        # The absent parts have numbers only if all parts divide the experiment equally.
         counts = {part.shard.of if part.shard else 1 for part in parts.values()}
-        every = replace(next(iter(parts.values())).plan, shard=None).runs
-        divided = [(of, parts_of(every, of)) for of in counts]
-        absent = [f"{k}/{of}" for of, by in divided for k in sorted({by[run] for run in nowhere})]
-        what = f"part {_listed(absent)}, " if len(counts) == 1 else ""
-        lines.append(f"{what}in no folder: {_listed(nowhere)}")
+        absent = ""
+        if len(counts) == 1:
+            (count,) = counts
+            all_runs = replace(next(iter(parts.values())).plan, shard=None).runs
+            part_by_run = parts_of(all_runs, count)
+            numbers = sorted({part_by_run[run] for run in nowhere})
+            absent = f"part {_listed([f'{number}/{count}' for number in numbers])}, "
+        lines.append(f"{absent}in no folder: {_listed(nowhere)}")
     return lines
 
 

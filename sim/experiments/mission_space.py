@@ -1,13 +1,15 @@
-"""Missions as candidates of a tuning: which patterns run, and what leads from one to the next.
+"""Missions as candidates of a tuning: the search space of their patterns, conditions and numbers.
 
 Source: AutoMoDe (G. Francesca et al., "AutoMoDe: A novel approach to the automatic design of
 control software for robot swarms", Swarm Intelligence 8, 2014; Chocolate: 9, 2015) searches
 probabilistic finite state machines of given modules and conditions, with a bounded number of
-states. Here modules are patterns with their defaults, and the controller is a mission: a sequence
-with transitions, which is such a machine, a sequence that repeats, or a switch, as in Maple (J.
-Kuckling et al., "Behavior trees as a control architecture in the automatic modular design of robot
-swarms", ANTS 2018). A mission's file as the genotype has its modules and conditions already: the
-search is of its numbers.
+states. Here a module is a pattern with default parameters, and a controller is a mission of one of
+three kinds: a sequence with transitions, which is a probabilistic finite state machine; a sequence
+that repeats; or a switch, as in Maple (J. Kuckling et al., "Behavior trees as a control
+architecture in the automatic modular design of robot swarms", ANTS 2018).
+
+`MissionSpace` searches structure and numbers. `MissionFileSpace` searches the numbers of a given
+mission alone.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial
 
 MAX_STATES, MAX_TRANSITIONS = 4, 2
-"""States of a mission, and transitions of a state."""
+"""The most states of a mission, and the most transitions of a state."""
 PROBABILITY = "probability"
 NEIGHBORS = "neighbors"
 READING = "reading:"
@@ -52,17 +54,19 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "nearer": (0.3, 1.5),
     PROBABILITY: (0.01, 1.0),
 }
-"""Bounds of conditions that every robot can evaluate, in s and m, and of a probability a second."""
-_LOG = ("timeout", PROBABILITY)
+"""Bounds of conditions that every robot can evaluate: `timeout` in s, `nearer` in m, and the
+probability per second."""
+_LOG = ("timeout", PROBABILITY)  # bounds that are searched by their logarithm
 SUFFIX = ".yaml"
 _SPAN = "{:g}..{:g}".format(*RANGES[PROBABILITY])
 _HEAD = "mission: Found by a tuning; runs {parts}\n"
 
 
 class Missions(ABC):
-    """Candidates that are missions, in files of `folder`, each in a folder of its own."""
+    """A search space of missions; each candidate is a file in a folder of its own in `folder`."""
 
     groups: tuple[str, ...]
+    """The groups of the scenario whose robots run the mission."""
     folder: Path
 
     @abstractmethod
@@ -70,7 +74,10 @@ class Missions(ABC):
         """The file of the mission with these values."""
 
     def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Robots run the mission; its file is written, with a name that follows from it."""
+        """The overrides by which the groups run the mission; writes the mission's file.
+
+        The file's name is a digest of its text.
+        """
         text = self.mission(values)
         name = f"m_{hashlib.sha256(text.encode()).hexdigest()[:10]}"
         place = (self.folder / name).absolute()
@@ -92,14 +99,18 @@ class MissionSpace(Missions):
         ranges: Mapping[str, tuple[float, float]],
         folder: Path,
     ) -> None:
-        """`ranges`: bounds by condition: timeout, nearer, probability, neighbors, reading:NAME."""
+        """`modules`: names of patterns. `ranges`: bounds by condition, with names as in `words`.
+
+        Conditions: timeout, nearer, probability, neighbors, reading:NAME.
+        """
         self.groups = tuple(groups)
         self.modules = tuple(modules)
         self.ranges = dict(ranges)
         self.folder = folder
-        self.conditions = [
-            name for key in self.ranges for name in ([key] if key in _LOG else [key, f"not {key}"])
-        ]
+        self.conditions: list[str] = []
+        for key in self.ranges:
+            self.conditions += [key] if key in _LOG else [key, f"not {key}"]
+        # The conditions of a switch, which is evaluated anew at each step: no random event.
         self.lasting = [name for name in self.conditions if name != PROBABILITY]
 
     @property
@@ -110,13 +121,13 @@ class MissionSpace(Missions):
 
     @property
     def present(self) -> dict[str, Any] | None:
-        """None: the scenario's own pattern is no such mission."""
+        """None: the scenario's own pattern is no mission of this space."""
         return None
 
     def draw(self, trial: Trial) -> dict[str, Any]:
-        """The values of a trial: kind, and part, conditions and bounds of each state.
+        """The values of a trial: the kind of mission, and part, conditions and bounds by state.
 
-        Those of states that no transition leads to are left out.
+        The values of states that no chain of transitions reaches are left out.
         """
         states = trial.suggest_int("states", 1, MAX_STATES)
         values: dict[str, Any] = {"kind": "part"}
@@ -138,7 +149,7 @@ class MissionSpace(Missions):
         return {key: value for key, value in values.items() if _state(key) in (0, *reached)}
 
     def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
-        """None: there are no values of the scenario as it is."""
+        """None: the unchanged scenario has no values in this space."""
         return None
 
     def mission(self, values: Mapping[str, Any]) -> str:
@@ -167,10 +178,15 @@ class MissionSpace(Missions):
         return _HEAD.format(parts=", ".join(dict.fromkeys(used))) + _yaml(body)
 
     def _draw_transitions(self, trial: Trial, n: int, states: int, values: dict[str, Any]) -> None:
-        """Up to MAX_TRANSITIONS of state n, each to another state."""
+        """Draw up to MAX_TRANSITIONS transitions of state n, to different other states.
+
+        Adds to `values`, for transition k: `target_n_k`, `condition_n_k`, `bound_n_k`, and unless
+        the condition is a timeout or a probability, the probability per second `chance_n_k`.
+        """
         for k in range(1, min(MAX_TRANSITIONS, states - 1) + 1):
             place = f"{n}_{k}"
-            # The first transition leads to another state; a later one may be left out: 0 steps.
+            # A target is drawn as a number of states after n, in a circle. 0 steps: no transition,
+            # which the first transition of a state may not be.
             least = 1 if k == 1 else 0
             steps = trial.suggest_int(f"target_{place}_of_{states}", least, states - 1)
             target = (n - 1 + steps) % states + 1
@@ -185,12 +201,14 @@ class MissionSpace(Missions):
     def _draw_condition(
         self, trial: Trial, place: str, names: Sequence[str], values: dict[str, Any]
     ) -> None:
+        """Add `condition_PLACE`, one of `names`, and `bound_PLACE` to `values`."""
         kind = "condition" if names is self.conditions else "when"
         name = values[f"condition_{place}"] = trial.suggest_categorical(f"{kind}_{place}", names)
         key = name.removeprefix("not ")
         values[f"bound_{place}"] = self._bound(trial, key, f"{key}_{place}")
 
     def _bound(self, trial: Trial, key: str, name: str) -> float:
+        """Draw the bound of a condition `key` to three significant digits; `name` of optuna."""
         low, high = self.ranges[key]
         if key == NEIGHBORS:
             return trial.suggest_int(name, round(low), round(high))
@@ -199,7 +217,7 @@ class MissionSpace(Missions):
 
 
 class MissionFileSpace(Missions, ParameterSpace):
-    """One mission with other numbers: `parameters` are dotted keys of its file."""
+    """One mission with numbers to search: `parameters` are dotted keys of the mission's file."""
 
     def __init__(
         self,
@@ -211,7 +229,7 @@ class MissionFileSpace(Missions, ParameterSpace):
         *,
         is_present: bool,
     ) -> None:
-        """`data`: contents of the file; `is_present`: robots of the scenario run this very file."""
+        """`data`: contents of the file at `path`. `is_present`: the scenario runs this file."""
         super().__init__(parameters)
         self.groups, self.folder = tuple(groups), folder
         self._path = path
@@ -226,7 +244,7 @@ class MissionFileSpace(Missions, ParameterSpace):
 
     @property
     def present(self) -> dict[str, Any] | None:
-        """The values of the file if robots of the scenario run it; None if one is out of range."""
+        """The file's values; None if the scenario does not run the file, or one is out of range."""
         return super().present if self._is_present else None
 
     def mission(self, values: Mapping[str, Any]) -> str:
@@ -238,17 +256,18 @@ class MissionFileSpace(Missions, ParameterSpace):
 def mission_file_space(
     scenario: Scenario, path: Path, words: Iterable[str], folder: Path
 ) -> MissionFileSpace:
-    """The mission of a file with other values of its dotted keys.
+    """The search space of numbers in a mission's file.
 
-    `words`: as `sequence.0.until.probability=0.01..1`; without any, all probabilities of the file
-    are searched. ConfigError if the file or a word is wrong, or the scenario cannot run missions.
+    `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; without words
+    all probabilities of the file are searched. ConfigError if the file or a word is wrong, or if
+    the scenario cannot run missions.
     """
     data = read(path)
     installed = pattern_names(None)
     find = PatternLoader(
         {name: (origin.value, origin.is_file) for name, origin in installed.items()}
     )
-    mission_class(path, find)  # a fault is raised here, not by each candidate
+    mission_class(path, find)  # raises ConfigError for a fault of the file
     name = path.stem
     for pattern in patterns_of(scenario):
         if scenario.plugin_dir is not None and pattern not in (name, *installed):
@@ -307,10 +326,11 @@ def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
 def mission_space(
     scenario: Scenario, modules: Iterable[str], words: Iterable[str], folder: Path
 ) -> MissionSpace:
-    """Missions of these patterns for the robots that begin with a pattern.
+    """The search space of missions of the patterns `modules`.
 
-    `words` are bounds of conditions: `timeout=5..60`, `nearer=0.3..1`, `reading:light=0..100`.
-    ConfigError if a pattern is unknown, or the scenario cannot run missions in their place.
+    The missions replace the pattern of each group that begins with a pattern. `words`: bounds of
+    conditions, such as `timeout=5..60`, `nearer=0.3..1`, `reading:light=0..100`. ConfigError if a
+    pattern or a condition is unknown, or if the scenario cannot run missions.
     """
     modules = tuple(dict.fromkeys(name.strip() for name in modules if name.strip()))
     known = pattern_names(None)
@@ -348,7 +368,7 @@ def mission_space(
 
 
 def _groups(scenario: Scenario, pattern: str = "") -> tuple[str, ...]:
-    """The groups that begin with a pattern, or with this one."""
+    """The groups that begin with `pattern`; with an empty name, those that begin with any."""
     sections = scenario.effective["groups"].items()
     return tuple(
         name
@@ -358,7 +378,7 @@ def _groups(scenario: Scenario, pattern: str = "") -> tuple[str, ...]:
 
 
 def _check_groups(scenario: Scenario, groups: Sequence[str], mission: str = "") -> None:
-    """ConfigError without groups, or if one has parameters of another pattern than the mission."""
+    """ConfigError without groups, or if a group has parameters that are not of `mission`."""
     if not groups:
         raise ConfigError(f"--mission: no group of scenario {scenario.name} begins with a pattern")
     for name in groups:
@@ -371,9 +391,9 @@ def _check_groups(scenario: Scenario, groups: Sequence[str], mission: str = "") 
 
 
 def _probabilities(data: Mapping[str, Any], what: str) -> Iterator[str]:
-    """The dotted keys of all conditions of a mission's file that are probabilities.
+    """The dotted keys of all probabilities among the conditions of a mission's file.
 
-    `what` is the file in messages. ConfigError for one below a name that has a dot.
+    `what` is the file in messages. ConfigError for a probability below a name that has a dot.
     """
     elements = {
         key: element for key, element in data.items() if key not in MissionFile.__struct_fields__
@@ -388,6 +408,7 @@ def _probabilities(data: Mapping[str, Any], what: str) -> Iterator[str]:
 
 
 def _places(data: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """The path of keys of each probability in nested dicts and lists; `keys` leads to `data`."""
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         place = (*keys, str(key))
@@ -398,13 +419,13 @@ def _places(data: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
 
 
 def _state(key: str) -> int:
-    """The state of a value by its name, such as bound_2_1; 0 of the whole mission's."""
+    """The number of the state that a value such as bound_2_1 belongs to; 0: the whole mission."""
     words = key.split("_")
     return int(words[1]) if len(words) > 1 else 0
 
 
 def _reached(values: Mapping[str, Any], states: int) -> set[int]:
-    """The states that transitions lead to from the first."""
+    """The states that transitions reach from state 1, itself included."""
     reached, todo = set[int](), [1]
     while todo:
         n = todo.pop()

@@ -25,18 +25,15 @@ _LONGEST = 120  # characters of a run's id, which is a file's name
 
 
 class Variant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One point of a parameter sweep: `values` by key, `effective` its complete scenario.
+    """One point of a parameter sweep."""
 
-    Its name is such as `speed=0.1,law=paper`, or empty where nothing is swept.
-    """
-
-    name: str
-    values: Mapping[str, Any]
-    effective: Mapping[str, Any]
+    name: str  # such as `speed=0.1,law=paper`; empty without a sweep
+    values: Mapping[str, Any]  # by swept key
+    effective: Mapping[str, Any]  # the complete scenario
 
 
 class Shard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Part `part` of `of` of an experiment, from 1 on; ValueError if `part` is out of range."""
+    """Part number `part`, counted from 1, of `of` parts; ValueError if it is out of range."""
 
     part: int
     of: int
@@ -51,7 +48,7 @@ class Shard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run: of a variant, with a seed. `id` is unique in its plan and a safe file name."""
+    """One run of a variant with a seed. `id` is unique in the plan, and a safe file name."""
 
     id: str
     variant: Variant
@@ -71,28 +68,27 @@ class Run:
 
     @property
     def robot_seconds(self) -> float:
-        """Robots times simulated seconds, to which the time that a run takes is proportional."""
+        """Robots times simulated seconds: the measure of the work of a run."""
         return float(self.variant.effective.get("duration", 1.0)) * self.robots
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Every run of an experiment, in order: variants as given, and seeds within each.
-
-    `sets` and `sweep` are the overrides that made the variants of `scenario`, by dotted key. With a
-    `shard`, `runs` are those of this part alone.
-    """
+    """All runs of an experiment: each variant with each seed."""
 
     scenario: str
     seeds: tuple[int, ...]
     variants: tuple[Variant, ...]
     sets: Mapping[str, Any] = field(default_factory=dict)
+    """Overrides of the scenario in all variants, by dotted key."""
     sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    """The values of the swept overrides, by dotted key."""
     shard: Shard | None = None
+    """The part of the experiment that `runs` has; None: all runs."""
 
     @property
     def runs(self) -> tuple[Run, ...]:
-        """The runs in order."""
+        """The runs in order: by variant, then by seed."""
         stems = _stems([variant.name for variant in self.variants])
         every = tuple(
             Run(f"{stem}_s{seed:04d}" if stem else f"s{seed:04d}", variant, seed)
@@ -138,9 +134,11 @@ def make_plan(
     count = len(planned_seeds) * math.prod(map(len, sweep.values()))
     if count > MAX_RUNS:
         raise ConfigError(f"these are {count} runs; at most {MAX_RUNS} are made, so sweep less")
-    last = [key.rpartition(".")[2] for key in sweep]  # whole keys where these are equal
+    # A variant's name has the last word of each key, or the whole key if two last words are equal.
+    last_words = [key.rpartition(".")[2] for key in sweep]
     short = {
-        key: end if last.count(end) == 1 else key for key, end in zip(sweep, last, strict=True)
+        key: word if last_words.count(word) == 1 else key
+        for key, word in zip(sweep, last_words, strict=True)
     }
     variants = []
     for point in itertools.product(*sweep.values()):
@@ -159,9 +157,10 @@ def shown(value: object) -> str:
 
 
 def parts_of(runs: Sequence[Run], count: int) -> dict[str, int]:
-    """Which of `count` parts does each run, by the run's id; all parts take about equally long.
+    """The number 1..count of the part that does each run, by the run's id.
 
-    The longest run goes first, each to the part that has least to do (Graham 1969).
+    The parts have about equal work: runs are taken in the order of decreasing work, and each goes
+    to the part with the least work so far (longest processing time rule, Graham 1969).
     """
     loads = [(0.0, part) for part in range(1, count + 1)]  # a heap
     part_of = {}
@@ -194,7 +193,10 @@ def _check_sweep(
 
 
 def _stems(names: Sequence[str]) -> list[str]:
-    """Names as unique parts of file names, without unsafe characters and not too long."""
+    """Variant names as unique, safe parts of file names of at most _LONGEST characters.
+
+    A long or ambiguous name gets a digest in place of its end.
+    """
     stems = [re.sub(r"[^A-Za-z0-9_.,=+-]", "-", name).lstrip(".-") for name in names]
     folded = [stem.lower() for stem in stems]
     return [

@@ -1,6 +1,6 @@
-"""Runs in worker processes: a run that crashes or hangs fails alone.
+"""Runs in worker processes: a run that crashes or hangs does not disturb the other runs.
 
-A worker process runs jobs one after the other, each in a fork of its own, and reports progress and
+A worker process does one job after another, each in a forked process, and reports progress and
 results through a pipe. The parent ends a worker whose run makes no progress.
 """
 
@@ -33,19 +33,19 @@ from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
 STEP_TIMEOUT = 60.0
-"""Limit in s of wall time for one step of a simulation, or for its set-up, and for the start of a
-worker, which takes 3 s on a busy machine."""
+"""Limit in s of wall time for one step of a simulation, for the set-up of a simulation, and for the
+start of a worker, which takes 3 s on a busy machine."""
 _EXIT_TIMEOUT = 2.0  # s for a worker without work to end by itself
-_SHARE_OF_TIMEOUT = 0.8  # of the limit for a run, for each of several processes of it
+_SHARE_OF_TIMEOUT = 0.8  # the limit of each process of a run, as a share of the run's time-out
 _POLL_PERIOD = 0.5  # s between two checks of workers that report nothing
 _PROGRESS_PERIOD = 0.25  # s between two reports of a worker
 OWN_METRICS = 0.999
-"""The share of a run before custom metrics: they are under the time-out, as patterns are."""
+"""The reported share of a run while custom metrics are measured, which the time-out also limits."""
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
 _MAX_REASON = 300  # characters
 _MAX_REPORT = 1 << 24  # bytes of one report of a worker; the metrics of a run take some kB
 _MODULE = "swarmd.sim.experiments.pool"
-_GUEST_GROWTH = 1 << 30  # bytes; a run of twelve robots takes less than a tenth
+_GUEST_GROWTH = 1 << 30  # bytes; a run of twelve robots takes less than a tenth of that
 _ONE_THREAD = {
     f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB")
 }
@@ -53,42 +53,46 @@ _ONE_THREAD = {
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
-
-    `metrics`: those measured besides the catalog's, by origin, each with the digest of its code.
-    `cores` processes share its robots. A process without progress for `timeout` s ends the run.
-    `guest`: a folder with patterns of others; the run may read nothing else of the user, write
-    nothing, and grow by 1 GB.
-    """
+    """A run to do."""
 
     run: str
+    """The id of the run."""
     effective: Mapping[str, Any]
+    """The complete scenario as plain values."""
     seed: int
     trace: Path | None
+    """The path of the trace to write; None: no trace."""
     cores: int = 1
+    """The number of processes that share the robots."""
     timeout: float = STEP_TIMEOUT
+    """The time in s without progress of a process after which the run fails."""
     metrics: Mapping[str, str] = field(default_factory=dict)
+    """Metrics beyond the catalog: the digest of the code (or "") by origin."""
     guest: Path | None = None
+    """A folder with a stranger's patterns.
+
+    The run may read none of the user's other files, write nothing, and grow by 1 GB."""
 
 
 Shares: TypeAlias = Mapping[str, float]
-"""The simulated share of each run that is in progress, by run."""
+"""The simulated share 0..1 of each run in progress, by run."""
 
 
 @dataclass(frozen=True, slots=True)
 class JobResult:
-    """The result of a job: `metrics` by name, or None and the reason in one line.
-
-    `write_error` is set if the trace could not be written; then no other trace can be written
-    either. `wall` is the duration in s. `errors`: why custom metrics have no value, by name.
-    """
+    """The result of a job."""
 
     run: str
     metrics: Mapping[str, float | None] | None = None
+    """By name; None if the run failed or its trace could not be written."""
     wall: float = 0.0
+    """The duration in s."""
     reason: str = ""
+    """Why the run failed, in one line."""
     write_error: str = ""
+    """Why the trace could not be written; the experiment then ends."""
     errors: Mapping[str, str] = field(default_factory=dict)
+    """Why custom metrics have no value, by name."""
 
 
 _report = msgspec.msgpack.Decoder(JobResult | float)
@@ -97,12 +101,13 @@ _report = msgspec.msgpack.Decoder(JobResult | float)
 def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
     """Simulate, measure and write the trace, in this process.
 
-    An error in the run is returned as the reason, not raised: patterns may come from anyone.
-    `on_progress` receives the simulated share after each step.
+    An error in the run is returned as the reason, not raised: a pattern may raise any exception.
+    `on_progress` is called with the simulated share after each step.
     """
     begin = time.perf_counter()
     try:
-        limit = _SHARE_OF_TIMEOUT * job.timeout  # so that the run names the process, not the pool
+        # Below the limit of the pool: the run's own error names the process that hangs.
+        limit = _SHARE_OF_TIMEOUT * job.timeout
         scenario = scenario_of(job.effective)
         trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=limit)
         metrics, errors = measure(trace), dict[str, str]()
@@ -143,11 +148,11 @@ def one_line(text: str) -> str:
 def run_jobs(
     jobs: Iterable[Job], processes: int, timeout: float = STEP_TIMEOUT, cores: int = 1
 ) -> Generator[JobResult | Shares, None, None]:
-    """The result of each job as it arrives, from `processes` workers, and meanwhile their progress.
+    """Yield the result of each job as it arrives, and meanwhile the progress of all runs.
 
-    A run that makes no progress for `timeout` s is ended and has failed. Each worker does its runs
-    in `cores` processes. Close the iterator (`contextlib.closing`) if it is not exhausted, which
-    ends the workers.
+    `processes` workers do the jobs, each run in `cores` processes. A run without progress for
+    `timeout` s is ended and has failed. Close an iterator that is not exhausted
+    (`contextlib.closing`): that ends the workers.
     """
     waiting = deque(replace(job, cores=cores, timeout=timeout) for job in jobs)
     workers: dict[Connection, _Worker] = {}
@@ -160,11 +165,11 @@ def run_jobs(
     try:
         for _ in range(min(processes, len(waiting))):
             start(waiting.popleft())
-        before = told = time.monotonic()
+        before = last_report = time.monotonic()
         while workers:
             ready = wait(list(workers), _POLL_PERIOD)
             now = time.monotonic()
-            # Time in which this process did not run either, as if suspended, does not count.
+            # Time in which this process was suspended, too, does not count.
             passed, before = min(now - before, 2.0 * _POLL_PERIOD), now
             for pipe, worker in list(workers.items()):
                 result = worker.receive() if pipe in ready else worker.add_silence(passed, timeout)
@@ -177,8 +182,8 @@ def run_jobs(
                     if waiting:
                         start(waiting.popleft())
                 yield result
-            if now >= told + _PROGRESS_PERIOD:
-                told = now
+            if now >= last_report + _PROGRESS_PERIOD:
+                last_report = now
                 yield {worker.run: worker.share for worker in workers.values()}
     finally:
         for worker in workers.values():
@@ -186,14 +191,11 @@ def run_jobs(
 
 
 class _Worker:
-    """A worker process, its pipe and its job. `is_alive`: it can take another job.
-
-    `share`: of the job, as last reported.
-    """
+    """A worker process, its pipe and its job."""
 
     def __init__(self) -> None:
-        self.is_alive = True
-        self.share = 0.0
+        self.is_alive = True  # can take another job
+        self.share = 0.0  # simulated share of the job, as last reported
         self._has_started = False
         self.pipe, theirs = Pipe()
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
@@ -210,22 +212,23 @@ class _Worker:
 
     @property
     def run(self) -> str:
-        """The run of its job."""
+        """The id of the present job's run."""
         return self._job.run
 
     def assign(self, job: Job) -> None:
-        """Send it a job; if the worker has ended, `receive` returns that."""
+        """Send a job to the worker; if the worker has ended, `receive` returns the failure."""
         self._job = job
         self.share = 0.0
-        self._silence: float | None = 0.0
+        self._silence: float | None = 0.0  # s since the last report; None: no time-out any more
         self._begin = os.fstat(self._log.fileno()).st_size
         with suppress(OSError):
             self.pipe.send(job)
 
     def receive(self) -> JobResult | None:
-        """The result of the job, None for a report of progress; the pipe must be readable.
+        """Read one report from the pipe, which must be readable.
 
-        If the worker has ended instead, the result is a failure.
+        Returns the result of the job, or None for a report of progress. If the worker has ended,
+        the result is a failure.
         """
         try:
             # Values alone: a guest's pattern could write a pickle, which would run in this process.
@@ -247,7 +250,7 @@ class _Worker:
         return None
 
     def add_silence(self, seconds: float, timeout: float) -> JobResult | None:
-        """Add time without a report; at the limit, end the worker and return the failure."""
+        """Add seconds without a report; at the limit, end the worker and return the failure."""
         if self._silence is None:
             return None
         self._silence += seconds
@@ -257,21 +260,21 @@ class _Worker:
         return self._failed(f"no progress in {timeout:g} s; a pattern or metric may not return")
 
     def end(self) -> None:
-        """Close the pipe, which ends an idle worker, and wait for it."""
+        """Close the pipe, which ends an idle worker, and wait for the end of the process."""
         self.pipe.close()
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_EXIT_TIMEOUT)
         self.kill()
 
     def kill(self) -> None:
-        """End it immediately."""
+        """End the worker with SIGKILL, and remove a partly written trace."""
         self._end_group()
         remove_partial(self._job.trace)
         self.pipe.close()
         self._log.close()
 
     def _end_group(self) -> None:
-        """End the worker and every process that it or a pattern has started."""
+        """End the worker and all processes that the worker or a pattern has started."""
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -281,7 +284,7 @@ class _Worker:
         return JobResult(self._job.run, reason=f"{reason}{self._last_line()}")
 
     def _last_line(self) -> str:
-        """The last line of its output since it received its job."""
+        """The last line of the worker's output since the assignment of the job, after ": "."""
         end = self._log.seek(0, os.SEEK_END)
         self._log.seek(max(self._begin, end - _MAX_LOG_TAIL))
         lines = self._log.read().decode(errors="replace").split("\n")
@@ -290,10 +293,13 @@ class _Worker:
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Run jobs until the pipe is closed. This is the worker process."""
+    """The worker process: do jobs until the pipe is closed.
+
+    `descriptor`: of the pipe; `parent`: the process id of the pool.
+    """
     die_with_parent(parent)
-    # Loaded once, for all the forks: what a job imports, and what metrics import lazily. A run of
-    # two robots and 2 s takes 0.07 s of CPU, and 0.32 s if its fork has to import scipy.
+    # Imported once, before the forks: modules of jobs, and lazy imports of metrics. A run of two
+    # robots and 2 s takes 0.07 s of CPU, and 0.32 s if its fork has to import scipy.
     import scipy.sparse.csgraph
     import scipy.spatial  # noqa: F401
 
@@ -315,13 +321,16 @@ def _send(connection: Connection, report: JobResult | float) -> None:
 
 
 def _run_in_fork(job: Job, connection: Connection) -> None:
-    """Run the job in a fork; if the fork ends without a result, end in the same way."""
+    """Run the job in a fork. If the fork ends without a result, end this worker in the same way.
+
+    The same way: with the exit code or by the signal that ended the fork.
+    """
     ours, theirs = os.pipe()
     worker = os.getpid()
     child = os.fork()
     if child == 0:
         die_with_parent(worker)
-        # A process that a pattern forks must not write into it.
+        # A process that a pattern forks must not write into the pipe.
         os.register_at_fork(after_in_child=connection.close)
         _do(job, connection)
         os.write(theirs, b"1")
@@ -342,6 +351,7 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
 
 
 def _do(job: Job, connection: Connection) -> None:
+    """Run the job in this fork, confined if its patterns are a stranger's, and send the reports."""
     from swarmd.sim.experiments.pool import run_job
 
     next_report = 0.0

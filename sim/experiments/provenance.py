@@ -1,4 +1,4 @@
-"""Versions, digests and git commits: what results depend on besides the scenario."""
+"""Provenance of results: versions of software, digests of code and git commits."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ class GitState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def made_with() -> dict[str, str]:
-    """Versions of everything that results depend on; `code` is a digest of swarmd's sources.
+    """Versions of the software and processor features that results depend on, by name.
 
-    numpy chooses its instructions by the processor, which changes last bits: `simd` holds the
-    extensions that it found. OpenBLAS does the same; OPENBLAS_CORETYPE overrides it.
+    `code` is the digest of swarmd's sources. `simd`: the instruction sets that numpy uses on this
+    processor; they change the last bits of results. `blas`: OPENBLAS_CORETYPE, which overrides
+    OpenBLAS's own choice by processor.
     """
     import mujoco
     import numpy as np
@@ -57,9 +58,9 @@ def made_with() -> dict[str, str]:
 
 
 def digest_of_code(folder: Path) -> str:
-    """The SHA-256 of names and contents of all Python files that runs may import, and of missions.
+    """The SHA-256 of the names and contents of swarmd's Python files and missions.
 
-    Symbolic links are followed.
+    Folders that no run imports (NOT_IN_RUNS) are left out. Symbolic links are followed.
     """
     digest = hashlib.sha256()
     for path in (*_python_files(folder), *mission_files(folder / "config" / "missions")):
@@ -80,7 +81,7 @@ def digests_of_plugins(folder: Path) -> dict[str, str]:
 
 
 def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
-    """The digests of the plugins in all folders, by path; `~` is as in a scenario."""
+    """The SHA-256 of the plugin files in all folders, by path; `~` is expanded to read a folder."""
     return {
         f"{folder}/{name}": digest
         for folder in folders
@@ -89,13 +90,17 @@ def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
 
 
 def git_state(folder: Path) -> GitState | None:
-    """The state of the checkout that tracks files of `folder`; None without one, or without git."""
+    """The state of the git checkout that tracks files of `folder`.
+
+    None without such a checkout or without git, and if a filter of the checkout has a name that
+    cannot be switched off.
+    """
     tracked = _git(folder, "ls-files", "--", ".")
     commit = _git(folder, "rev-parse", "HEAD") if tracked else None
     if not commit:
         return None
     listed = _git(folder, *_LIST_FILTERS, no_match="")
-    if listed is None or "=" in listed:  # such a filter could not be switched off
+    if listed is None or "=" in listed:  # `-c KEY=` cannot switch off a key that contains "="
         return None
     filters = [line.partition("\t")[2] for line in listed.splitlines() if line[:1] in "lw"]
     changed = _git(folder, *_STATUS, no_filters=filters)
@@ -111,10 +116,11 @@ _STATUS = ("status", "--porcelain", "--untracked-files=no", "--ignore-submodules
 def _git(
     folder: Path, *words: str, no_match: str | None = None, no_filters: Iterable[str] = ()
 ) -> str | None:
-    """The output of a git command, `no_match` for exit code 1; None if it fails or without git.
+    """The output of a git command; `no_match` for exit code 1; None if git fails or is missing.
 
-    The folder may be somebody's: its configuration may name programs, which git would run. Hooks,
-    the file system monitor, submodules, downloads and `no_filters` are switched off.
+    The folder may come from a stranger, and its git configuration may name programs that git runs.
+    So hooks, the file system monitor, submodules, downloads and the filters `no_filters` are
+    switched off.
     """
     switched_off = (*_NO_PROGRAMS, *(f"{key}=" for key in no_filters))
     options = [word for value in switched_off for word in ("-c", value)]
@@ -141,7 +147,7 @@ def _git(
 
 
 def _python_files(folder: Path) -> Iterator[Path]:
-    """In the order of their names, whatever the order on the disk."""
+    """The Python files below a folder in the order of their names, without NOT_IN_RUNS."""
     for name, folders, files in os.walk(folder, followlinks=True):
         folders[:] = sorted(f for f in folders if f not in NOT_IN_RUNS)
         yield from (Path(name) / file for file in sorted(files) if file.endswith(".py"))

@@ -1,15 +1,17 @@
-"""Racing: which candidates are worse than the leader with confidence, from runs of common seeds.
+"""Racing: which candidates of a tuning are significantly worse than the leader, by rank tests.
 
 F-race: M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp, "A racing algorithm for
-configuring metaheuristics", GECCO 2002. Each seed is a block in which the candidates are ranked;
-Friedman's test comes first, then the comparison of each candidate with the leader: W. J. Conover,
-Practical Nonparametric Statistics, 3rd edition 1999, chapter 5.8. With two candidates left the
-comparison is Wilcoxon's signed-rank test. Ranks need no normal scatter, which metrics of swarms do
-not have, and a failed run is a rank, too.
+configuring metaheuristics", GECCO 2002. Each seed is a block in which the candidates are ranked.
+Three or more candidates: the Friedman test in its F form (Iman-Davenport), then, if that test
+rejects, Conover's comparison of each candidate with the leader (W. J. Conover, Practical
+Nonparametric Statistics, 3rd edition 1999, chapter 5.8). Two candidates: Wilcoxon's signed-rank
+test. Ranks need no normal scatter, which metrics of swarms do not have. A failed run has a rank,
+too.
 
-Differently from F-race the level is divided: among the looks at the race, and at each look among
-the comparisons with the leader (Bonferroni). So the best candidate of a race is eliminated with a
-probability of about `ALPHA` at most, and of equal candidates any.
+A look is an interim analysis of a race, after a number of seeds. Unlike F-race, the level is
+divided by the number of looks, and at each look by the number of comparisons with the leader
+(Bonferroni). So the probability that a race eliminates its best candidate is at most about `ALPHA`.
+If all candidates are equal, this is also the probability that a race eliminates any of them.
 """
 
 from __future__ import annotations
@@ -24,23 +26,25 @@ from swarmd.core.values import Array
 ALPHA = 0.05
 FIRST = 5
 """The number of seeds before the first look, as in irace."""
-_GROWTH = math.sqrt(2.0)  # of the number of seeds from one look to the next
+_GROWTH = math.sqrt(2.0)  # the factor between the numbers of seeds of successive looks
+_ROUNDING = 1e-9  # ranks are multiples of 0.5; differences below it are rounding errors
 
 
 def looks(seeds: int) -> tuple[int, ...]:
-    """After how many of the seeds candidates are compared: 5, 8, 12, 17 ..., below `seeds`."""
+    """The numbers of seeds after which candidates are compared: 5, 8, 12, 17 ..., below `seeds`."""
     counts: list[int] = []
-    at = FIRST
-    while at < seeds:
-        counts.append(at)
-        at = math.ceil(at * _GROWTH)
+    count = FIRST
+    while count < seeds:
+        counts.append(count)
+        count = math.ceil(count * _GROWTH)
     return tuple(counts)
 
 
 def losers(losses: Array, level: float) -> list[int]:
     """The columns of losses (seeds, candidates) that are worse than the leader at this level.
 
-    Less is better; inf is a failed run, and no loss is NaN. The leader has the least sum of ranks.
+    The least loss is the best. inf: a failed run. No loss may be NaN. The leader is the candidate
+    with the least sum of ranks. Empty with fewer than two seeds or candidates.
     """
     from scipy.stats import f, rankdata, t, wilcoxon
 
@@ -52,33 +56,45 @@ def losers(losses: Array, level: float) -> list[int]:
     leader = int(sums.argmin())
     if k == 2:
         follower = 1 - leader
-        worse = _differences(losses[:, leader], losses[:, follower])
-        if not worse.any():
+        excess = _differences(losses[:, leader], losses[:, follower])
+        if not excess.any():
             return []
-        return [follower] if float(wilcoxon(worse).pvalue) <= level else []
+        return [follower] if float(wilcoxon(excess).pvalue) <= level else []
+    # Friedman's statistic T1, with ties; Conover 1999, chapter 5.8.
     scatter = float((ranks**2).sum()) - n * k * (k + 1) ** 2 / 4.0
-    if scatter <= 0.0:  # all are equal on each seed
+    if scatter <= 0.0:  # all candidates are equal on each seed
         return []
-    between = (k - 1) * float(((sums - n * (k + 1) / 2.0) ** 2).sum()) / scatter
-    within = n * (k - 1) - between
+    t1 = (k - 1) * float(((sums - n * (k + 1) / 2.0) ** 2).sum()) / scatter
+    # Its F form T2 (Iman-Davenport); T2 is infinite if all seeds give the same order.
+    t1_margin = n * (k - 1) - t1  # 0 for the same order on all seeds
     freedom = (n - 1) * (k - 1)
-    if within > 1e-9 * n and f.sf((n - 1) * between / within, k - 1, freedom) > level:
-        return []
+    if t1_margin > _ROUNDING * n:
+        t2 = (n - 1) * t1 / t1_margin
+        if f.sf(t2, k - 1, freedom) > level:
+            return []
+    # Conover's least significant difference of rank sums, one-sided.
     error = 2.0 * max(n * float((ranks**2).sum()) - float((sums**2).sum()), 0.0) / freedom
-    bound = float(t.isf(level / (k - 1), freedom)) * math.sqrt(error)
-    return [column for column in range(k) if sums[column] - sums[leader] > max(bound, 1e-9)]
+    bound = max(float(t.isf(level / (k - 1), freedom)) * math.sqrt(error), _ROUNDING)
+    return [column for column in range(k) if sums[column] - sums[leader] > bound]
 
 
 def mean_loss(losses: Sequence[float]) -> tuple[int, float]:
-    """For comparing candidates over the same seeds: the number of failed runs, then the mean."""
+    """A sort key for candidates over the same seeds: the number of failed runs, then the mean.
+
+    The mean is over the runs that did not fail; inf if all failed.
+    """
     finite = [loss for loss in losses if math.isfinite(loss)]
     return len(losses) - len(finite), sum(finite) / len(finite) if finite else math.inf
 
 
 def _differences(a: Array, b: Array) -> Array:
-    """b - a (n,); a failed run is worse than any other, and two of them are equal."""
-    both = np.isfinite(a) & np.isfinite(b)
-    finite = np.where(both, b, 0.0) - np.where(both, a, 0.0)
-    far = 1.0 + float(np.abs(finite).max(initial=0.0))
+    """b - a (n,), where inf is a failed run.
+
+    The difference of a failed and a finished run exceeds all finite differences. Two failed runs
+    are equal.
+    """
+    are_finite = np.isfinite(a) & np.isfinite(b)
+    finite = np.where(are_finite, b, 0.0) - np.where(are_finite, a, 0.0)
+    beyond_all = 1.0 + float(np.abs(finite).max(initial=0.0))
     sign = np.isinf(b).astype(np.float64) - np.isinf(a)
-    return np.where(both, finite, far * sign)
+    return np.where(are_finite, finite, beyond_all * sign)

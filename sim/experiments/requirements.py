@@ -44,17 +44,16 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True)
 class RequirementFinding:
-    """What an experiment has for a requirement.
-
-    `value` is None if the statistic does not exist, and `remark` then has the reason. `interval`:
-    the 95 % interval of a mean or median, where it is known.
-    """
+    """The check of a requirement on one variant of an experiment."""
 
     requirement: Requirement
     variant: str
     value: float | None
+    """The statistic; None if it does not exist."""
     interval: Interval | None
+    """The 95 % interval of a mean or median; None without one."""
     remark: str
+    """Why the statistic does not exist, or how many runs never had the event; else empty."""
     is_met: bool
 
     def document(self) -> dict[str, Any]:
@@ -70,9 +69,9 @@ class RequirementFinding:
 
 
 def parse_requirement(text: str) -> Requirement:
-    """`METRIC >= VALUE` or `STATISTIC(METRIC) >= VALUE`; without a statistic the mean is meant.
+    """The requirement of a text `METRIC >= VALUE` or `STATISTIC(METRIC) >= VALUE`.
 
-    ConfigError names the text and what is wrong with it.
+    Without a statistic the mean is compared. ConfigError names the text and its fault.
     """
     match = _GRAMMAR.fullmatch(text)
     wanted = "expected one such as 'median(gather_time) <= 60', with >= <= > < or =="
@@ -88,7 +87,7 @@ def parse_requirement(text: str) -> Requirement:
 
 
 def check(requirement: Requirement, side: Side) -> RequirementFinding:
-    """The finding of one variant; ConfigError with the nearest name for an unknown metric."""
+    """Check a requirement on one variant; ConfigError with the nearest name for unknown metrics."""
     results, name = side.results, requirement.metric
     interval, remark = None, ""
     value: float | None

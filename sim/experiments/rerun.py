@@ -30,10 +30,10 @@ from swarmd.sim.trace import Trace
 
 
 def warnings(folder: Path, *, is_trusted: bool = False) -> list[str]:
-    """A text for each difference of the software since; ConfigError if it is no experiment.
+    """A text for each difference between the manifest's software and the present software.
 
-    ConfigError also for a Python file that the manifest names and that is new, has changed or has
-    not been run by this user, unless `is_trusted`.
+    ConfigError if `folder` is no experiment, or unless `is_trusted`, if a Python file that the
+    manifest names is new, has changed or has not been run by this user.
     """
     old = read_manifest(folder)
     return list(software_differences(old, _again(folder, old, is_trusted=is_trusted)))
@@ -48,13 +48,12 @@ def rerun(
     *,
     is_trusted: bool = False,
 ) -> dict[str, str]:
-    """Repeat the experiment of `folder` in `out`: what differs by finished run, "" if nothing.
+    """Repeat the experiment of `folder` in `out`; the differences as a text by finished run.
 
-    Every array of a trace is compared bit by bit, or every metric if there is no trace.
-
-    Without `out` only finished runs are repeated, in a temporary folder. They are made from the
-    manifest alone, and nothing in `folder` changes. ConfigError if `folder` is no experiment, has
-    no finished run, or is `out` itself, and as of `warnings`.
+    An empty text: the traces are equal bit by bit, or without traces the metrics. Runs are repeated
+    from the manifest alone, and nothing in `folder` changes. Without `out` the finished runs alone
+    are repeated, in a temporary folder. ConfigError if `folder` is no experiment, has no finished
+    run, or is `out` itself, and as of `warnings`.
     """
     before = load_results(folder)
     if not before.runs:
@@ -90,6 +89,7 @@ def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
 
 
 def _comparisons(before: Results, after: Results) -> dict[str, str]:
+    """The difference of each finished run of `before` as a text, by run."""
     old, new = ({row["run"]: row for row in results.rows} for results in (before, after))
     return {run: _difference(before, after, run, old[run], new.get(run, {})) for run in old}
 
@@ -100,17 +100,14 @@ def _difference(
     if run in after.failures:
         return f"failed now: {after.failures[run]}"
     both = [name for name in before.metrics if name in after.metrics]
-    differing = ", ".join(name for name in both if old[name] != new[name])
+    differing_metrics = ", ".join(name for name in both if old[name] != new[name])
     try:
         traces = before.traces[run], after.traces[run]
-    except SwarmError:  # not kept, removed or damaged: the metrics have to do
-        return differing and f"metrics: {differing}"
-    differing_fields = ", ".join(trace_differences(*traces))
-    return (
-        f"trace: {differing_fields}"
-        if differing_fields
-        else differing and f"metrics of the same trace: {differing}"
-    )
+    except SwarmError:  # not kept, removed or damaged: the metrics alone are compared
+        return f"metrics: {differing_metrics}" if differing_metrics else ""
+    if differing_fields := ", ".join(trace_differences(*traces)):
+        return f"trace: {differing_fields}"
+    return f"metrics of the same trace: {differing_metrics}" if differing_metrics else ""
 
 
 def _bits(value: Any) -> bytes:

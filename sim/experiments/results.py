@@ -75,10 +75,11 @@ class CustomMetrics:
 class Results:
     """The finished runs of an experiment, in the order of its plan.
 
-    `failures`: the reason of each failed run, by run. `errors`: why custom metrics have no
-    value, by run and metric. `metrics`: the columns of the table. `variants`: the names of the
-    points of the parameter sweep, one empty name without a sweep. `kernels`: `compiled`, or which
-    code ran instead.
+    - `failures`: the reason of each failed run, by run.
+    - `errors`: why custom metrics have no value, by run and metric.
+    - `metrics`: the metrics in the columns of the table.
+    - `variants`: the names of the points of the parameter sweep; without a sweep one empty name.
+    - `kernels`: `compiled`, or a text about the code that ran instead of compiled kernels.
     """
 
     def __init__(
@@ -125,7 +126,7 @@ class Results:
 
     @property
     def lacking(self) -> str:
-        """How many of the planned runs are there, and how many failed; empty if all are there."""
+        """A text with the numbers of finished and failed runs; empty if all runs have finished."""
         planned, finished = len(self.plan.runs), len(self._rows)
         if planned == finished:
             return ""
@@ -146,10 +147,11 @@ class Results:
         return metric_of(which)
 
     def asked(self, name: str | Metric) -> Metric:
-        """As `about`; a metric of a file is that of its present code, if the file is there.
+        """The metric of that name as it is measured now.
 
-        ConfigError if the file is new, has changed or has not been run by this user, unless these
-        results are trusted.
+        A metric of a Python file that is still there has the file's present code. All else is as in
+        `about`. ConfigError if the file is new, has changed or has not been run by this user,
+        unless these results are trusted.
         """
         known = self._own.get(name) if isinstance(name, str) else None
         file = known.origin.rpartition(":")[0] if known is not None else ""
@@ -158,10 +160,10 @@ class Results:
         return self.about(name)
 
     def metric(self, which: str | Metric, variant: str | None = None) -> Array:
-        """The values (runs,) of a metric, NaN where it has none; of all variants if None.
+        """The values (runs,) of a metric, of one variant or of all (None). NaN: no value.
 
-        What the runs did not measure, or by other code, is measured now on their traces.
-        ConfigError with the nearest name if there is no such metric or variant, SwarmError if
+        A metric that the runs did not measure, or measured with other code, is measured now on the
+        traces. ConfigError with the nearest name for an unknown metric or variant. SwarmError if
         traces are missing.
         """
         metric = self.about(which)
@@ -175,12 +177,12 @@ class Results:
         return np.array(values, dtype=np.float64)  # None gives NaN
 
     def unreported(self) -> dict[str, str]:
-        """A line for each column that takes what no robot reports in any run."""
+        """A line for each metric of a report or reading that no robot gave in any run."""
         empty = [m for m in self._own.values() if not any(r.metrics[m.name] for r in self._rows)]
         return {metric.name: fault[0] for metric in empty if (fault := self._unreported(metric))}
 
     def _unreported(self, metric: Metric) -> list[str]:
-        """Why no run has a value, or only 0; empty if one of the traces has what is reported."""
+        """Why no run has a value other than 0; empty if a trace has the reported value."""
         fault: list[str] = []
         for number in range(len(self._rows)):
             try:
@@ -218,7 +220,7 @@ class Results:
 
     @property
     def times_real_time(self) -> Array:
-        """How many times faster than real time each run (runs,) went; a wall time has 1 ms."""
+        """Simulated over wall time of each run (runs,); a wall time counts as at least 1 ms."""
         return np.array(
             [row.run.variant.effective["duration"] / max(row.wall, 1e-3) for row in self._rows]
         )
@@ -226,9 +228,10 @@ class Results:
     def summary(
         self, variant: str | None = None, names: Sequence[str | Metric] | None = None
     ) -> dict[str, statistics.Summary]:
-        """Statistics by metric, of a variant or the only one; of all metrics without `names`.
+        """Statistics by metric of one variant, by default of the only one.
 
-        ConfigError if there are several variants and none is named.
+        `names`: the metrics, by default all. ConfigError if there are several variants and
+        `variant` is None.
         """
         if variant is None:
             if len(self.variants) > 1:
@@ -245,7 +248,7 @@ class Results:
         }
 
     def document(self, names: Sequence[str | Metric] | None = None) -> dict[str, Any]:
-        """All statistics as plain values, or of the named metrics: the contents of summary.json."""
+        """The contents of summary.json: statistics of the metrics `names`, by default of all."""
         return {
             "scenario": self.plan.scenario,
             "runs": len(self.plan.runs),
@@ -279,7 +282,7 @@ class Results:
         return [(metric, summaries[metric.name]) for metric in metrics]
 
     def text(self, names: Sequence[str | Metric] | None = None) -> str:
-        """A table of each variant, of all metrics without `names`."""
+        """A table for each variant with the metrics `names`, by default all."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
         count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
@@ -315,10 +318,10 @@ class Results:
 
 
 def load_results(folder: str | Path, *, is_trusted: bool = False) -> Results:
-    """The results in an experiment's folder, also of an interrupted one.
+    """The results in the folder of an experiment, which may have been interrupted.
 
-    ConfigError in one line if it is no such folder, or damaged. `is_trusted`: Python files that
-    the results name may be run although they are new or have changed.
+    ConfigError in one line if the folder is damaged or has no experiment. `is_trusted`: Python
+    files that the results name may be run although they are new or have changed.
     """
     place = Path(folder)
     manifest = read_manifest(place)
@@ -335,7 +338,7 @@ def load_results(folder: str | Path, *, is_trusted: bool = False) -> Results:
 def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict[str, Metric]:
     """The metrics beyond the catalog that an experiment measured, by name.
 
-    Their code is read when a value is asked of them, and need not be there any more.
+    Their code is imported when a value is measured. Recorded values do not need the code.
     """
     metrics = {}
     for own in manifest.metrics:
@@ -353,9 +356,9 @@ def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict
 
 @dataclass(frozen=True)
 class _Code:
-    """The code of a metric that the results in `folder` name; `digest` is that of the runs.
+    """The code of a metric that the results in `folder` name, imported when a value is measured.
 
-    The file is imported when a value is asked for. ConfigError as of `check_code`.
+    `digest`: of the code that the runs used. Raises ConfigError as `check_code` does.
     """
 
     folder: Path

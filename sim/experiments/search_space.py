@@ -1,6 +1,6 @@
-"""What a tuning may change: keys of a scenario, each with its bounds or choices.
+"""The search space of a tuning: keys of a scenario, each with its bounds or choices.
 
-Without names these are the parameters of the scenario's patterns, as the patterns declare them.
+By default the keys are the parameters of the scenario's patterns, with their declared bounds.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Parameter:
     high: float = 0.0
     is_int: bool = False
     choices: tuple[Any, ...] = ()  # instead of `low` and `high`
-    pattern: str = ""  # whose parameter the key is; empty for other keys
-    param: str = ""  # the name of that parameter
+    pattern: str = ""  # the pattern whose parameter the key sets; empty for other keys
+    param: str = ""  # the name of the pattern's parameter
     unit: str = ""
-    present: Any = None  # the value in the scenario, None if unknown
+    present: Any = None  # the value in the scenario; None if unknown
 
     @property
     def is_log(self) -> bool:
@@ -60,7 +60,7 @@ class Parameter:
         return f"{self.low:g}..{self.high:g}"
 
     def distribution(self) -> BaseDistribution:
-        """As optuna takes it; choices by their number."""
+        """The distribution of optuna; choices by their index."""
         from optuna.distributions import (
             CategoricalDistribution,
             FloatDistribution,
@@ -83,7 +83,7 @@ class Parameter:
         return min(max(float(f"{value:.4g}"), self.low), self.high)
 
     def number_of(self, value: Any) -> float:
-        """The value on an axis; choices by their place. ValueError if it is out of range."""
+        """The value as a number; a choice as its index. ValueError if it is out of range."""
         if self.choices:
             return float(self.choices.index(value))
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -94,7 +94,7 @@ class Parameter:
 
 
 class ParameterSpace:
-    """All parameters of a tuning. `present`: their values without it, None if one is unknown."""
+    """The search space of a scenario's parameters."""
 
     def __init__(self, parameters: Sequence[Parameter]) -> None:
         self.parameters = tuple(parameters)
@@ -106,7 +106,7 @@ class ParameterSpace:
 
     @property
     def present(self) -> dict[str, Any] | None:
-        """The values of the scenario as it is, by name; None if one is unknown or out of range."""
+        """The scenario's own values, by name; None if a value is unknown or out of range."""
         try:
             for parameter in self.parameters:
                 parameter.number_of(parameter.present)
@@ -123,7 +123,7 @@ class ParameterSpace:
         return {parameter.key: values[parameter.name] for parameter in self.parameters}
 
     def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
-        """These values and their loss, as the sampler takes them; None without values."""
+        """A finished trial of optuna with these values and this loss; None without values."""
         from optuna.trial import create_trial
 
         if not values:
@@ -149,9 +149,10 @@ def parameter_space(
 ) -> ParameterSpace:
     """The space of `--param` words, by default of all parameters of the scenario's patterns.
 
-    A word is KEY=LO..HI or KEY=A,B,C with a dotted key of the scenario or a pattern's parameter, or
-    the name of a parameter alone, whose declared bounds then hold. `on_note` receives a line about
-    each parameter that is left out. ConfigError names the word that is wrong.
+    A word is KEY=LO..HI or KEY=A,B,C. KEY is a dotted key of the scenario, or the name of a
+    pattern's parameter. The name of a parameter alone is a word, too: its declared bounds hold.
+    `on_note` is called with a line about each parameter that is left out. ConfigError names the
+    wrong word.
     """
     declared = _declared(scenario)
     words = list(words)
@@ -184,7 +185,7 @@ def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
 
 
 def once(parameters: Sequence[Parameter]) -> Sequence[Parameter]:
-    """The same parameters; ConfigError if two have the same key."""
+    """The given parameters; ConfigError if two of them have the same key."""
     keys = Counter(parameter.key for parameter in parameters)
     if (twice := next((key for key, count in keys.items() if count > 1), None)) is not None:
         raise ConfigError(f"{SOURCE} {twice} is given twice; keep one")
@@ -209,9 +210,11 @@ def patterns_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
-    """Each parameter of the patterns, with the reason why a tuning needs bounds for it, or "".
+    """Each parameter of the scenario's patterns, with a reason text.
 
-    A bound on a speed is the limit of the slowest robot in that direction, backwards too.
+    The text says why a tuning leaves the parameter out unless the user gives bounds; "" if the
+    declared bounds suffice. The bounds of a speed are limited by the slowest robot's speed limit,
+    also backwards.
     """
     origins = pattern_names(scenario.plugin_dir)
     load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -241,6 +244,7 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
 def _with_bounds(
     parameter: Parameter, spec: ParamSpec, platform: Platform
 ) -> tuple[Parameter, str]:
+    """The parameter with its declared bounds or choices, and the reason text of `_declared`."""
     if spec.name in Params.__struct_fields__:
         return replace(parameter, choices=spec.choices or (True, False)), "it is a parameter of all"
     if spec.choices:
@@ -263,7 +267,10 @@ def _with_bounds(
 
 
 def _robot_of(scenario: Scenario, pattern: str) -> str:
-    """The slowest robot that begins with the pattern; of all robots if an event starts it."""
+    """The slowest robot that begins with the pattern.
+
+    The slowest of all robots if an event starts the pattern.
+    """
     groups = scenario.effective["groups"]
     ids = [
         robot
@@ -275,7 +282,10 @@ def _robot_of(scenario: Scenario, pattern: str) -> str:
 
 
 def _key(scenario: Scenario, pattern: str, name: str) -> str:
-    """The key that sets a parameter: that of the group that sets it already, else of all robots."""
+    """The dotted key for a pattern's parameter.
+
+    The key of the first group that sets the parameter already, else the key for all robots.
+    """
     for group, section in scenario.effective["groups"].items():
         if section["pattern"] == pattern and name in section["parameters"]:
             return f"groups.{group}.parameters.{name}"
@@ -288,6 +298,11 @@ def _parameter(
     data: Mapping[str, Any],
     what: str,
 ) -> Parameter:
+    """The parameter of one `--param` word; ConfigError if the word is wrong.
+
+    `declared`: parameters of patterns, as of `_declared`. `data`: the scenario or file with dotted
+    keys, which messages call `what`.
+    """
     key, equals, text = (part.strip() for part in word.partition("="))
     known = {parameter.name: (parameter, why) for parameter, why in declared}
     known |= {parameter.key: (parameter, why) for parameter, why in declared}

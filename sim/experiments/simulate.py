@@ -40,20 +40,24 @@ from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far an experiment is: `done` of `total` runs have ended, `failed` of them in vain."""
+    """The progress of an experiment. A robot-second is one simulated second of one robot."""
 
-    done: int
+    done: int  # runs that have ended, failed runs included
     total: int
     failed: int
-    worked: float  # robot-seconds that were simulated since the start
-    left: float  # robot-seconds to come, or what all workers could do until the longest run ends
+    worked: float  # robot-seconds simulated since the start
+    left: float
+    """Robot-seconds to come.
+
+    At least the longest running run's rest, times the number of running runs: workers may wait for
+    the longest run."""
 
 
 OnProgress: TypeAlias = Callable[[Progress], None]
 """Called after each run, and several times a second while runs report progress."""
 
 Runner: TypeAlias = Callable[[Sequence[Job]], Generator[JobResult | Shares, None, None]]
-"""Does jobs, somewhere."""
+"""Does jobs in this process, in worker processes or on a cluster: results as they arrive."""
 
 
 def simulate(
@@ -78,13 +82,14 @@ def simulate(
       combination is run.
     - `jobs`: worker processes that do the runs, from scripts and notebooks alike. With 1, this
       process does the runs. The results are the same, bit by bit.
-    - `timeout`: a run in a worker process fails after so many seconds without progress.
-    - `out`: a folder as of `swarmctl exp`. The same call continues an interrupted experiment.
-      Without `out`, the results are deleted with the returned object.
-    - `cores`: processes that share the robots of each run, for runs with many robots.
-    - `metrics`: measured besides those of the catalog: `report:...`, `reading:...`,
+    - `timeout`: a run in a worker process fails after this time in s without progress.
+    - `out`: the folder of the experiment, as for `swarmctl exp run`. A repeated call with this
+      folder and equal arguments continues an interrupted experiment. Without `out` the results lie
+      in a temporary folder, which is deleted with the returned object.
+    - `cores`: the number of processes that share the robots of each run, for runs with many robots.
+    - `metrics`: metrics besides those of the catalog: `report:...`, `reading:...`,
       `FILE.py:FUNCTION`.
-    - `shard`: with "3/40" only the third of forty parts is run; `merge` joins their folders.
+    - `shard`: with "3/40" only the third of forty parts is run; `merge` joins the parts' folders.
     - `on_progress`: called with the progress after each run, and in worker processes also during
       runs. `progress()` of `swarmd.sim.cli.progress` gives the display of `swarmctl exp run`.
 
@@ -128,9 +133,9 @@ def plan_of(
     *,
     on_note: Callable[[str], object] = str,
 ) -> Plan:
-    """The plan of an experiment; every variant of the scenario is checked, start poses too.
+    """The plan of an experiment, after a check of each variant of the scenario and its start poses.
 
-    `on_note` gets each of the notes of the scenarios once.
+    `on_note` is called once with each note of the variants.
     """
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     first = check_seeds(seeds)
@@ -138,6 +143,7 @@ def plan_of(
     given = [source for source, keys in ((SOURCE, set), (SWEEP_SOURCE, sweep)) if keys]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The complete scenario of a variant; ConfigError if the variant is invalid."""
         varied = _overridden(scenario, overrides, " or ".join(given))
         varied.starts(first[0])
         for note in varied.notes:
@@ -158,10 +164,11 @@ def run_experiment(
     on_progress: OnProgress | None = None,
     summarized: Sequence[Metric] | None = None,
 ) -> Results:
-    """Let `runner` do all runs of a manifest that are missing in its folder; write the summary.
+    """Let `runner` do the runs of a manifest that its folder lacks, and write the summary.
 
-    `only` limits the runs, `summarized` the metrics of the summary. If it ends early, the finished
-    runs stay in the folder. SwarmError if the folder cannot be used or the disk is full.
+    `only`: ids of the runs to do, by default all. `summarized`: the metrics of the summary, by
+    default all. If an error or a signal ends this function early, the finished runs stay in the
+    folder. SwarmError if the folder cannot be used or the disk is full.
     """
     code = manifest.plugins.items()
     remember_code(digest for name, digest in code if not name.endswith(MISSION))
@@ -192,7 +199,7 @@ def _gather(
     run_jobs: Generator[JobResult | Shares, None, None],
     on_progress: OnProgress | None,
 ) -> None:
-    """Keep each result as it arrives; SwarmError if one cannot be written."""
+    """Put each result into the store as it arrives; SwarmError if a result cannot be written."""
     by_id = {run.id: run for run in runs}
     work = {run.id: run.robot_seconds for run in runs}
     total = len(store.rows) + len(runs)

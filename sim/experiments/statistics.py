@@ -1,20 +1,20 @@
 """Means, medians and shares with their 95 % intervals, and tables of them as text.
 
-Intervals of a mean are bias-corrected and accelerated (BCa: Efron & Tibshirani, An Introduction to
-the Bootstrap, 1993, chapter 14.3), those of a median are percentile intervals (chapter 13.3): the
-jackknife, from which BCa takes its acceleration, fails for medians (chapter 11.6). Shares have
-Wilson's score interval (Wilson, JASA 22, 1927), which stays honest at 0 and at 1, where resampling
-gives an interval of no width.
+- Mean: bootstrap interval, bias-corrected and accelerated (BCa: Efron & Tibshirani, An Introduction
+  to the Bootstrap, 1993, chapter 14.3).
+- Median: percentile bootstrap interval (chapter 13.3). BCa takes its acceleration from the
+  jackknife, which fails for medians (chapter 11.6).
+- Share: Wilson's score interval (Wilson, JASA 22, 1927). At a share of 0 or 1 resampling would give
+  an interval of no width; Wilson's interval has one.
+- Difference of means: permutation test (Ernst, "Permutation Methods", Statist. Science 19, 2004).
+- Times to an event that never happened in some runs: log-rank test.
+- All metrics of a comparison together: Holm's correction of p.
 
 With few values bootstrap intervals are too narrow (Efron & Tibshirani 1993, chapter 14). Measured
-here with normal and exponential values, 95 % intervals of a mean hold it in 79 % of the cases
-with 5 values, in 87 % with 10, and in 92 % with 20.
+here with normal and exponential values, 95 % intervals of a mean contain the true mean in 79 % of
+the cases with 5 values, in 87 % with 10, and in 92 % with 20.
 
-The p of a difference of means is that of a permutation test (Ernst, "Permutation Methods",
-Statistical Science 19, 2004), that of times to an event which some runs never reach of the log-rank
-test. Holm's correction holds for all metrics of a comparison together.
-
-scipy.stats does the work. It is imported on the first interval: it takes most of a second.
+scipy.stats is imported in the functions, since the import takes most of a second.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LEVEL = 0.95
 RESAMPLES = 5000
 PERMUTATIONS = 9999  # the least p is 1e-4
 FEW = 10
-"""With fewer values than so many, intervals are much too narrow."""
+"""With fewer values than this number, bootstrap intervals are much too narrow."""
 METHOD = (
     "bootstrap of 5000 resamples (Efron & Tibshirani 1993): BCa for means, percentile for medians;"
     " Wilson's score (1927) for shares"
@@ -55,30 +55,32 @@ class Interval(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Statistics of the `n` values of a metric; all others are None if there is no value.
+    """Statistics of the values of a metric; without a value, only `n` and `never` are set.
 
-    Intervals are None below two values. `share`, of values that are 0 or 1, is the share of ones.
-    `never`, of times to an event, counts the runs in which the event never happened. If there are
-    such runs, mean and intervals are None: a mean of the other runs would be biased. The median
-    is of all runs, and None if at least half of them never had the event.
+    Intervals are None for fewer than two values. For a time to an event that never happened in some
+    runs, the mean and all intervals are None: the mean of the runs with the event would be biased.
     """
 
     n: int
+    """The number of runs with a value."""
     mean: float | None = None
     mean_interval: Interval | None = None
     median: float | None = None
+    """Of all runs; None if the event never happened in at least half of them."""
     median_interval: Interval | None = None
     min: float | None = None
     max: float | None = None
     share: float | None = None
+    """The share of ones, for a metric that is 0 or 1 by definition."""
     share_interval: Interval | None = None
     never: int | None = None
+    """The number of runs without the event, for a time to an event."""
 
 
 def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool = False) -> Summary:
-    """The summary of values (n,), without those that are NaN.
+    """The summary of values (n,). NaN: the run has no value.
 
-    `is_share`: the metric is 0 or 1 by definition; counts that happen to be 0 and 1 are no share.
+    `is_share`: the metric is 0 or 1 by definition, not a count that happens to be 0 or 1.
     `is_time_to_event`: NaN means that the event never happened.
     """
     kept = values[~np.isnan(values)]
@@ -108,7 +110,7 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
 
 
 def mean_interval(values: Array) -> Interval | None:
-    """The BCa interval of the mean of values (n,); None below two values or for infinite ones."""
+    """The BCa interval of the mean of values (n,); None with fewer than two or infinite values."""
     if values.size >= 2 and np.isfinite(values).all() and np.ptp(values) == 0.0:
         return Interval(float(values[0]), float(values[0]))
     return _bootstrap((values,), np.mean, "BCa")
@@ -122,7 +124,8 @@ def median_interval(values: Array) -> Interval | None:
 def difference_interval(a: Array, b: Array) -> Interval | None:
     """The interval of mean(b) - mean(a) of independent samples (n,) and (m,), each resampled.
 
-    Percentile interval (Efron & Tibshirani 1993, chapter 8.3 for two samples); None as above.
+    Percentile interval (Efron & Tibshirani 1993, chapter 8.3 for two samples); None as for
+    `mean_interval`.
     """
 
     def difference(a: Array, b: Array, axis: int) -> Array:
@@ -134,7 +137,7 @@ def difference_interval(a: Array, b: Array) -> Interval | None:
 def ratio_interval(above: Array, below: Array) -> Interval | None:
     """The interval of mean(above) / mean(below) of independent samples, as `difference_interval`.
 
-    None also where resampled means below the line are 0.
+    None also if a resampled mean of `below` is 0.
     """
 
     def ratio(above: Array, below: Array, axis: int) -> Array:
@@ -146,10 +149,11 @@ def ratio_interval(above: Array, below: Array) -> Interval | None:
 
 
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
-    """The two-sided p that means do not differ, by exchange of values (n,) between a and b.
+    """The p of a two-sided permutation test of equal means of a (n,) and b (m,).
 
-    `is_paired`: values are exchanged within each pair. All exchanges are made if they are at most
-    PERMUTATIONS, else so many random ones. None below two values on a side.
+    `is_paired`: a[i] and b[i] are a pair, and values are exchanged within pairs alone. The test is
+    exact if there are at most PERMUTATIONS exchanges, else it draws PERMUTATIONS random exchanges.
+    None with fewer than two or infinite values on a side.
     """
     from scipy.stats import permutation_test
 
@@ -172,11 +176,13 @@ def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
 
 
 def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
-    """The two-sided p that times to an event (n,) have one distribution; NaN: not until the end.
+    """The p of a two-sided log-rank test of times to an event a (n,) and b (m,).
 
-    The log-rank test: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports 50, 1966.
-    It counts pairs as independent runs. None below two runs on a side, and without any event while
-    both sides had runs and some of them could have lacked it.
+    NaN: the event did not happen by `end_a` or `end_b`, the duration of the runs in s; such a time
+    is right-censored. Source: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports
+    50, 1966. Runs with a common seed count as independent. None with fewer than two runs on a side,
+    without any event, or if no event can tell the sides apart, such as events on one side after all
+    runs of the opposite side have ended.
     """
     from scipy.stats import CensoredData, logrank
 
@@ -186,25 +192,26 @@ def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
         CensoredData(uncensored=x[~np.isnan(x)], right=np.full(int(np.isnan(x).sum()), end))
         for x, end in ((a, end_a), (b, end_b))
     ]
-    with np.errstate(invalid="ignore"):  # without such an event: 0 / 0
+    with np.errstate(invalid="ignore"):  # 0 / 0 if no event can tell the sides apart
         p = float(logrank(*both).pvalue)
     return None if np.isnan(p) else p
 
 
 def restricted(times: Array, horizon: float) -> Array:
-    """The part (n,) of each time to an event up to `horizon`; NaN is an event after it.
+    """Times to an event (n,), each limited to `horizon` s; NaN: the event never happened.
 
-    Their mean is the restricted mean time: the area under the survival curve up to `horizon`
-    (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013). All runs must last until
-    then.
+    The mean of the result is the restricted mean survival time: the area under the survival curve
+    up to `horizon` (Royston and Parmar, BMC Medical Research Methodology 13:152, 2013). All runs
+    must last at least `horizon` s.
     """
     return np.minimum(np.where(np.isnan(times), np.inf, times), horizon)
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """The p of several tests, each corrected for all: Holm, Scand. J. Statist. 6, 1979.
+    """The p of several tests with Holm's correction (Scand. J. Statist. 6, 1979); None stays None.
 
-    If each below 0.05 is called a finding, any of them is false with a probability below 0.05.
+    If each test with a corrected p below 0.05 counts as a finding, the probability that any finding
+    is false is below 0.05.
     """
     known = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
     corrected: list[float | None] = [None] * len(p_values)
@@ -216,12 +223,12 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 
 
 def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
-    """The p that two factors add up: values (rows, columns, n) of n runs for each combination.
+    """The p of the interaction of two factors; a small p says that their effects do not add up.
 
-    The F test of the two-way analysis of variance with the same n everywhere (Montgomery, Design
-    and Analysis of Experiments, chapter 5.3). `has_blocks`: the k-th runs of all cells share a
-    seed, whose common effect does not count as scatter. None for one run a cell, or without
-    scatter.
+    `cells` (rows, columns, n): n runs for each combination of the factors. F test of the two-way
+    analysis of variance with equal n (Montgomery, Design and Analysis of Experiments, chapter 5.3).
+    `has_blocks`: the k-th runs of all cells share a seed, and the common effect of the seed is
+    removed from the scatter. None with one run per cell, one row or column, or without scatter.
     """
     from scipy.stats import f as distribution
 
@@ -243,7 +250,7 @@ def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
 
 @cache
 def wilson(count: int, n: int) -> Interval:
-    """Wilson's interval of a share of which `count` of `n` were seen; ValueError if n is 0."""
+    """Wilson's score interval of the share `count` of `n`; ValueError if n is 0."""
     from scipy.stats import binomtest
 
     if n < 1:
@@ -255,7 +262,10 @@ def wilson(count: int, n: int) -> Interval:
 def _bootstrap(
     samples: tuple[Array, ...], statistic: Callable[..., Array], method: str
 ) -> Interval | None:
-    """A bootstrap interval from the same draws on every call."""
+    """A bootstrap interval with a fixed random seed; None with fewer than two or infinite values.
+
+    If BCa gives NaN, the interval is a percentile interval.
+    """
     from scipy.stats import DegenerateDataWarning, bootstrap
 
     if any(values.size < 2 or not np.isfinite(values).all() for values in samples):

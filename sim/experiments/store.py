@@ -1,4 +1,4 @@
-"""The folder of an experiment, complete at every instant.
+"""The folder of an experiment, readable at every instant of the experiment.
 
 ::
 
@@ -73,9 +73,10 @@ def lines(rows: Iterable[Sequence[str]]) -> str:
 
 
 def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row]]:
-    """The metrics' names and the rows by run, in the order of the plan.
+    """Read runs.csv: the names of the metrics, and the rows by run in the order of the plan.
 
-    ConfigError with file and line for anything that `lines` of rows does not write.
+    A torn last line is skipped. ConfigError with file and line for any other deviation from what
+    `lines` writes.
     """
     path = folder / TABLE
     try:
@@ -118,10 +119,12 @@ def _row(cells: Sequence[str], metrics: Sequence[str], runs: Mapping[str, Run]) 
 
 
 class Store:
-    """An experiment's folder, open for writing. `rows` and `failures` (reasons) are by run.
+    """An experiment's folder, open for writing.
 
-    `errors`: why custom metrics have no value in a finished run, by run and metric.
-    Runs that failed earlier are not in `failures`: they are run again.
+    - `rows`: the finished runs, by run.
+    - `failures`: the reasons of runs that failed in this session, by run. Runs that failed in an
+      earlier session are run again.
+    - `errors`: why custom metrics have no value in a finished run, by run and metric.
     """
 
     def __init__(self, folder: Path, manifest: Manifest, rows: dict[str, Row]) -> None:
@@ -154,7 +157,8 @@ class Store:
             with _translate_errors(self.folder):
                 self._write_failures()
         row = Row(run, metrics, round(wall, 3))
-        # "r+" does not make a removed table again. A line torn by a full disk is cut at the start.
+        # "r+" raises an error if the table has been removed. A line that a full disk has torn is
+        # cut off when the folder is opened again.
         with _translate_errors(self.folder), (self.folder / TABLE).open("r+b") as file:
             file.seek(0, os.SEEK_END)
             file.write(lines([row.cells]).encode())
@@ -193,9 +197,9 @@ class Store:
 
 @contextmanager
 def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Iterator[Store]:
-    """The folder for this experiment: a new one, or one in which the same experiment goes on.
+    """Open or make the folder of an experiment, which may continue in it, and lock the folder.
 
-    ConfigError, with nothing changed, if the folder holds anything else, belongs to another
+    ConfigError, with nothing changed, if the folder has files of something else, belongs to another
     experiment or is in use.
     """
     with _translate_errors(folder):
@@ -212,7 +216,7 @@ def read_failures(folder: Path) -> dict[str, str]:
 
 
 def read_errors(folder: Path) -> dict[str, dict[str, str]]:
-    """Why custom metrics have no value, by run and metric; ConfigError as above."""
+    """Why custom metrics have no value, by run and metric; ConfigError as of `read_failures`."""
     errors: dict[str, dict[str, str]] = {}
     for run, metric, why in _listed(folder, "metrics"):
         errors.setdefault(run, {})[metric] = why
@@ -241,6 +245,7 @@ def trace_path(folder: Path, run: Run) -> Path:
 
 
 def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store:
+    """The store of a new or continued experiment; removes partly written traces and lines."""
     table, traces = folder / TABLE, folder / TRACES
     if (folder / manifests.NAME).exists():
         new, manifest = manifest, read_manifest(folder)
@@ -250,9 +255,9 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
             raise ConfigError(f"{text}; name another folder with --out, or remove this one")
     else:
         _refuse_other_files(folder)
-        # First: it makes the folder that of an experiment.
+        # The manifest comes first: it marks the folder as the folder of an experiment.
         write_json(folder / manifests.NAME, msgspec.to_builtins(manifest))
-    if not table.exists():  # new, interrupted between the two, or deleted
+    if not table.exists():  # new, interrupted after the manifest, or deleted by the user
         write_whole(table, lines([header(manifest.plan, metrics)]))
     known, rows = read_table(folder, manifest.plan)
     if known != metrics:
@@ -292,7 +297,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _translate_errors(folder: Path) -> Iterator[None]:
-    """Turn errors of the file system into one line that names the folder."""
+    """Turn an OSError into a ConfigError or SwarmError of one line that names the folder."""
     try:
         yield
     except (FileExistsError, NotADirectoryError) as error:

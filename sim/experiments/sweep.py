@@ -1,4 +1,4 @@
-"""What the keys of a sweep do: all variants in one table, and for two keys how they add up."""
+"""Tables of a parameter sweep: means of all variants, and for two keys effects and interaction."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ READING = (
 
 @dataclass(frozen=True, slots=True)
 class Marginal:
-    """The mean of all runs with one `value` of a swept `key`, whatever the other key."""
+    """The mean of all runs with one `value` of a swept `key`, over all values of the other key."""
 
     key: str
     value: str
@@ -42,20 +42,21 @@ class Marginal:
 
 @dataclass(frozen=True, slots=True)
 class Factors:
-    """What two swept keys do to one metric: the marginals of each, and their interaction.
-
-    `n` seeds have a value in each variant. `largest`: the variant farthest from the sum of both
-    effects, by `deviation`. `p`: that there is no interaction; `p_holm`: corrected for all metrics.
-    """
+    """The effects of two swept keys on one metric: marginal means and interaction."""
 
     metric: str
     unit: str
     n: int
+    """The number of seeds with a value in each variant; all others are left out."""
     marginals: tuple[Marginal, ...]
     largest: str
+    """The variant whose mean is farthest from the additive model, the sum of both effects."""
     deviation: float
+    """The mean of that variant minus the additive model."""
     p: float | None
+    """Of the null hypothesis of no interaction; None as for `interaction_p`."""
     p_holm: float | None = None
+    """`p` with Holm's correction for all metrics."""
 
 
 def first_and_others(results: Results, metrics: Sequence[Metric]) -> list[list[Difference]]:
@@ -136,7 +137,10 @@ def _sides(results: Results) -> list[Side]:
 
 
 def _known(results: Results, variant: str, metric: Metric, values: Array) -> tuple[Array, int]:
-    """The values that a mean takes, and the number of runs without the event of a time to it."""
+    """The values for a mean, and the number of runs in which a time to an event has no event.
+
+    If there are such runs, the values are restricted to the duration of the runs.
+    """
     never = int(np.isnan(values).sum()) if metric.is_time_to_event else 0
     if never:
         return restricted(values, _duration(results, variant)), never
@@ -149,6 +153,7 @@ def _duration(results: Results, variant: str) -> float:
 
 
 def _factors(results: Results, metric: Metric) -> Factors | None:
+    """The effects of both keys on one metric; None if no seed has a value in each variant."""
     (row_key, row_values), (column_key, column_values) = results.plan.sweep.items()
     by_cell: dict[tuple[Any, Any], dict[int, float]] = {}
     for variant in results.plan.variants:
@@ -161,20 +166,25 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
     common = sorted(set.intersection(*map(set, by_cell.values())))
     if not common:
         return None
-    names = [*map(shown, row_values)], [*map(shown, column_values)]
+    row_texts, column_texts = [*map(shown, row_values)], [*map(shown, column_values)]
+    row_name, column_name = (key.rpartition(".")[2] for key in (row_key, column_key))
+    # (rows, columns, seeds)
     cells = np.array(
-        [[[by_cell[a, b][seed] for seed in common] for b in names[1]] for a in names[0]]
+        [[[by_cell[a, b][seed] for seed in common] for b in column_texts] for a in row_texts]
+    )
+    axes = (
+        (row_name, row_texts, cells.mean(axis=1)),
+        (column_name, column_texts, cells.mean(axis=0)),
     )
     marginals = [
-        Marginal(name.rpartition(".")[2], text, float(part.mean()), mean_interval(part))
-        for axis, name in enumerate((row_key, column_key))
-        for text, part in zip(names[axis], cells.mean(axis=1 - axis), strict=True)
+        Marginal(name, text, float(values.mean()), mean_interval(values))
+        for name, texts, by_text in axes
+        for text, values in zip(texts, by_text, strict=True)
     ]
     means = cells.mean(axis=2)
-    away = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
-    row, column = np.unravel_index(int(np.abs(away).argmax()), away.shape)
-    row_name, column_name = (key.rpartition(".")[2] for key in (row_key, column_key))
-    largest = f"{row_name}={names[0][row]},{column_name}={names[1][column]}"
+    residuals = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
+    row, column = np.unravel_index(int(np.abs(residuals).argmax()), residuals.shape)
+    largest = f"{row_name}={row_texts[row]},{column_name}={column_texts[column]}"
     p = interaction_p(cells, has_blocks=True)
-    deviation = float(away[row, column])
+    deviation = float(residuals[row, column])
     return Factors(metric.name, metric.unit, len(common), tuple(marginals), largest, deviation, p)

@@ -1,9 +1,9 @@
-"""Python files that results name: imported if this user has run them before, or trusts them.
+"""Trust in Python files that results name: run only if the user has run or trusted them before.
 
-Results may come from anyone, their manifest with its paths and digests included. A digest of the
-manifest therefore shows that a file is the one of the runs, and not that the user knows the file. A
-list of the user's own, `run_code` in the state folder, has the digests of all code that the user's
-commands have run.
+Results may come from a stranger, with the paths and digests in their manifest. So a digest of the
+manifest shows that a file is unchanged since the runs, but not that the user knows the file. The
+file `run_code` in the user's state folder lists the digests of all code that the user's commands
+have run.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LIST = "run_code"
 
 
 def remember_code(digests: Iterable[str]) -> None:
-    """Add SHA-256 digests to the user's list. Without a list that can be written, none is kept."""
+    """Add SHA-256 digests to the user's list; no error if the list cannot be written."""
     new = sorted({*digests} - _known())
     if new:
         with suppress(OSError, ConfigError):
@@ -33,11 +33,11 @@ def remember_code(digests: Iterable[str]) -> None:
 def check_code(
     folder: Path, recorded: Mapping[str, str], present: Mapping[str, str], *, is_trusted: bool
 ) -> None:
-    """Raise ConfigError for a file that the results in `folder` name and that may not be run.
+    """Raise ConfigError if a file that the results in `folder` name may not be run.
 
-    `recorded` are the digests of the manifest and `present` those of the files now, by name. A file
-    may be run if both are equal and the user has run this code before. `is_trusted`: all may be
-    run, and are remembered.
+    `recorded`: digests in the manifest by file name; `present`: digests of the files now. A file
+    may be run if both digests are equal and the user has run this code before. `is_trusted`: all
+    files may be run, and their digests are added to the user's list.
     """
     if is_trusted:
         remember_code(present.values())

@@ -7,15 +7,20 @@
     tuning = tune("aggregation", "gather_time:min", budget=200, param=["spacing=0.6..0.9"])
     print(tuning)
 
-The same as `swarmctl exp tune`. Races follow one another: a sampler draws candidates from the
-results of the races before, all candidates meet the same seeds in the same order, and those that
-are worse with confidence end early (`racing.py`). The best one of a race is the reference of the
-next. The claim is made by seeds that no race has used, against the values of the scenario.
+`swarmctl exp tune` calls this function. A tuning has these phases:
+
+1. A sampler draws new candidates from the results of earlier races.
+2. All candidates of a race run over the same seeds in the same order. A candidate ends early when a
+   test shows with confidence that the leader is better (`racing.py`).
+3. The best candidate of a race also takes part in the next race. Races repeat until the budget is
+   used.
+4. Held-out seeds, which no race has used, compare the best candidate with the values of the
+   scenario.
 
 Sampler: optuna's tree-structured Parzen estimator (J. Bergstra et al., "Algorithms for
 hyper-parameter optimization", NIPS 2011; multivariate: S. Falkner et al., "BOHB", ICML 2018) with a
-fixed seed. It learns between races alone, so nothing depends on the order in which runs end, or on
-how many processes do them.
+fixed seed. The sampler learns between races alone. So the result depends neither on the order in
+which runs end nor on the number of processes.
 """
 
 from __future__ import annotations
@@ -72,33 +77,36 @@ RESULT = "tuned.yaml"
 MISSIONS = "missions"
 MISSION = "tuned_mission.yaml"
 PRESENT, TUNED = "present", "tuned"
-"""The variants of the runs with held-out seeds: the values of the scenario, and the best found."""
+"""Names of the two variants on held-out seeds: the scenario's values, and the best candidate's."""
 CANDIDATES = 8
 _FORMAT = 1
 _SAMPLER_SEED = 2011
-_FEW_TRIALS = 10  # below it no importance is computed
-_MAX_DRAWS = 40  # for one candidate, until it is neither refused nor known
+_MIN_TRIALS = 10  # with fewer trials no importance is computed
+_MAX_DRAWS = 40  # draws in a row that the scenario may refuse or that repeat a candidate
 
 
 class Space(Protocol):
-    """The values that a tuning may draw, and the overrides of the scenario that they are."""
+    """The search space of a tuning: draws values, and turns values into scenario overrides."""
 
     @property
     def text(self) -> list[str]:
-        """The space in lines that differ for different spaces."""
+        """A description in lines, by which two spaces are compared: equal lines, equal spaces."""
 
     @property
     def present(self) -> dict[str, Any] | None:
-        """The values of the scenario as it is; None if they are outside of the space."""
+        """The values in the unchanged scenario; None if they lie outside of the space."""
 
     def draw(self, trial: Trial) -> dict[str, Any]:
         """The values of a trial, by name."""
 
     def overrides(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """The overrides of a scenario, by dotted key."""
+        """The scenario overrides, by dotted key, that set these values."""
 
     def known_trial(self, values: Mapping[str, Any], loss: float) -> FrozenTrial | None:
-        """These values and their loss, as the sampler takes them; None if it cannot."""
+        """A finished trial of optuna with these values and this loss.
+
+        None if the sampler could not have drawn these values.
+        """
 
 
 @dataclass(slots=True)
@@ -107,42 +115,45 @@ class Candidate:
 
     number: int
     values: dict[str, Any]
-    """Values by parameter, of candidate 0 those that are known."""
+    """Values by parameter; candidate 0 has the values inside the search space, or none."""
     overrides: dict[str, Any]
     """Overrides of the scenario by dotted key."""
     effective: Mapping[str, Any]
     """The complete scenario."""
     losses: list[float] = field(default_factory=list)
-    """A loss for each of the first seeds, less is better; inf of a run that failed or has no value.
-    """
+    """A loss for each seed run so far, in the order of the seeds; the least loss is the best.
+
+    inf: the run failed, or its metric has no value."""
     is_out: bool = False
     """A race has ended the candidate early."""
     estimate: float = math.nan
-    """The mean loss over all seeds of a race, estimated if `is_out`; NaN during the race."""
+    """The mean loss over all seeds of a race, extrapolated if `is_out`; NaN during the race."""
     trial: Any = None
-    """The trial of optuna; None of candidate 0."""
+    """The trial of optuna that drew the values; None for candidate 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A moment of a tuning: `runs` of `budget` are done, in this `race`."""
+    """The state of a tuning at an interim analysis of a race (a look)."""
 
-    race: int  # from 1 on
-    runs: int
-    budget: int
-    alive: int  # new candidates of the race that go on
-    candidates: tuple[Candidate, ...]  # all so far, the best first, those that ended early last
+    race: int  # counted from 1
+    runs: int  # finished so far
+    budget: int  # of runs
+    alive: int  # new candidates of this race that have not ended early
+    candidates: tuple[Candidate, ...]  # of all races, best first; those that ended early come last
     metric: str
     goal: Goal
 
     def value(self, candidate: Candidate) -> float | None:
         """The mean of the metric over the candidate's finished runs; None if all failed."""
         mean = mean_loss(candidate.losses)[1]
-        return None if math.isinf(mean) else mean if self.goal == "min" else -mean
+        if math.isinf(mean):
+            return None
+        return mean if self.goal == "min" else -mean
 
     @property
     def headline(self) -> str:
-        """How far the tuning is, on one line."""
+        """The progress of the tuning, on one line."""
         count = len(self.candidates)
         return (
             f"{self.runs} of {self.budget} runs, race {self.race}, {count} candidates,"
@@ -160,12 +171,14 @@ class Look:
 
 OnLook: TypeAlias = Callable[[Look], None]
 Workers: TypeAlias = Callable[[Manifest], AbstractContextManager[tuple[Runner, Manifest]]]
-"""Opens what does runs made with the software of a manifest; also gives their manifest."""
+"""Connects to workers outside of this process, for runs with the software of a manifest.
+
+The context gives the function that does runs there, and the manifest of the workers' software."""
 
 
 @dataclass(slots=True, weakref_slot=True)
 class Tuning:
-    """The result of a tuning, which is in `folder`."""
+    """The result of a tuning, whose files are in `folder`."""
 
     folder: Path
     metric: Metric
@@ -178,20 +191,22 @@ class Tuning:
     """Candidate number 0 if no candidate has a better mean over the seeds of the races."""
     candidates: tuple[Candidate, ...]
     importance: dict[str, float]
-    """The share of each parameter in what makes candidates good, by PED-ANOVA; empty if unknown."""
+    """The importance of each parameter as a share of 1, by PED-ANOVA; empty if not computed."""
     gain: Difference | None = None
-    """Tuned against present values on held-out seeds; None without these or if `best` is number 0.
-    """
+    """The scenario's values (side a) against the tuned values (side b) on held-out seeds.
+
+    None without held-out seeds, or if `best` is candidate 0."""
     drops: dict[str, Difference] = field(default_factory=dict)
-    """By variant, how the same runs differ in pseudo-reality."""
+    """By variant: its held-out runs (side a) against the same seeds in pseudo-reality (side b)."""
     document: str = ""
     """The text of tuned.yaml."""
 
     def value(self, candidate: Candidate) -> float:
         """The mean of the metric over the seeds of the races.
 
-        The mean of a candidate that ended early is estimated by the difference from the best
-        candidate of the race. A failed run counts as the worst run of the race.
+        For a candidate that ended early the mean is extrapolated: the mean of the race's best
+        candidate, plus the mean difference of both on their common seeds. A failed run counts as
+        the worst run of the race.
         """
         return candidate.estimate if self.goal == "min" else -candidate.estimate
 
@@ -200,15 +215,16 @@ class Tuning:
 
 
 def plain_tuning(tuning: Tuning) -> dict[str, Any]:
-    """A tuning as plain values."""
+    """A tuning as dicts, lists, texts and numbers, for JSON."""
 
     def about(candidate: Candidate) -> dict[str, Any]:
-        known = {
+        return {
             "candidate": candidate.number,
             "values": candidate.values,
             "mean": tuning.value(candidate),
+            "seeds": len(candidate.losses),
+            "is_out": candidate.is_out,
         }
-        return {**known, "seeds": len(candidate.losses), "is_out": candidate.is_out}
 
     return {
         "folder": str(tuning.folder),
@@ -226,7 +242,10 @@ def plain_tuning(tuning: Tuning) -> dict[str, Any]:
 
 
 def split_metric(text: str, goal: str | None = None) -> tuple[Metric, Goal]:
-    """The metric and the direction of `M`, `M:min` or `M:max`; ConfigError without a direction."""
+    """The metric and the direction that `M`, `M:min` or `M:max` names; `goal` goes before the text.
+
+    ConfigError if neither the text, nor `goal`, nor the metric itself has a direction.
+    """
     name, _, word = text.rpartition(":")
     if goal is None and word in ("min", "max") and name not in ("", "report", "reading"):
         text, goal = name, word
@@ -259,25 +278,34 @@ def tune(
     on_step: Callable[[str], object] = str,
     on_progress: OnProgress | None = None,
 ) -> Tuning:
-    """Search the values of parameters with the best mean of a metric over the seeds.
+    """Search the parameter values with the best mean of a metric over the seeds.
 
-    - `metric`: as of `--metrics`, with `:min` or `:max` where the metric has no better direction.
-    - `budget`: the races take at most so many runs.
-    - `candidates`: new candidates of a race, at most; each runs over `seeds`.
-    - `param`: the keys to search, as of `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
+    - `scenario`: the name of a scenario, or the path of its file (.yaml).
+    - `metric`: a name as in `--metrics`, with `:min` or `:max` where the metric itself does not say
+      which direction is better.
+    - `budget`: the most runs that all races together make. Held-out runs are not counted.
+    - `seeds`: the seeds of the races; a number n means 0 to n - 1.
+    - `param`: the keys to search, as in `--param`: "spacing=0.5..0.9", "groups.tb3.count=5..9",
       "law=settling,paper". By default all parameters of the scenario's patterns.
+    - `set`: overrides of the scenario for all runs, by dotted key: `{"groups.tb3.count": 5}`.
     - `mission`, names of patterns: the candidates are missions of these patterns, and `param` has
       bounds of conditions: "timeout=5..60", "nearer=0.3..1", "probability=0.01..1",
       "neighbors=1..6", "reading:light=0..100".
     - `mission`, the path of a mission's file (.yaml): the candidates are this mission with values
       of its dotted keys: "sequence.0.until.probability=0.01..1".
-    - `held_out`: seeds, or the number of seeds after the greatest of `seeds`.
-    - `pseudo_reality`: the held-out runs are repeated with the key of this name, for `drops`.
-    - `jobs`, `timeout`, `out`: as of `simulate`. The same call continues an interrupted tuning, and
-      the result does not depend on `jobs`.
-    - `workers`: do the runs in place of processes of this machine.
-    - `on_look`, `on_step`, `on_note`: called at each look at a race, with a line before each race
-      and each set of held-out runs, and with a line for each parameter that is not tuned.
+    - `held_out`: the held-out seeds, or their number; they then follow the greatest of `seeds`.
+    - `pseudo_reality`: the held-out runs are repeated with `pseudo_reality` on, for `drops`.
+    - `candidates`: the most new candidates of a race.
+    - `jobs`, `timeout`: as for `simulate`. The result does not depend on `jobs`.
+    - `out`: the folder of the tuning. A repeated call with this folder and equal arguments
+      continues an interrupted tuning. Without `out` the results lie in a temporary folder, which is
+      deleted with the returned object or on an error.
+    - `workers`: does the runs on other machines, in place of processes of this machine.
+    - `on_note`: called with a line for each parameter that is not tuned.
+    - `on_look`: called after each block of seeds of a race, with the state of the tuning.
+    - `on_step`: called with a line before each race and each set of held-out runs.
+    - `on_progress`: called after each run with the progress inside a block of seeds or a set of
+      held-out runs; with worker processes also during runs.
 
     ConfigError before anything runs if an argument is invalid. SwarmError if all runs of a race
     failed. PluginError without optuna.
@@ -295,7 +323,7 @@ def tune(
             f" {len(raced)} seeds) to {MAX_RUNS}"
         )
     loaded = load_scenario(str(scenario), set)
-    loaded.starts(raced[0])
+    loaded.starts(raced[0])  # for its ConfigError: there may be no room for the robots
     folder = Path("tuning") if out is None else Path(out)
     space: Space
     modules = tuple(mission.split(",") if isinstance(mission, str) else mission)
@@ -342,6 +370,7 @@ def tune(
 
 
 def _held_out(given: int | Iterable[int], raced: Sequence[int]) -> tuple[int, ...]:
+    """The held-out seeds of a list or a number; ConfigError if a race has one of them, too."""
     if isinstance(given, Integral):
         first, count = max(raced) + 1, int(given)
         return check_seeds(range(first, first + count)) if count else ()
@@ -353,6 +382,8 @@ def _held_out(given: int | Iterable[int], raced: Sequence[int]) -> tuple[int, ..
 
 @dataclass(slots=True, kw_only=True)
 class _Tuner:
+    """One tuning: its arguments, and the candidates and races so far."""
+
     scenario: str
     sets: dict[str, Any]
     loaded: Scenario
@@ -370,9 +401,10 @@ class _Tuner:
     on_progress: OnProgress | None
     candidates: list[Candidate] = field(default_factory=list)
     races: list[list[int]] = field(default_factory=list)
+    """By race the numbers of its candidates; the first is the best candidate of the race before."""
 
     def search(self) -> Tuning:
-        """Race until the budget is used; what a folder has already is not run again."""
+        """Race until the budget is used; take recorded races from the folder."""
         study = _study()
         recorded = self._open()
         present = Candidate(0, self.space.present or {}, {}, plain(self.loaded.effective))
@@ -383,8 +415,9 @@ class _Tuner:
             known = recorded[index] if index < len(recorded) else None
             affordable = (self.budget - self._runs) // len(self.seeds)
             size = min(self.per_race, affordable) if known is None else len(known)
-            # The present values are a candidate of the first race.
-            new = self._draw(study, max(size - (index == 0), 0))
+            if index == 0:
+                size -= 1  # candidate 0, the scenario's values, is a new candidate of this race
+            new = self._draw(study, max(size, 0))
             if not new and index > 0:
                 break
             racing = [best, *new]
@@ -417,7 +450,11 @@ class _Tuner:
         )
 
     def assess(self, tuning: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
-        """Hold the best candidate against the present values on seeds that no race has used."""
+        """Compare the best candidate with the scenario's values on held-out seeds.
+
+        Sets the fields `held_out`, `gain`, `drops` and `document` of the tuning, and writes the
+        result files.
+        """
         tuning.held_out = held_out
         if held_out:
             sides = {PRESENT: self.candidates[0], TUNED: tuning.best}
@@ -444,16 +481,22 @@ class _Tuner:
             write_whole(self.folder / MISSION, "\n".join([*comments, text]))
 
     def manifest(self, candidates: Sequence[Candidate] = ()) -> Manifest:
-        """The manifest of the runs of these candidates, by default of the present values."""
+        """The manifest of the runs of these candidates, by default of the scenario's values."""
         named = {str(candidate.number): candidate.effective for candidate in candidates}
         named = named or {"0": plain(self.loaded.effective)}
         return self._manifest(named, self.seeds, traces=False)
 
     def _race(self, racing: Sequence[Candidate], number: int) -> None:
-        """Run blocks of seeds, and end candidates that are worse than the leader."""
+        """Run new candidates in blocks of seeds; after each block, end those that are worse.
+
+        The best candidate of the race before has all its losses already. It is compared with new
+        candidates, but does not run again and does not end early.
+        """
         new = [candidate for candidate in racing if not candidate.losses]
+        veterans = [candidate for candidate in racing if candidate.losses]
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
+        # Numbers of seeds. No candidate ends early at the last number, which is all seeds.
         stages = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(stages) - 1, 1)
         for count in stages:
@@ -464,16 +507,20 @@ class _Tuner:
             if not any(math.isfinite(loss) for candidate in racing for loss in candidate.losses):
                 raise SwarmError(self._why_all_failed(number))
             if count < len(self.seeds):
-                compared = [*alive, *(candidate for candidate in racing if candidate not in new)]
+                compared = [*alive, *veterans]
                 table = np.array([candidate.losses[:count] for candidate in compared]).T
                 for column in losers(table, level):
-                    compared[column].is_out |= compared[column] in alive
+                    if column < len(alive):
+                        alive[column].is_out = True
             self._report(number, sum(not candidate.is_out for candidate in new))
 
     def _run_block(
         self, manifest: Manifest, alive: Sequence[Candidate], number: int, count: int
     ) -> None:
-        """Take the losses of the first `count` seeds."""
+        """Run the candidates over the first `count` seeds, and set their losses.
+
+        Runs of these seeds that the race's folder has already are not repeated.
+        """
         place = self.folder / RACES / f"{number + 1:02d}"
         seeds = {*self.seeds[:count]}
         names = {_variant(str(candidate.number)): candidate for candidate in alive}
@@ -497,7 +544,11 @@ class _Tuner:
             ]
 
     def _loss(self, value: float | None, candidate: Candidate) -> float:
-        """Less is better; an event that never happened counts as one at the end of the run."""
+        """The loss of a run with this value of the metric; the least loss is the best.
+
+        A time to an event that never happened counts as the duration of the run. inf: the run
+        failed (None) or its metric has no value (NaN).
+        """
         if value is None:
             return math.inf
         if math.isnan(value):
@@ -507,6 +558,7 @@ class _Tuner:
         return value if self.goal == "min" else -value
 
     def _why_all_failed(self, number: int) -> str:
+        """The reason of the first failed run of a race whose runs have no finite loss."""
         from swarmd.sim.experiments.results import load_results
 
         results = load_results(self.folder / RACES / f"{number + 1:02d}")
@@ -517,7 +569,7 @@ class _Tuner:
     def _run_held_out(
         self, name: str, seeds: tuple[int, ...], variants: Mapping[str, Mapping[str, Any]]
     ) -> Results:
-        """The runs of present and tuned values, with traces."""
+        """Run these variants over held-out seeds, with traces, in the folder `name`."""
         place = " in pseudo-reality" if name != HELD_OUT else ""
         self.on_step(f"{len(seeds)} held-out seeds of {' and '.join(variants)} values{place}")
         return run_experiment(
@@ -554,9 +606,14 @@ class _Tuner:
         return msgspec.structs.replace(manifest, made_with=made_with)
 
     def _draw(self, study: Study, count: int) -> list[Candidate]:
-        """New candidates that the scenario accepts; fewer if there are no more."""
+        """Draw `count` new candidates that the scenario accepts.
+
+        Fewer if _MAX_DRAWS draws in a row are refused or repeat an earlier candidate. ConfigError
+        if the tuning has no accepted candidate at all.
+        """
         accepted: list[Candidate] = []
-        draws, refused = 0, ""
+        draws = 0  # since the last accepted candidate
+        refused = ""
         while len(accepted) < count and draws < _MAX_DRAWS:
             draws += 1
             trial = study.ask()
@@ -589,6 +646,7 @@ class _Tuner:
         return sum(len(candidate.losses) for candidate in self.candidates)
 
     def _ranked(self) -> tuple[Candidate, ...]:
+        """The candidates with runs, best first; those that ended early come last."""
         tried = [candidate for candidate in self.candidates if candidate.losses]
         return tuple(
             sorted(tried, key=lambda c: (c.is_out, -len(c.losses), mean_loss(c.losses), c.number))
@@ -601,7 +659,10 @@ class _Tuner:
     # The folder
 
     def _open(self) -> list[list[dict[str, Any]]]:
-        """The candidates of finished races; ConfigError for the folder of anything else."""
+        """Make or open the folder; the recorded candidates of each finished race.
+
+        ConfigError if the folder is damaged, or belongs to another tuning or to something else.
+        """
         path = self.folder / STATE
         here = self._head()
         try:
@@ -634,6 +695,7 @@ class _Tuner:
         return races
 
     def _head(self) -> dict[str, Any]:
+        """The arguments and the software of the tuning, which an interrupted tuning must share."""
         from optuna import __version__
 
         asked = {
@@ -648,7 +710,7 @@ class _Tuner:
         return {"asked": asked, "manifest": msgspec.to_builtins(self.manifest())}
 
     def _record(self) -> None:
-        """Write what the races so far have found."""
+        """Write the candidates and losses of all races so far to tune.json."""
         races = []
         for index, numbers in enumerate(self.races):
             new = [self.candidates[n] for n in numbers if n != numbers[0] or index == 0]
@@ -661,7 +723,7 @@ class _Tuner:
         write_json(self.folder / STATE, {**self._head(), "races": races})
 
     def _recall(self, racing: Sequence[Candidate], known: Sequence[Mapping[str, Any]]) -> None:
-        """Take the results of a race that is over."""
+        """Set the losses of new candidates from a recorded race, without runs."""
         new = [candidate for candidate in racing if not candidate.losses]
         drawn = [(candidate.number, plain(candidate.values)) for candidate in new]
         if drawn != [(row["candidate"], row["values"]) for row in known]:
@@ -691,28 +753,30 @@ def _study() -> Study:
 
 
 def _refuse(study: Study, trial: Trial) -> None:
-    """Tell the sampler that these values cannot be run; they count as bad values."""
+    """Tell the sampler that the scenario refuses the values of a trial, as bad values."""
     from optuna.trial import TrialState
 
     study.tell(trial, state=TrialState.PRUNED)
 
 
 def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
-    """Tell the sampler the mean loss of a candidate over all seeds.
+    """Set a candidate's `estimate`, and tell the sampler this mean loss over all seeds.
 
-    The mean of a candidate that ended early is estimated: the mean of the race's leader, plus the
-    mean difference of both on their common seeds. A failed run counts as the worst run of the race.
+    The mean of a candidate that ended early is extrapolated: the mean of the race's leader, plus
+    the mean difference of both on their common seeds. A failed run counts as the worst run of the
+    race.
     """
     finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
     worst = max(finite)
     finishers = (racer for racer in racing if not racer.is_out)
     leader = min(finishers, key=lambda racer: mean_loss(racer.losses))
-    ours, theirs = (np.minimum(racer.losses, worst) for racer in (candidate, leader))
-    value = candidate.estimate = float(theirs.mean() + (ours - theirs[: len(ours)]).mean())
+    losses = np.minimum(candidate.losses, worst)
+    leader_losses = np.minimum(leader.losses, worst)
+    difference = (losses - leader_losses[: len(losses)]).mean()
+    candidate.estimate = float(leader_losses.mean() + difference)
     if candidate.trial is not None:
-        study.tell(candidate.trial, value)
-        return
-    if (known := space.known_trial(candidate.values, value)) is not None:
+        study.tell(candidate.trial, candidate.estimate)
+    elif (known := space.known_trial(candidate.values, candidate.estimate)) is not None:
         study.add_trial(known)
 
 
@@ -720,13 +784,14 @@ def _importance(study: Study) -> dict[str, float]:
     """The share of each parameter, by PED-ANOVA of S. Watanabe et al., IJCAI 2023.
 
     PED-ANOVA measures how much the best tenth of the candidates narrows each parameter. Parameters
-    that some candidate lacks are left out. Empty below ten candidates, and if all losses are equal.
+    that a candidate lacks are left out. Empty if there are fewer than ten candidates, or if all
+    losses are equal.
     """
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState
 
     complete = study.get_trials(deepcopy=False, states=[TrialState.COMPLETE])
-    if len(complete) < _FEW_TRIALS:
+    if len(complete) < _MIN_TRIALS:
         return {}
     common = [key for key in complete[0].params if all(key in t.params for t in complete)]
     if not common:

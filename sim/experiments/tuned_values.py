@@ -1,4 +1,4 @@
-"""The result of a tuning as a scenario's file, with its evidence in comments."""
+"""The text of tuned.yaml: the best values as a scenario's file, with the evidence in comments."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _SOFTWARE = ("swarmd", "python", "numpy", "mujoco", "kernels")
 def tuned_document(
     tuning: Tuning, scenario: str, sets: Mapping[str, Any], manifest: Manifest
 ) -> str:
-    """A scenario that extends the tuned one, with the best values, and what is known of them.
+    """The text of a scenario that extends the tuned scenario by the best values.
 
-    Values of patterns stand in a comment as a platform's file has them, too.
+    Comments hold the evidence, and the values of patterns in the form of a platform's file.
     """
     comments = [line for text in _evidence(tuning, manifest) for line in _wrapped(text)]
     base = str(Path(scenario).absolute()) if scenario.endswith(".yaml") else scenario

@@ -47,10 +47,10 @@ class Colouring:
 
 
 def colouring_of(trace: Trace, by: str) -> Colouring:
-    """Colours by state, pattern, platform or robot, or by a value that the robots report.
+    """Colours by state, pattern, platform or robot, or by a value that patterns report.
 
-    `report:state` is the state that they report, `state` that of the robot.
-    ConfigError with the nearest name if the robots report no such value.
+    `state` is the state of the robot; `report:state` is a value of this name that patterns report.
+    ConfigError with the nearest name if no robot reports such a value.
     """
     shape = trace.pose.shape[:2]
     name = by.removeprefix("report:")
@@ -94,7 +94,10 @@ def _by_word(
 
 
 def _by_number(values: Array, name: str) -> Colouring:
-    """Few whole numbers have a colour each, others a place on a scale from blue to yellow."""
+    """Colours by a number: up to _MAX_CLASSES whole numbers have a colour each.
+
+    Other numbers have a colour on a scale from blue to yellow.
+    """
     is_known = np.isfinite(values)
     rgb = np.empty((*values.shape, 3), dtype=np.uint8)
     rgb[:] = rgb_of(UNKNOWN)

@@ -1,7 +1,8 @@
 """The agents of an environment: robots of a scenario that request the actions of a learner.
 
-A robot whose daemon ends and starts again is another agent, `tb3-01#2`: its memory is empty, and
-PettingZoo knows no agent that lives twice.
+When the daemon of a robot ends and starts again, the robot becomes a new agent, such as `tb3-01#2`:
+its memory is empty, and in PettingZoo a terminated agent does not return. A life is the time of a
+robot as one agent.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ PATTERN = "agent"
 
 @dataclass(slots=True)
 class Seat:
-    """What passes between an environment and the pattern of one robot."""
+    """The exchange between an environment and the pattern of one robot."""
 
     action: Array
-    """(actions,) that the pattern requests until the next."""
+    """(actions,) that the pattern requests until the environment sets a new action."""
     pattern: ActionPattern | None = None
     inputs: Inputs | None = None
-    """The newest inputs of the pattern; None before its first."""
+    """The newest inputs of the pattern; None before its first step."""
 
     def leave(self) -> None:
-        """Forget the robot's pattern, and request zero."""
+        """Forget the robot's pattern and inputs, and set the action to zero."""
         self.action = np.zeros_like(self.action)
         self.pattern = self.inputs = None
 
@@ -67,10 +68,10 @@ def learners_of(scenario: Scenario, group: str | None) -> tuple[str, ...]:
 
 
 def with_agents(scenario: Scenario, learners: Collection[str]) -> Scenario:
-    """The scenario in which learners run PATTERN wherever they would run another one.
+    """The scenario in which learners run PATTERN in place of each other pattern.
 
-    Parameters and end conditions of the other pattern do not apply to them. ConfigError for a
-    learner that never runs a pattern.
+    Parameters and end conditions of the replaced patterns do not apply to learners. ConfigError for
+    a learner that never runs a pattern.
     """
     events = tuple(part for event in scenario.events for part in _split(event, learners))
     running = {robot for event in events if event.action == "run" for robot in event.robots}
@@ -103,6 +104,10 @@ def new_seat(spec: PolicySpec) -> Seat:
 
 
 def _split(event: ScheduledEvent, learners: Collection[str]) -> Iterable[ScheduledEvent]:
+    """The event for robots that do not learn, then a run of PATTERN for learners.
+
+    Learners have no param events.
+    """
     mine = tuple(robot for robot in event.robots if robot in learners)
     if event.action not in ("run", "param") or not mine:
         yield event

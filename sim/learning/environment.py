@@ -84,17 +84,16 @@ def env(
 ) -> SwarmEnv:
     """The environment of a scenario.
 
-    - `seed`: of the first `reset` without a seed. None: of the system.
+    - `seed`: the seed of the first `reset` that is called without a seed. None: a random seed.
     - `set`: overrides by dotted key of the scenario's file: `{"groups.tb3.count": 5}`.
-    - `agents`: the group of the robots that learn, while all robots of other groups run their own
-      pattern. None: all learn.
-    - `spec`: observations and actions. None: as `default_spec` of the platform.
-    - `reward`: weights by name of a metric of the catalog, of `contacts` and of `limited`, or a
-      function of the state (see `State`) that gives rewards by robot. None: the reward of the
-      scenario, if any.
+    - `agents`: the group of the robots that learn; the robots of all other groups run their own
+      pattern. None: all robots learn.
+    - `spec`: observations and actions. None: `default_spec` of the platform.
+    - `reward`: weights by name (metrics of the catalog, `contacts` and `limited`), or a function
+      of the state (see `State`) that gives rewards by robot. None: the scenario's reward, if any.
     - `render_mode`: with "rgb_array" `render` gives pictures.
 
-    ConfigError if any of these is invalid, PluginError for a `render_mode` without the extra film.
+    ConfigError if an argument is invalid. PluginError for a `render_mode` without the extra film.
     """
     if render_mode is not None and render_mode not in RENDER_MODES:
         raise ConfigError(f"render_mode: {unknown('mode', str(render_mode), RENDER_MODES)}")
@@ -122,15 +121,15 @@ def env(
 
 @dataclass(slots=True)
 class _Episode:
-    """What belongs to one run."""
+    """The state of one run."""
 
     swarm: Lockstep
-    seats: dict[str, Seat]
+    seats: dict[str, Seat]  # the exchange of observation and action with the pattern, by robot
     rewards: Rewards
     episodes: ContactEpisodes
-    lives: dict[str, int]
-    contacts: NDArray[np.int64]
-    present: dict[str, bool]
+    lives: dict[str, int]  # how often a robot has joined, by robot
+    contacts: NDArray[np.int64]  # (n,) contacts that began in this step
+    present: dict[str, bool]  # whether a robot has a daemon
     is_over: bool = False
     pictures: Pictures | None = None
     """None before the first picture of the run."""
@@ -172,7 +171,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         self._next_seed = None if seed is None else check_seeds([seed])[0]
         self._seeds = np.random.default_rng(self._next_seed)
         self.seed: int | None = None
-        """Of the run that the last `reset` began: `exp run` with it has the same start."""
+        """The seed of the run that the last `reset` began; `exp run` with it has the same start."""
         shapes = (spec.size,), (spec.actions,)
         self.observation_spaces = {
             agent: Box(-1.0, 1.0, shapes[0], np.float32) for agent in self.possible_agents
@@ -193,10 +192,11 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
-        """Begin a run, and go on until each robot has its first scan; `options` has no effect.
+        """Begin a run, and simulate until each robot has its first scan; `options` has no effect.
 
-        Equal seeds give equal runs, to the last bit. Without a seed the next one follows from the
-        last. ConfigError if there is no room for the robots.
+        Equal seeds give equal runs, bit by bit. Without `seed`, the seed is drawn by a random
+        generator that the last given seed has started. ConfigError if there is no room for the
+        robots.
         """
         if seed is not None:
             self._next_seed = check_seeds([seed])[0]
@@ -230,11 +230,13 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         return {agent: self._observed(agent) for agent in self.agents}, infos
 
     def step(self, actions: dict[str, Array]) -> Step:
-        """Hand each agent's action over and simulate a period.
+        """Apply the actions by agent, and simulate one period of the spec.
 
-        An agent without an action repeats its last one; the action of an absent agent has no
-        effect. ConfigError before the first `reset`, after the end of a run, and for an action that
-        is not (spec.actions,) finite numbers or of no agent; then no action is taken.
+        An agent without an action repeats its last action. The action of an absent agent has no
+        effect. Returns observations, rewards, terminations, truncations and infos of all agents
+        that were present before or after the step. ConfigError, without any effect, before the
+        first `reset`, after the end of a run, for an unknown agent, and for an action that is not
+        (spec.actions,) finite numbers.
         """
         episode = self._running()
         if episode.is_over:
@@ -320,7 +322,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         episode.swarm.advance(seconds, count)
 
     def _follow_daemons(self) -> None:
-        """Empty the seats of robots that have gone, and count the lives of those that came."""
+        """Update `present` and `lives`; clear the seats of robots that have left."""
         episode = self._running()
         for robot, there in zip(episode.swarm.world.ids, episode.swarm.has_daemon, strict=True):
             if episode.present.get(robot, there) != there:

@@ -23,28 +23,22 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.world import World
 
 CONTACTS, LIMITED = "contacts", "limited"
-"""Terms of each robot: contacts that began, and 1 while protection changes its request."""
+"""Reward terms of each robot: its new contacts, and 1 while protection changes its request."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """The swarm after a step; row i of every array is robot `ids[i]`, learner or not.
-
-    `time` in s; `period` s since the step before. `pose` (n, 3) x, y in m and yaw in rad.
-    `requested` and `safe` (n, 3) linear, angular, lateral: the commands before and after
-    protection. `present` (n,) the robot has a daemon. `limited` (n,) protection changed the
-    request. `contacts` (n,) the contacts of each robot that began since the step before.
-    """
+    """The swarm after a step; row i of every array is robot `ids[i]`, learner or not."""
 
     ids: tuple[str, ...]
-    time: float
-    period: float
-    pose: Array
-    requested: Array
-    safe: Array
-    present: NDArray[np.bool_]
-    limited: NDArray[np.bool_]
-    contacts: NDArray[np.int64]
+    time: float  # s
+    period: float  # s since the previous step
+    pose: Array  # (n, 3) x, y in m and yaw in rad
+    requested: Array  # (n, 3) linear, angular, lateral: the command before protection
+    safe: Array  # (n, 3) the command after protection
+    present: NDArray[np.bool_]  # (n,) the robot has a daemon
+    limited: NDArray[np.bool_]  # (n,) protection changed the request
+    contacts: NDArray[np.int64]  # (n,) contacts that began since the previous step
 
 
 RewardFunction: TypeAlias = Callable[[State], Mapping[str, float]]
@@ -58,7 +52,7 @@ DEFAULTS: Mapping[str, Mapping[str, float]] = MappingProxyType(
         "one_bit_aggregation": {"mean_distance_to_centroid_end": -1.0, CONTACTS: -0.1},
     }
 )
-"""The rewards of scenarios for which none is given."""
+"""The weights for scenarios, used if the user gives no reward."""
 
 
 def default_reward(name: str) -> Mapping[str, float]:
@@ -72,11 +66,11 @@ def default_reward(name: str) -> Mapping[str, float]:
 
 
 class Rewards:
-    """Gives each robot's reward; `begin` with the first state, then `of` each later one.
+    """Computes each robot's reward: call `begin` with the first state, then `of` with each state.
 
-    The term of a metric is shared by all: its change since the step before times the weight, 0
-    where either value is unknown or robots have joined or gone. CONTACTS and LIMITED are each
-    robot's own.
+    The term of a metric is equal for all robots: weight times change of the metric since the
+    previous step. The term is 0 if either value is unknown, or if robots have joined or left.
+    CONTACTS and LIMITED differ by robot.
     """
 
     def __init__(self, reward: Reward, scenario: Scenario, seed: int, world: World) -> None:
@@ -150,7 +144,7 @@ def check_metric(name: str) -> Metric:
 
 
 def _checked(given: Any, ids: tuple[str, ...]) -> dict[str, float]:
-    """What a user's function returned; ConfigError for anything but finite numbers by robot."""
+    """The result of a user's function; ConfigError unless it is finite numbers by robot."""
     if not isinstance(given, Mapping):
         raise ConfigError(f"reward: the function returned {given!r}; expected numbers by robot")
     for robot, value in given.items():

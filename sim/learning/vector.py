@@ -33,10 +33,10 @@ Swarm = NDArray[np.float32]
 
 
 class JointEnv(gymnasium.Env[Swarm, Swarm]):
-    """A SwarmEnv as one agent of gymnasium: row i is `possible_agents[i]`.
+    """A SwarmEnv as a gymnasium environment of one agent: row i is `possible_agents[i]`.
 
-    Rows of agents that are not there are zero, and their actions have no effect. The reward is the
-    mean of those that are; `infos` have `rewards` (agents,) and `present` (agents,) bool.
+    The row of an absent agent is zero, and its action has no effect. The reward is the mean over
+    the present agents. `infos` have `rewards` (agents,) and `present` (agents,) bool.
     """
 
     def __init__(self, swarm: SwarmEnv) -> None:
@@ -90,13 +90,14 @@ def vector_env(
 ) -> AsyncVectorEnv:
     """`n` environments, each in a process of its own: arrays (n, agents, numbers).
 
-    `options` are those of `env`. Environment i begins with `seed` + i. An environment whose run is
-    over begins the next one at the following step. Call `close` at the end. ConfigError as `env`.
+    `options`: keyword arguments of `env`. Environment i begins with `seed` + i. An environment
+    whose run is over begins its next run at the following step. Call `close` at the end.
+    ConfigError as `env`.
     """
     if n < 1:
         raise ConfigError(f"vector_env of {n}; expected 1 or more")
     seeds = [None] * n if seed is None else check_seeds(seed + index for index in range(n))
-    env(scenario, seed, **options)  # a fault is raised here, not in a process
+    env(scenario, seed, **options)  # for its ConfigError, which a worker process could not raise
     makers = [partial(_make, scenario, env_seed, options) for env_seed in seeds]
     return AsyncVectorEnv(makers, context="forkserver")
 

@@ -60,13 +60,13 @@ class LiveTimeline:
             self.done.append(DoneEvent(event.at, now, what, event.robots, problem))
 
     def send_stop(self, verb: StopVerb, robots: Sequence[str]) -> Outcome:
-        """Stop or estop robots; an estop of all is swarm-wide unless a daemon has been ended."""
+        """Stop or estop robots; swarm-wide if `robots` are all robots of the fleet."""
         if set(robots) == set(self._fleet.spec.robots):
             return self._operator.send_stop(verb)
         return self._operator.send_stop(verb, select=lambda known: robots, names=robots)
 
     def _carry_out(self, event: ScheduledEvent) -> None:
-        """SwarmError if a robot refuses it or does not answer."""
+        """Carry out one event; SwarmError if a robot refuses the request or does not answer."""
         present = set(self._fleet.robots)
         robots = tuple(robot for robot in event.robots if robot in present)
         match event.action:
@@ -113,19 +113,19 @@ def _check(verb: str, outcome: Outcome) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoSettings:
-    """What to do in `seconds` of simulated time.
+    """The events and the duration of a demo."""
 
-    `events` in order of time; `pattern` and `platform` name in a line what runs, and on what.
-    """
-
-    events: tuple[ScheduledEvent, ...]
-    seconds: float
-    pattern: str
-    platform: str
+    events: tuple[ScheduledEvent, ...]  # in order of time
+    seconds: float  # simulated
+    pattern: str  # the patterns, as a text for the display
+    platform: str  # the platforms, as a text for the display
 
 
 class WorldWatcher:
-    """The newest state of the world, handed over from the network's thread."""
+    """The newest state of the world, which a Zenoh thread hands over.
+
+    `all_moved_at`: the boot time in s at which each robot had moved since `begin`; None before.
+    """
 
     def __init__(self, world: WorldView, timeout: float = WORLD_TIMEOUT) -> None:
         self._timeout = timeout
@@ -137,7 +137,7 @@ class WorldWatcher:
         world.watch(self._take)
 
     def begin(self, start: WorldState) -> None:
-        """Note from here on which robots have moved."""
+        """Watch which robots have moved since the state `start`."""
         with self._changed:
             self._start = start
             self._moved = set()
@@ -188,9 +188,10 @@ class DemoRun:
     def perform(
         self, trace: Path, began: float, tell: Callable[[str], object] | None = None
     ) -> DemoSummary:
-        """Run all events from start to end; `began` is when the command did (boot time).
+        """Run all events from start to end.
 
-        `tell` gets lines while robots start.
+        `began`: the boot time in s at which the user's command started. `tell` is called with
+        progress lines while robots start.
         """
         view = starting.await_robots(self._operator, self._fleet, tell)
         wall_start = time.monotonic()
@@ -210,9 +211,10 @@ class DemoRun:
         return self._summary(trace, began, end.recorded / wall, started, before, after, stopped)
 
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
-        """Carry out events and show the robots until the world has recorded enough.
+        """Carry out events and show the robots until the recording is complete.
 
-        An older state than that at `since` s may count a recording of before the start.
+        `since`: the simulated time in s of the start. Earlier states may belong to an earlier
+        recording.
         """
         state = self._watcher.wait(since=since)
         next_round = 0.0

@@ -1,10 +1,12 @@
 """A simulated world and its daemons as child processes, started and ended together.
 
-The children end with this process, however it ends: each asks the kernel for a signal at the death
-of its parent (`--die-with-parent`), which is this process for the world, and for daemons the fork
-server, which ends with this process. The signal follows the *thread* that started the child, so
-start a fleet from the main thread. Each child has its own session: a Ctrl-C in the terminal reaches
-only the parent, which then ends the children in order.
+The children end with this process, even if it is killed. Each child asks the kernel for a signal at
+the death of its parent (`--die-with-parent`). The parent of the world is this process. The parent
+of a daemon is the fork server, which itself ends with this process. The kernel sends the signal
+when the *thread* that started the child ends, so start a fleet from the main thread.
+
+Each child has its own session: a Ctrl-C in the terminal reaches only this process, which then ends
+the children in order.
 """
 
 from __future__ import annotations
@@ -50,32 +52,29 @@ WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetSpec:
-    """The processes to start. `robots`: platform by id; `folder` holds files, logs and latches.
+    """The processes to start.
 
-    `emulator`: the driver whose interface the world emulates; None: driver `simulated`. The world
-    gives each robot its own pose if `shared_frame`, and records `seconds` of simulation in the file
-    `trace`, if given. With a `scenario`, the world and the daemons are those of its file, and
-    `arena`, `layout`, `realism`, `lidar_visibility` and `radio_range` are not used. Robots in
-    `absent` get no daemon at the start. `endpoint`: where the world listens for drivers.
+    With a `scenario`, its file describes the world and the daemons. `arena`, `layout`, `realism`,
+    `lidar_visibility` and `radio_range` then have no effect.
     """
 
     swarm: str
-    robots: Mapping[str, str]
-    folder: Path
+    robots: Mapping[str, str]  # platform by id
+    folder: Path  # for configuration, logs and latches
     arena: str
     layout: str
     seed: int = 0
     realism: Literal["ideal", "realistic"] = "realistic"
     lidar_visibility: Literal["body", "real"] = "body"
-    radio_range: float | None = None
+    radio_range: float | None = None  # m; None: without limit
     plugin_dir: Path | None = None
-    trace: Path | None = None
-    seconds: float | None = None
-    emulator: str | None = None
-    shared_frame: bool = False
+    trace: Path | None = None  # the file of the recording; None: no file
+    seconds: float | None = None  # of simulation to record; None: until the end
+    emulator: str | None = None  # the driver whose interface the world emulates; None: `simulated`
+    shared_frame: bool = False  # the world sends each robot its pose
     scenario: LiveScenario | None = None
-    absent: frozenset[str] = frozenset()
-    endpoint: str = "tcp/127.0.0.1:0"
+    absent: frozenset[str] = frozenset()  # robots without a daemon at the start
+    endpoint: str = "tcp/127.0.0.1:0"  # where the world listens for drivers
 
     @property
     def all_hear_all(self) -> bool:
@@ -109,10 +108,10 @@ class Child:
     log: Path
 
     def how_it_ended(self) -> str:
-        """The end of the process in words, with the path of its log.
+        """A text about the end of the process, with the last line and the path of its log.
 
-        The last line of the log follows unless a signal ended the process: a killed process could
-        write no line about that.
+        The last line is left out if a signal ended the process: a killed process writes no line
+        about its end.
         """
         code = self.process.poll()
         line = "" if code is not None and code < 0 else f": {_last_line(self.log)}"
@@ -159,7 +158,10 @@ class Fleet:
         self._children.append(Child(robot, daemon, log))
 
     def end_daemon(self, robot: str, *, in_order: bool) -> None:
-        """End the daemon of a robot, in order or by SIGKILL; `check` forgets it."""
+        """End the daemon of a robot, by SIGTERM (`in_order`) or SIGKILL.
+
+        `ended` and `check` no longer report this daemon.
+        """
         child = next(child for child in self._children[1:] if child.name == robot)
         self._children.remove(child)
         if in_order:
@@ -169,7 +171,7 @@ class Fleet:
         _end([child])
 
     def ended(self) -> Mapping[str, str]:
-        """How each child that has ended did so, by name."""
+        """A text about the end of each child that has ended, by name."""
         return {
             child.name: child.how_it_ended()
             for child in self._children
@@ -254,7 +256,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
 
 
 def _detections(spec: FleetSpec, robot: str) -> dict[str, bool]:
-    """The option of driver `simulated`: the world sends what the robot recognises."""
+    """{"detections": True} for a robot of driver `simulated` with a detector, else {}."""
     if spec.emulator is not None:
         return {}
     name, live = spec.robots[robot], spec.scenario

@@ -30,11 +30,12 @@ def plain_fleet(
     tell: Tell,
     **others: Any,
 ) -> FleetSpec:
-    """The fleet of these values; ConfigError if one is wrong or there is no room.
+    """The fleet of a plain world with `count` robots of one platform.
 
-    PluginError if the emulator is unknown or lacks a library. The default arena is 1.8 times as
-    wide as the range of the lidar, so that a robot detects some of the others but not all, and has
-    at least (3 protection thresholds)^2 of room for each robot.
+    The default arena is 1.8 times as wide as the range of the lidar, so that a robot detects some
+    robots but not all. Its floor has at least (3 protection thresholds)^2 for each robot. `tell` is
+    called with notes. ConfigError if a value is wrong or there is no room. PluginError if the
+    emulator is unknown or lacks a library.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.world.arena import parse_arena
@@ -61,7 +62,10 @@ def plain_fleet(
 
 
 def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, ...]]:
-    """The platform of that name or file, and the ids of its robots; ConfigError if it has none."""
+    """The platform of a name or file, and the ids of its robots.
+
+    ConfigError without such a platform, or if its name gives no valid ids.
+    """
     from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import robot_ids
 
@@ -76,7 +80,10 @@ def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, .
 
 
 def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> None:
-    """What a robot of this platform would find about another one."""
+    """Call `tell` with what a robot of this platform would report about robots of its kind.
+
+    Without the finding that a lidar cannot see them, if lidars see whole bodies in this world.
+    """
     from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
 
     own = body_of(kind)
@@ -110,9 +117,10 @@ def scenario_fleet(
     emulator: str | None,
     tell: Tell,
 ) -> FleetSpec:
-    """The fleet of a scenario, a name of `exp list` or a YAML file, with values by dotted key.
+    """The fleet of a scenario, which is a name of `exp list` or a YAML file.
 
-    ConfigError names the key.
+    `overrides`: by dotted key of the file. `tell` is called with notes. ConfigError names the wrong
+    key.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.live_scenario import LiveScenario, check_live

@@ -1,9 +1,11 @@
-"""The links of a live world: those of its robots, and a Zenoh session with its state and requests.
+"""The network side of a live world: links to the robots' drivers, and a Zenoh session for viewers.
 
-`EmulatorTransport` replaces the links of robots whose driver for ROS the world emulates.
+`WorldLink` sends sensor data to daemons and receives their commands. Viewers receive the world's
+state and send requests over Zenoh (`WorldView`). `EmulatorTransport` replaces the links of robots
+if the world emulates the interface of a ROS driver.
 
-The only module of the simulation that imports Zenoh. Multicast and gossip are off: viewers connect
-to the world and to no other peer.
+No other module of the simulation imports Zenoh. Multicast and gossip are off: viewers connect to
+the world alone.
 """
 
 from __future__ import annotations
@@ -109,9 +111,9 @@ class WorldLink:
         self.publish(robot, tag_of(input), hw_codec.encode_input(input))
 
     def messages(self, robot: str, messages: Sequence[hw_codec.MessageWire]) -> None:
-        """Publish the messages of patterns that the radio of `robot` receives now, in their order.
+        """Publish the messages of patterns that the radio of `robot` receives now, in order.
 
-        In few packets: more than the queue of the link holds at once would be dropped.
+        Many messages share a packet: the link drops packets beyond the size of its queue.
         """
         for first in range(0, len(messages), hw_codec.MAX_MESSAGES):
             self.publish(
@@ -125,7 +127,7 @@ class WorldLink:
         self._state.put(encode(state))
 
     def receive(self) -> None:
-        """Take in what daemons have sent."""
+        """Decode what daemons have sent; keep the newest commands and all messages."""
         for robot, name, payload, arrival in self._robots.receive():
             try:
                 if name == "cmd_vel":
@@ -194,7 +196,10 @@ class WorldLink:
 
 
 class WorldView:
-    """A viewer's side: receives the state, requests actions. To be closed, as by `with`."""
+    """The viewer's side of a world's session: receives states and sends requests.
+
+    A context manager; `close` closes the session.
+    """
 
     def __init__(self, swarm: str, endpoint: str) -> None:
         options = {**_OPTIONS, **client_options(endpoint)}
@@ -296,9 +301,9 @@ class Command:
 
 
 class EmulatorTransport:
-    """The emulator of a driver's robots, in place of the world's own links of robots.
+    """The emulated interface of a ROS driver, in place of the world's own links to robots.
 
-    `side` is the hub to which the daemons connect.
+    `side`: the emulator, which is the hub of the ROS driver: the endpoint that daemons connect to.
     """
 
     def __init__(

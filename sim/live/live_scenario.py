@@ -1,4 +1,4 @@
-"""A scenario as files for a live world and its daemons, and what cannot be done live."""
+"""Files of a scenario for a live world and its daemons, and the check that it can run live."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real-time pacing with the time as an argument: due steps, and due periodic jobs."""
+"""Real-time pacing: due steps and due periodic jobs; the present time is an argument."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from swarmd.core.values import Array
 from swarmd.sim.world.geometry import Indices
 
 MAX_CATCH_UP = 0.25
-"""Seconds of delay that are caught up; a longer delay is dropped."""
+"""The longest delay in s that is caught up by more steps; a longer delay is skipped."""
 
 _WINDOW = 1.0
 
@@ -53,7 +53,10 @@ class Staggered:
     """n periodic jobs spread evenly over their period, which avoids bursts."""
 
     def __init__(self, rates: Array, now: float, order: Indices | None = None) -> None:
-        """`rates` (n,) in Hz; `order` (n,): which job is due first, second ...; None: in theirs."""
+        """`rates` (n,) in Hz; `order` (n,): the jobs in the order of their first times.
+
+        None: in the order of `rates`.
+        """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         n = len(self._period)
         places = np.arange(n) if order is None else np.argsort(order)

@@ -35,16 +35,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RecorderSettings:
-    """How a run is recorded.
+    """The settings of the recording of a live run."""
 
-    `path` of the trace (None: none is written); `rate` of its samples in Hz; `seconds` of
-    simulation after which it is complete (None: on request, or at the end). `meta` goes into it.
-    """
-
-    path: Path | None = None
-    rate: float = 50.0
+    path: Path | None = None  # of the trace; None: no trace
+    rate: float = 50.0  # samples per simulated second
     seconds: float | None = None
-    meta: Mapping[str, object] = field(default_factory=dict)
+    """Simulated seconds after which the recording ends; None: on request, or with the world."""
+    meta: Mapping[str, object] = field(default_factory=dict)  # of the trace
 
 
 class LiveRecorder:
@@ -72,13 +69,13 @@ class LiveRecorder:
         return (self._world.time if self.is_running else self._end) - self._start
 
     def touching(self) -> tuple[tuple[str, str], ...]:
-        """The pairs that were in contact in the last EPISODE_GAP, while this records."""
+        """The pairs that were in contact in the last EPISODE_GAP s; empty while not recording."""
         since = self._world.time - EPISODE_GAP
         self._touched = {pair: time for pair, time in self._touched.items() if time >= since}
         return tuple(self._touched)
 
     def begin(self) -> None:
-        """Discard the recording and start again at time 0."""
+        """Discard the recording and start a new one at time 0."""
         self._start = self._world.time
         self._episodes = ContactEpisodes()
         self._touched = {}
@@ -136,16 +133,16 @@ class StatusLog:
     def add_present(self, time: float, robots: Collection[str]) -> None:
         """Note the robots that have a daemon from `time` s of the recording on; in order of time.
 
-        The first ones count from the beginning.
+        The robots of the first call count from the start of the recording.
         """
         self._present.append((time if self._present else 0.0, frozenset(robots)))
 
     def merged_into(self, trace: Trace) -> Trace:
         """The trace with the state, protection, `report`, `readings` and `words` of the statuses.
 
-        Empty, False and NaN before a robot's first status and without a daemon. The requested
-        command is left out: it is some tenths of a second older than the safe command of a sample.
-        `gap`, `scan_age` and `bound` are those of the last status.
+        Each status holds until the next. Values are empty, False or NaN before a robot's first
+        status, and while the robot has no daemon. The requested command is left out, since it is
+        some tenths of a second older than the safe command of a sample.
         """
         if not self._received:
             return trace
@@ -165,7 +162,10 @@ class StatusLog:
         return replace(trace, **known, **self._presence(trace, known))
 
     def _presence(self, trace: Trace, known: Mapping[str, Any]) -> dict[str, Any]:
-        """The array `present`, if a robot was without a daemon; blanks what it did not report."""
+        """{"present": (T, n)} if a robot was without a daemon at some time, else {}.
+
+        Blanks the values of absent robots in `known`.
+        """
         everyone = frozenset(trace.ids)
         if all(robots >= everyone for _, robots in self._present):
             return {}

@@ -118,10 +118,10 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
             ]
         ready = {"endpoint": link.viewers, "swarm": swarm, "driver": driver}
         print(json.encode({**ready, "driver_options": driver_options}).decode(), flush=True)
-        # What is alive now stays alive; a collection would only walk through it again.
+        # The objects of the set-up stay alive; freezing spares each collection a walk through them.
         gc.collect()
         gc.freeze()
-        # Without one all robots hear each other, which daemons assume without neighbors.
+        # Without a radio no neighbors are published; daemons then assume that all hear each other.
         radio = radio_of(scenario, options.seed) if scenario.radio != RadioSettings() else None
         if options.shared_frame:
             world.posed = frozenset(range(len(world.ids)))
@@ -186,8 +186,7 @@ def _scenario_of_options(options: WorldOptions) -> Scenario:
 def _as_daemons_expect(realism: Realism) -> Realism:
     """The realism, with rolling scans and at least a micrometre of range noise.
 
-    Daemons rely on the `sweep` of the platform, and take a lidar that repeats a scan for a frozen
-    one.
+    Daemons rely on the `sweep` of the platform, and take a lidar that repeats a scan for frozen.
     """
     lidar = replace(realism.lidar, rolling=True)
     if not lidar.differs_each_time:

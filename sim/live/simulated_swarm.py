@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 
 class SimulatedSwarm:
-    """What `demo` gives: its processes run in a `with` block, or from `start` to `close`.
+    """A world and daemons, whose processes run in a `with` block or from `start` to `close`.
 
-    `name` is that of the swarm: `swarmctl --swarm NAME` commands it, too.
+    `name`: the name of the swarm, which `swarmctl --swarm NAME` commands, too.
     """
 
     def __init__(self, make_spec: Callable[[Path], FleetSpec], name: str) -> None:
@@ -60,10 +60,11 @@ class SimulatedSwarm:
         return () if self._fleet is None else self._fleet.robots
 
     def start(self) -> Self:
-        """Start the world and the daemons; return once all robots are up.
+        """Start the world and the daemons; return once all robots are up, after about 2 s.
 
-        Call it from the main thread: the processes end with the thread that started them. It takes
-        some 2 s. SwarmError, with the path of its log, if a process ends; no process is left then.
+        Call `start` from the main thread: the processes end with the thread that started them.
+        SwarmError with the path of a log if a process ends meanwhile; all other processes are then
+        ended, too.
         """
         from swarmd.sim.live.fleet import Fleet
         from swarmd.sim.live.link import WorldView
@@ -121,12 +122,17 @@ def demo(
     set: Mapping[str, Any] | None = None,
     swarm: str | None = None,
 ) -> SimulatedSwarm:
-    """A simulated swarm on this machine, as `swarmctl sim up` starts it, for a `with` block.
+    """A simulated swarm on this machine for a `with` block; the robots start idle.
 
-    The parameters are its options. `scenario`, a name of `swarmctl exp list` or a YAML file, with
-    values of it in `set`, replaces those from `robots` to `plugin_dir`, but the seed. The robots
-    start idle. `swarm`: its name, by default a new one. ConfigError for a wrong value when it
-    starts; PluginError without MuJoCo (`pip install 'swarmd[sim]'`).
+    The parameters are those of `swarmctl sim up`.
+
+    - `scenario`: a name of `swarmctl exp list`, or a YAML file. With a scenario, of the parameters
+      from `robots` to `plugin_dir` only `seed` has an effect.
+    - `set`: overrides of the scenario by dotted key.
+    - `swarm`: the name of the swarm, by default a new name.
+
+    ConfigError for a wrong value, for most values when the swarm starts. PluginError without MuJoCo
+    (`pip install 'swarmd[sim]'`).
     """
     from swarmd.core.keys import check_id
     from swarmd.plugins import need
@@ -166,7 +172,7 @@ def demo(
 
 
 def check_free(operator: Operator, spec: FleetSpec, how: str) -> None:
-    """ConfigError if the swarm has robots of these names; `how` starts another swarm."""
+    """ConfigError if robots of these names are alive; the message says `how` to name a swarm."""
     taken = sorted(frozenset(operator.members().alive) & frozenset(spec.robots))
     if taken:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Waits for the robots of a fleet, and starts patterns on them, as an operator would."""
+"""Start-up of a fleet by an operator's requests: wait for the robots, then start their patterns."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from swarmd.robot.status import MAX_NEIGHBORS
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 
-# s between two rounds while robots start. Without a pause the rounds take up to half a second of
-# processor time from seven daemons that start on two cores.
+# s between two queries of all robots while they start. Without a pause the queries take up to half
+# a second of processor time from seven daemons that start on two cores.
 UP_PERIOD = 0.02
-TELL_PERIOD = 5.0  # s between two lines for who waits
+TELL_PERIOD = 5.0  # s between two progress lines
 UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
 # Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
 RUN_ATTEMPTS = 3
@@ -29,23 +29,21 @@ RUN_ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """The robots that run the pattern; of these `late` needed more than one request.
+    """The result of the start of a pattern on robots."""
 
-    `missing`: why each other robot does not run it.
-    """
-
-    robots: tuple[str, ...]
-    late: tuple[str, ...]
-    missing: Mapping[str, str]
+    robots: tuple[str, ...]  # that run the pattern
+    late: tuple[str, ...]  # those of `robots` that needed more than one request
+    missing: Mapping[str, str]  # why each remaining robot does not run the pattern, by robot
 
 
 def await_robots(
     operator: Operator, fleet: Fleet, tell: Callable[[str], object] | None = None
 ) -> MembersView:
-    """The swarm once the robots reach their bases and know each other, or when the time is up.
+    """Wait until the robots reach their bases and are neighbors of each other; return the swarm.
 
-    `tell` gets a line each 5 s with how many are up. SwarmError if a process ends meanwhile,
-    NetworkError if no robot is up in time.
+    The wait ends after UP_TIMEOUT s and UP_TIMEOUT_EACH s per robot, also if only some robots are
+    up. `tell` is called with the number of robots that are up each TELL_PERIOD s. SwarmError if a
+    process ends meanwhile. NetworkError if no robot is up in time.
     """
     robots = fleet.robots
     timeout = UP_TIMEOUT + UP_TIMEOUT_EACH * len(robots)
@@ -68,10 +66,11 @@ def await_robots(
 
 
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
-    """True if each of `robots`, which have answered, is a neighbor of its own neighbors.
+    """True if neighborhood is mutual: robot a lists b as a neighbor if and only if b lists a.
 
-    With `all_hear_all` all must be neighbors: without that, two robots that start together would
-    not hear each other. Statuses list at most MAX_NEIGHBORS; True for a larger swarm.
+    `robots` have all answered. `all_hear_all`: all robots must also be neighbors of each other,
+    since two robots that have just started list no neighbors. True for more than MAX_NEIGHBORS
+    robots, since a status lists no more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
@@ -92,9 +91,10 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
 
 
 def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
-    """Carry out a run event; each robot that fails or does not answer is asked again.
+    """Carry out a run event in at most RUN_ATTEMPTS requests to robots that do not run yet.
 
-    ConfigError if all refuse, SwarmError if none runs it after the last attempt.
+    ConfigError if all robots refuse the first request. SwarmError if no robot runs the pattern
+    after the last request.
     """
     waiting = run.robots
     started: set[str] = set()
@@ -102,7 +102,7 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
     for attempt in range(RUN_ATTEMPTS):
         if attempt:
             view = operator.members()
-            # The acknowledgement may have been late or lost, and the robot runs all the same.
+            # A robot runs although its acknowledgement was late or lost.
             running = {
                 name
                 for name, status in statuses_of(view).items()
@@ -154,7 +154,10 @@ def _texts(outcome: Outcome) -> dict[str, str]:
 
 
 def why_not(verb: str, outcome: Outcome) -> str:
-    """The outcome in one line, with each text once; a text of all robots names no robot."""
+    """The outcome of a request in one line: counts, then each reason with its robots.
+
+    One reason that all robots share is given without names.
+    """
     by_text: dict[str, list[str]] = {}
     for name, text in sorted(_texts(outcome).items()):
         by_text.setdefault(text, []).append(name)

@@ -1,6 +1,6 @@
 """Options of a live world, and messages between the world and its viewers.
 
-The state is ground truth, never for robots.
+The state is ground truth, which robots never receive.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The summary of a demo: a few numbers, and the problems."""
+"""The summary of a demo: numbers of the run, and its problems."""
 
 from __future__ import annotations
 
@@ -20,31 +20,28 @@ LATE_SHARE = 0.2  # the last share of a run, over which the mean speed is taken
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Numbers:
-    """The run in numbers: m, m/s and s; a contact counts once, however long it lasts.
+    """Numbers of a run, in m, m/s and s; `before` is the start and `after` the end of the run."""
 
-    `link` is the distance within which two robots belong to one cluster: twice the protection
-    threshold. `minimum_gap` is None for a single robot. `protection_duty` is the share of decisions
-    in which protection changed the requested command, None if no robot reported it.
-    """
-
-    seconds: float
+    seconds: float  # simulated
     real_time_factor: float
-    centroid_before: float
+    centroid_before: float  # mean distance of the robots from their centroid
     centroid_after: float
     link: float
+    """Robots within this distance belong to one cluster: twice the protection threshold."""
     clusters_before: int
     clusters_after: int
-    largest_cluster: int
-    contacts: int
-    arena_contacts: int
-    minimum_gap: float | None
+    largest_cluster: int  # robots, at the end
+    contacts: int  # contact episodes between robots
+    arena_contacts: int  # contact episodes with walls and obstacles
+    minimum_gap: float | None  # None for a single robot
     mean_speed_late: float
     protection_duty: float | None
+    """The share of decisions in which protection changed the requested command; None if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class DoneEvent:
-    """An event that was due `at` s and carried out `done_at` s; `problem`: what went wrong."""
+    """An event that was due at `at` s and done at `done_at` s; `problem` is "" without an error."""
 
     at: float
     done_at: float
@@ -159,9 +156,9 @@ def mean_duty(statuses: Mapping[str, Status]) -> float | None:
 def problems_of(
     robots: Iterable[str], before: Mapping[str, Status], after: Mapping[str, Status], contacts: int
 ) -> tuple[str, ...]:
-    """A line for each robot that did not run to the end, and one for contacts.
+    """A line for each robot that did not run to the end, and a line if robots touched each other.
 
-    `before` are the statuses right after `run`, `after` those at the end, both by robot.
+    `before`: the statuses right after `run`; `after`: the statuses at the end, both by robot.
     """
     problems = [line for robot in robots if (line := _problem(robot, before, after))]
     if contacts:

@@ -1,14 +1,16 @@
 """Lockstep: a whole swarm in one process, fast and reproducible bit by bit.
 
-It uses the `World` and `Robot` of live runs; patterns run inline, messages pass the radio model.
-Nothing sleeps or reads a clock, and every random number comes from the seed.
+`Lockstep` uses the `World` and the `Robot` of live runs. Patterns run inline, and messages pass the
+radio model. No code sleeps or reads a clock, and every random number comes from the seed.
 
-Several processes may share the robots of one run (`processes.py`). What concerns all robots happens
-in each of them: the world, the radio, the timeline. What robots put out for others, and the
-commands, wait for `exchange`; no order in which robots or processes put it out matters.
+Several processes may share the robots of one run (`processes.py`). Each process simulates the
+world, the radio and the timeline of the whole swarm, but the robots and patterns of its own rows
+alone. Commands, messages and latches of robots take effect at `exchange`, which hands them to all
+processes. The result does not depend on the order in which robots or processes produce them.
 
-Rows follow the names of the robots, so the order of a file changes no bit. What happens to several
-robots at one instant happens to all of them before any of them acts on it.
+A row is the index of a robot in all arrays. Rows follow the names of the robots, so the order of a
+file changes no bit. An event that concerns several robots at one instant reaches all of them before
+any robot acts on the event.
 """
 
 from __future__ import annotations
@@ -59,6 +61,7 @@ _core = load_kernel("swarmd.robot.ticker")
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
+_PARTS = 50  # of a run, between which garbage is collected
 
 _NO_PATTERNS: Mapping[str, type[Pattern[Any]]] = MappingProxyType({})
 
@@ -71,19 +74,26 @@ def simulate_run(
     cores: int = 1,
     timeout: float = TIMEOUT,
 ) -> Trace:
-    """Simulate a whole run. Raises SwarmError for an impossible start or a refused request.
+    """Simulate a whole run.
 
-    `on_progress` is called after every step with the share done, and with 1 at the end. With
-    `cores` above 1 as many processes share the robots; the trace is the same to the last bit. A
-    process that ends, or makes no progress for `timeout` s, ends the run with SwarmError.
+    `on_progress` is called after every step with the simulated share 0..0.99, and with 1 at the
+    end. `cores`: the number of processes that share the robots; the trace does not depend on it.
+    SwarmError for an impossible start, for a refused request, and for a process that ends or makes
+    no progress for `timeout` s.
     """
 
     def simulate(process: RunProcess) -> Trace:
-        run, duration = Lockstep(scenario, seed, process), scenario.duration
-        report = (process.index == 0 and on_progress) or (lambda share: None)
-        for part in range(1, 51):  # garbage is collected between two parts
+        run = Lockstep(scenario, seed, process)
+        duration = scenario.duration
+
+        def report(share: float) -> None:
+            if process.index == 0 and on_progress is not None:
+                on_progress(share)
+
+        # In parts: `advance` collects garbage at its end alone.
+        for part in range(1, _PARTS + 1):
             run.advance(
-                part / 50.0 * duration - run.world.time,
+                part / _PARTS * duration - run.world.time,
                 lambda now: report(min(now / duration, 0.99)),
             )
         report(1.0)
@@ -103,9 +113,10 @@ class Lockstep:
         *,
         patterns: Mapping[str, type[Pattern[Any]]] = _NO_PATTERNS,
     ) -> None:
-        """`process`: which process of the run this is; None: the only one.
+        """`process`: this process of the run; None: the only process.
 
-        `shells` has its robots alone. `patterns`: by name, above those that are installed.
+        `shells` is None for robots of other processes. `patterns`: classes by name, which go before
+        installed patterns.
         """
         scenario = drawn(scenario, seed)
         self.scenario, self.seed = scenario, seed
@@ -113,7 +124,8 @@ class Lockstep:
         self.world = world_of(scenario, seed)
         self._platforms = [configured(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
-        installed = cache(lambda: _loader(scenario))  # to list them takes as long as a second's run
+        # Made on first use: listing the installed patterns takes as long as a simulated second.
+        installed = cache(lambda: _loader(scenario))
         self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
@@ -124,7 +136,7 @@ class Lockstep:
         self._sensor_times = SensorTimes(
             Schedules(scan_rates, phases),
             Schedules(self.world.ring_rates, phases[self.world.rings]),
-            # All at one rate: a robot finds its data in the processor's caches.
+            # All at one rate: a robot's data are then still in the processor's caches.
             [
                 (sensor, Schedules(np.full(n, READINGS_RATE), phases))
                 for sensor in SENSORS
@@ -134,7 +146,7 @@ class Lockstep:
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(ids, bodies, strict=True))
-        self._heard: dict[str, Body | None] = {}  # those that have ever had a daemon
+        self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
         self._is_mixed = has_findings(self._platforms, scenario.accepts)
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
@@ -142,8 +154,8 @@ class Lockstep:
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self.alarms = Alarms(n, self.world.dt)
         self.commands = np.zeros((n, 3))
-        self.has_new_commands = True  # that the world has not had
-        self._silent_at: dict[int, float] = {}
+        self.has_new_commands = True  # `commands` differ from those of the world
+        self._silent_at: dict[int, float] = {}  # when a base without a daemon stops, by row
         self._latches: dict[int, LatchRecord | None] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
         self._peer_latches: dict[int, dict[str, Latch]] = {}
@@ -162,9 +174,9 @@ class Lockstep:
     # For the timeline of a scenario
 
     def start(self, rows: Sequence[int]) -> None:
-        """Start daemons on robots `rows`, with the latches that their predecessors stored.
+        """Start daemons on robots `rows`, with the latches that their earlier daemons stored.
 
-        From now on they and the robots that are there already are neighbors of one another.
+        The new robots and the present robots are neighbors of each other from this instant on.
         """
         now = self.world.time
         for row in rows:
@@ -176,7 +188,7 @@ class Lockstep:
             if shell.robot.latches:
                 self.publish_latches(shell.row, shell.robot.latches)
         self.exchange()
-        for shell in self._present(rows):  # before any request
+        for shell in self._present(rows):  # peers' latches arrive before any request
             for latches in list(self._peer_latches.values()):
                 shell.step(events.LatchesInput(latches), now)
         self.exchange()
@@ -208,7 +220,10 @@ class Lockstep:
         return RobotShell(row, robot, self._find, self, now)
 
     def end(self, row: int, *, in_order: bool) -> None:
-        """End the daemon of robot `row`; after a kill the base stops by its timeout."""
+        """End the daemon of robot `row`, in order or as by a kill.
+
+        After a kill the base keeps its last command for BASE_TIMEOUT s.
+        """
         shell, now = self.shells[row], self.world.time
         if in_order and shell is not None:
             shell.step(events.LeaveInput(), now)
@@ -225,7 +240,10 @@ class Lockstep:
         self._latched.discard(row)
 
     def exchange(self) -> None:
-        """Take over what the robots of all processes have put out since the last exchange."""
+        """Take over the outputs of all processes' robots since the last exchange.
+
+        The outputs are commands, gripper commands, messages and latches.
+        """
         process = self._process
         if process.count == 1 and not (self._flights or self._published):
             return
@@ -263,7 +281,10 @@ class Lockstep:
         self.world.grips[row] = is_closed
 
     def publish_latches(self, row: int, latches: Mapping[str, Latch]) -> None:
-        """Keep the latches of a robot; present peers act on them now, later ones when they join."""
+        """Publish the latches of a robot at the next exchange.
+
+        Present peers receive the latches in the next step, later peers when they join.
+        """
         if latches or row in self._latched:
             self._published.append((row, dict(latches)))
             (self._latched.add if latches else self._latched.discard)(row)
@@ -282,7 +303,7 @@ class Lockstep:
                     on_step(self.world.time)
 
     def trace(self) -> Trace:
-        """The trace up to now, in the first process; each calls it."""
+        """The trace up to now, complete in the first process; all processes must call this."""
         self._recorder.record_instant(self.world.time, self.commands, self.shells)
         kept = self._process.collect(self._recorder.kept(self._process.rows))
         return self._recorder.trace(meta_of(self.scenario, self.seed), kept)
@@ -330,7 +351,7 @@ class Lockstep:
             shell.step(events.NeighborsInput(neighbors), world.time)
 
     def _update_peers(self, new: Iterable[int]) -> None:
-        """Tell all robots of the bodies of new ones, as their beacons do."""
+        """Hand the bodies of new robots to all robots, as beacons do."""
         self._heard |= {self.world.ids[row]: self._bodies[self.world.ids[row]] for row in new}
         for shell in self._present(range(len(self.shells))):
             others = {i: body for i, body in self._heard.items() if i != shell.robot.id}
@@ -351,7 +372,7 @@ class Lockstep:
     def _tick(self, now: float) -> None:
         world = self.world
         if self._odometry_due.due(now):
-            # All odometers are read at once: one takes as long as a hundred.
+            # All odometers are read at once: numpy takes as long for one as for a hundred.
             own = self._process.rows
             shells = [self.shells[row] for row in own.tolist()]
             robots = [None if shell is None else shell.robot for shell in shells]
@@ -372,13 +393,13 @@ class Lockstep:
             self.has_new_commands = True
 
     def _present(self, rows: Sequence[int]) -> Sequence[RobotShell]:
-        """The shells of those robots of this process that have a daemon."""
-        if not rows:  # as in most steps
+        """The shells of the robots `rows` that have a daemon and belong to this process."""
+        if not rows:  # the case in most steps
             return ()
         return [shell for row in rows if (shell := self.shells[row]) is not None]
 
     def _boxes(self) -> Array | None:
-        """The corners (m, 4, 2) of movable boxes, if they can block the radio."""
+        """The corners (m, 4, 2) of movable boxes in m; None if no box can block the radio."""
         if not self.scenario.radio.line_of_sight or not self.world.movable_boxes:
             return None
         return transform(self.world.box_shapes, self.world.box_poses())

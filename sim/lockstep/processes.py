@@ -1,9 +1,9 @@
-"""One run over several processes: each works out an equal share of the robots.
+"""One lockstep run over several processes: each process simulates an equal share of the robots.
 
-Bodies meet in MuJoCo alone, which gives the same bits in each process. So each process advances the
-whole world, with all clocks and the radio, and works out sensors, robots and patterns of its own
-rows only. Once a step the processes exchange what their robots put out. What is exchanged lies in
-memory that they share; a semaphore for each pair of processes says that it is there.
+Bodies interact in MuJoCo alone, which gives equal bits in each process. So each process advances
+the whole world, all schedules and the radio, but simulates the sensors, robots and patterns of its
+own rows only. Once per step the processes exchange the outputs of their robots through shared
+memory. A semaphore for each pair of processes (writer, reader) signals that data are ready.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from swarmd.core.processes import die_with_parent, how_it_ended
 T = TypeVar("T")
 
 TIMEOUT = 50.0
-"""Limit in s of wall time for one step of a process; a bit below that of a step of a whole run."""
+"""Limit in s of wall time for one step of a process; below STEP_TIMEOUT, the limit of a run."""
 
-_SPIN = 50e-6  # s of asking before a process sleeps, which takes about as long to end
-_POLL_PERIOD = 0.25  # s between two looks at processes that one waits for
+_SPIN = 50e-6  # s of busy waiting before a process sleeps; to wake up takes about as long
+_POLL_PERIOD = 0.25  # s between two checks of processes while one waits
 _CHUNK = 1 << 20  # bytes of each process that one round exchanges
 _HEAD = struct.Struct("q")
 _SLOT = _HEAD.size + _CHUNK
@@ -51,38 +51,42 @@ class RunProcess:
         self._own = frozenset[int]()
 
     def share(self, order: NDArray[np.intp]) -> None:
-        """Give the robots to the processes in turn; all processes call it with the same `order`.
+        """Deal the robots of `order` (n,), row numbers, to the processes in turn.
 
-        A step waits for the process with the most work. Robots whose work falls into the same step
-        should follow each other in `order`: the steps of half of the robots are then equally long.
+        All processes call this with equal arguments. Each step waits for the process with the most
+        work. So robots whose work falls into the same step should follow each other in `order`:
+        each process then has an equal part of the work of a step.
         """
         self.rows_of = [np.sort(order[index :: self.count]) for index in range(self.count)]
         self._own = frozenset(self.rows.tolist())
 
     def owns(self, row: int) -> bool:
-        """True if this process works out robot `row`."""
+        """True if this process simulates robot `row`."""
         return row in self._own
 
     @property
     def rows(self) -> NDArray[np.intp]:
-        """The rows of its robots, in order."""
+        """The rows of this process's robots, in order."""
         return self.rows_of[self.index]
 
     def own(self, rows: list[int]) -> list[int]:
-        """Those of `rows` that are its own, in order."""
+        """The rows among `rows` that this process simulates, in order."""
         return rows if self.count == 1 else [row for row in rows if row in self._own]
 
     def exchange(self, part: T) -> list[T]:
-        """The parts of all processes, in their order; each calls it equally often."""
+        """Give `part` to all processes; the parts of all processes in the order of processes.
+
+        Blocks until all processes have made this call, so each must make it equally often.
+        """
         return [part]
 
     def collect(self, part: T) -> list[T]:
-        """As `exchange` for the first process; empty for the others."""
+        """As `exchange`, but only the first process receives the parts; [] in the others."""
         return self.exchange(part)
 
 
 class _Member(RunProcess):
-    """A process beside others."""
+    """A process of a run with several processes."""
 
     def __init__(
         self,
@@ -91,14 +95,17 @@ class _Member(RunProcess):
         ready: list[list[Semaphore]],
         watch: Callable[[int, float], None],
     ) -> None:
-        """`ready[a][b]`: process a has written what b may read. `watch(process, seconds)` is
-        called while this one waits for `process`, with the time since the call before; it may
-        raise."""
+        """`ready[a][b]` is released when process a has written data for process b.
+
+        `watch(process, seconds)` is called while this process waits for `process`, with the waiting
+        time in s since the last call, and with 0 when the wait ends. It may raise.
+        """
         super().__init__(index, len(ready))
         self._memory = memory
         self._ready = ready
         self._watch = watch
-        # The halves take turns: before a process writes a half again, all have read that half.
+        # Two halves of the memory are written in turn: before a process writes a half again, all
+        # processes have read it.
         self._half = 0
         self._pid: int | None = None
 
@@ -116,9 +123,12 @@ class _Member(RunProcess):
         return [own if i == self.index else pickle.loads(data) for i, data in enumerate(received)]
 
     def _exchange_bytes(self, data: bytes, *, keeps: bool) -> list[bytearray]:
-        """The data of all other processes, in rounds of `_CHUNK` until each has sent its all."""
+        """Exchange `data` in rounds of _CHUNK bytes until the longest data are sent.
+
+        Returns the data by process, empty for this process, and empty for all unless `keeps`.
+        """
         self._pid = self._pid or os.getpid()
-        if self._pid != os.getpid():  # forked by a pattern: it has no part in the run
+        if self._pid != os.getpid():  # this is a fork that a pattern made: no part of the run
             os._exit(0)
         others = [process for process in range(self.count) if process != self.index]
         received = [bytearray() for _ in range(self.count)]
@@ -157,14 +167,14 @@ class _Member(RunProcess):
         before = time.monotonic()
         while not ready.acquire(True, _POLL_PERIOD):
             now = time.monotonic()
-            # Time in which this process did not run either, as if suspended, does not count.
+            # Time in which this process was suspended, too, does not count.
             self._watch(process, min(now - before, 2.0 * _POLL_PERIOD))
             before = now
         self._watch(process, 0.0)
 
 
 class _Children:
-    """All processes of a run but the first."""
+    """The child processes of a run: all but the first process, which forks and watches them."""
 
     def __init__(self, count: int, timeout: float) -> None:
         self._count, self._timeout = count, timeout
@@ -173,7 +183,7 @@ class _Children:
         self._errors: dict[int, int] = {}
 
     def fork(self, process: int, work: Callable[[], object]) -> None:
-        """Do the work of a process in a fork."""
+        """Fork a child that does `work`; an exception of `work` is sent to this process."""
         ours, theirs = os.pipe()
         parent = os.getpid()
         sys.stdout.flush()
@@ -197,9 +207,11 @@ class _Children:
         self._pids[process], self._errors[process] = pid, ours
 
     def watch(self, process: int, seconds: float) -> None:
-        """Raise the error that ended a process, or SwarmError if a process ended without one.
+        """Check the children while the first process waits for `process`.
 
-        `process` is waited for, and was for `seconds` more; 0 if it is there.
+        `seconds`: the waiting time since the last call; 0: the wait has ended. Raises the error
+        that ended a child, SwarmError for a child that ended without an error, and SwarmError if
+        the wait has lasted for the time-out.
         """
         if seconds == 0.0:
             self._silence = 0.0
@@ -217,7 +229,7 @@ class _Children:
             )
 
     def end(self) -> None:
-        """End all that still run."""
+        """Kill the children that still run."""
         for pid in self._pids.values():
             if not _ended(pid)[0]:
                 os.kill(pid, signal.SIGKILL)
@@ -240,7 +252,10 @@ class _Children:
 
 
 def _ended(pid: int) -> tuple[bool, int | None]:
-    """Whether a child has ended, and its exit code; None if a pattern ignores or took it."""
+    """Whether a child has ended, and its exit code.
+
+    The code is None while the child runs, and if a pattern ignores SIGCHLD or has taken the code.
+    """
     try:
         ended, status = os.waitpid(pid, os.WNOHANG)
     except ChildProcessError:
@@ -249,7 +264,7 @@ def _ended(pid: int) -> tuple[bool, int | None]:
 
 
 def _dumped(error: BaseException) -> bytes:
-    """The error for another process, as SwarmError if it cannot be sent itself."""
+    """The pickled error for the first process; a SwarmError if the error cannot be pickled."""
     with suppress(Exception):
         data = pickle.dumps(error)
         pickle.loads(data)
@@ -259,11 +274,11 @@ def _dumped(error: BaseException) -> bytes:
 
 
 def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = TIMEOUT) -> T:
-    """What `work` returns for the first of `count` processes; the others are forks of this one.
+    """Call `work` in `count` processes; return its result in the first process, which is this one.
 
-    Raises what `work` raises in any of them, and SwarmError with the number of a process that ended
-    or that made no progress for `timeout` s, or if /dev/shm cannot be written. No process is left
-    behind.
+    The other processes are forks of this process, and none is left at the end. Raises what `work`
+    raises in any process. SwarmError with the number of a process that ended or made no progress
+    for `timeout` s, and if /dev/shm cannot be written.
     """
     if count == 1:
         return work(RunProcess())
@@ -277,7 +292,7 @@ def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = 
     children = _Children(count, timeout)
     try:
         for index in range(1, count):
-            # A child waits as long as its parent lives, which watches all of them.
+            # A child waits without a limit: the first process watches all children.
             child = _Member(index, memory, ready, lambda process, seconds: None)
             children.fork(index, partial(work, child))
         return work(_Member(0, memory, ready, children.watch))

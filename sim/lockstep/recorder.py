@@ -25,7 +25,9 @@ from swarmd.sim.world.world import World
 
 _Reports = dict[tuple[str, str], list[tuple[int, int, float | str]]]
 Kept = tuple[NDArray[np.intp], dict[str, NDArray[Any]], _Reports]
-"""What the robots of some rows reported: the rows, their columns, and their own reports."""
+"""Records of the robots of one process: their rows, then arrays by column of _COLUMNS, and reports.
+
+Reports by kind and name are entries (sample, row, value)."""
 
 
 class LockstepRecorder:
@@ -65,7 +67,7 @@ class LockstepRecorder:
             self._end_block()
 
     def _end_block(self) -> None:
-        # A column at once: numpy takes as long to enter one value as Python to list ten.
+        # A whole column at once: a single value costs in numpy as much as ten in a list.
         columns = zip(*self._latest, strict=True)
         for (name, kind), values in zip(_COLUMNS.items(), columns, strict=False):
             column = np.array(values, dtype=kind)
@@ -73,13 +75,13 @@ class LockstepRecorder:
         self._latest = []
 
     def kept(self, rows: NDArray[np.intp]) -> Kept:
-        """What the robots of these rows reported, for `trace`."""
+        """The records of the robots `rows`, for `trace`."""
         self._end_block()
         columns = {name: np.concatenate(blocks)[:, rows] for name, blocks in self._blocks.items()}
         return rows, columns, self._reports
 
     def trace(self, meta: Mapping[str, Any], kept: Sequence[Kept]) -> Trace:
-        """The trace of all samples; `kept` is of all rows."""
+        """The trace of all samples; `kept`: the records of all processes, which cover all rows."""
         shape = (self._samples, len(self._world.ids))
         known: dict[str, Any] = {"report": {}, "words": {}, "readings": {}}
         reports: _Reports = {}

@@ -21,28 +21,29 @@ if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
 
 _ROUNDING = 1e-9
-_AHEAD = 1.0  # s of times that are listed at once
+_AHEAD = 1.0  # s; the times of this span are listed at once
+_UNSURE = 1e-3  # s at the end of a list, whose times may be missing by rounding
 OPERATOR = "scenario"
 
 
 class Schedules:
-    """A periodic job of each of n robots, at a phase of its own."""
+    """A periodic job for each of n robots, with a rate and a phase of its own."""
 
     def __init__(self, rates: Array, begins: Array | None = None) -> None:
-        """`rates` (n,) in Hz. `begins` (n,) in s: the first time of each; None: all at 0.
+        """`rates` (n,) in Hz. `begins` (n,) in s: a time of each job; None: all at 0.
 
-        Jobs with equal phases coincide: a robot ticks with its scan where the rates allow, and
-        both find its data in the processor's caches.
+        Two schedules with equal begins have common times. So a tick of a robot falls on its scan
+        where the rates allow, and the robot's data are still in the processor's caches.
         """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         starts = np.zeros(len(self._period)) if begins is None else begins
         self._phase = np.mod(starts, self._period)
-        # The times up to `_end` are listed in order, with their rows; `_next` is the first to come.
+        # The due times before `_end` in order, with their rows.
         self._times: list[float] = []
         self._rows: list[int] = []
-        self._next, self._end = 0, -math.inf
-        self._soonest = -math.inf  # before this time nothing is due, nor to be listed
-        self._listed = np.zeros(len(self._period), dtype=np.intp)
+        self._next, self._end = 0, -math.inf  # `_next`: the index of the next due time
+        self._soonest = -math.inf  # before this time `due` has nothing to do
+        self._listed = np.zeros(len(self._period), dtype=np.intp)  # number of times listed, by row
 
     def due(self, now: float) -> list[int]:
         """The rows due by `now` s, in order; call it at every step."""
@@ -57,7 +58,7 @@ class Schedules:
         return sorted(self._rows[first:last])
 
     def _list(self, end: float) -> None:
-        """List the times before `end` s: all of a second at once, since numpy takes long a call."""
+        """List the due times before `end` s, many at once, since each call of numpy takes long."""
         upto = np.ceil((end - self._phase) / self._period).astype(np.intp)
         counts = np.maximum(upto - self._listed, 0)
         rows = np.repeat(np.arange(len(counts)), counts)
@@ -68,8 +69,9 @@ class Schedules:
         rows = np.concatenate((np.array(self._rows[self._next :], dtype=np.intp), rows))
         order = np.argsort(times, kind="stable")
         self._times, self._rows = times[order].tolist(), rows[order].tolist()
-        # A time at the very end may have been left out by rounding: it is listed before it is due.
-        self._next, self._end = 0, end - 1e-3
+        # Rounding may leave out a time at the very end. `_end` is earlier, so that the next list
+        # adds this time before it is due.
+        self._next, self._end = 0, end - _UNSURE
         self._listed += counts
 
 
@@ -79,12 +81,18 @@ class Alarms:
     def __init__(self, n: int, dt: float) -> None:
         self._dt = dt
         self._step = 0
-        self._due = np.full(n, -1)  # the step of each alarm; those of the past count no more
+        self._due = np.full(n, -1)  # the step of each alarm; a past step is no alarm
 
     def set(self, row: int, at: float | None) -> None:
-        """Set the alarm of `row` to the first step from `at` s on, at least the next; None: off."""
-        step = -1 if at is None else int(-((_ROUNDING - at) // self._dt))
-        self._due[row] = step if step > self._step or at is None else self._step + 1
+        """Set the alarm of `row` to the first step at or after `at` s; None: no alarm.
+
+        The alarm is at the next step at the earliest.
+        """
+        if at is None:
+            self._due[row] = -1
+            return
+        step = int(-((_ROUNDING - at) // self._dt))  # ceil((at - _ROUNDING) / dt)
+        self._due[row] = max(step, self._step + 1)
 
     def due(self, step: int) -> list[int]:
         """The rows whose alarm is this step, in order; call it for every step."""

@@ -34,7 +34,11 @@ if TYPE_CHECKING:
 
 
 class RobotShell:
-    """`decided` counts the scans judged while running, `evaded` those with protection active."""
+    """Runs one `Robot` with its pattern; hands its outputs to the swarm.
+
+    `decided`: the number of scans with a decision while running; `evaded`: those of them with
+    protection active. The recorder resets both.
+    """
 
     def __init__(self, row: int, robot: Robot, find: Find, outputs: Lockstep, now: float) -> None:
         self.row = row
@@ -44,17 +48,20 @@ class RobotShell:
         self.decided = 0
         self.evaded = 0
         self._outputs = outputs
-        self._valued: set[str] = set()  # of OPTION_INPUTS, those that have a value
+        self._valued: set[str] = set()  # the kinds of OPTION_INPUTS whose last input had a value
         self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.step(DriverInput(True, "simulated"), now)
 
     @property
     def needs(self) -> frozenset[str]:
-        """What the pattern needs; empty without a pattern."""
+        """The inputs that the pattern needs; empty without a pattern."""
         return self._runner.needs
 
     def sense(self, input: SensorInput, now: float) -> None:
-        """Take what a sensor has measured; of OPTION_INPUTS without a value only the first."""
+        """Hand a measurement to the robot, except repeated inputs without a value.
+
+        Of consecutive OPTION_INPUTS of one kind without a value the robot gets the first alone.
+        """
         if not isinstance(input, ScanInput):
             if self._is_new(input):
                 self.step(input, now)
@@ -75,13 +82,16 @@ class RobotShell:
         return had_value or has_value
 
     def request(self, request: Request, now: float) -> Reply | None:
-        """Carry out an operator's request; the reply, which an inline pattern gives at once."""
+        """Carry out an operator's request; the reply, or None without a reply.
+
+        A reply comes at once, since the pattern runs inline.
+        """
         self.replies.clear()
         self.step(RequestInput(request), now)
         return next((reply for reply in self.replies if reply.id == request.id), None)
 
     def step(self, input: Input, now: float) -> None:
-        """Hand an input to the robot, and carry out what follows."""
+        """Hand an input to the robot, and carry out its actions."""
         actions = self.robot.step(input, now)
         if actions is not None:
             self.carry_out(actions, now)

@@ -1,10 +1,12 @@
-"""All metrics by name, with unit, meaning and source, and their values for a trace.
+"""The catalog of metrics by name, and the values of metrics for a trace.
 
-Besides these there are metrics of reports and readings (`reported.py`), metrics with a place or a
-number in their names (`placed.py`), and custom ones (`own.py`); `metric_of` takes all of them.
-Names are columns of tables and keys of files. `late` is the last 60 s of a run, or its last half if
-that is shorter. A metric is None if the trace lacks the data, or if it has no value, such as the
-time to an event that never happened.
+`METRICS` are measured for every run. Three more kinds have names that `metric_of` resolves: metrics
+of reports and readings (`reported.py`), metrics with a place or a number in their names
+(`placed.py`), and custom metrics (`own.py`). Names are columns of tables and keys of files.
+
+`late` in a name: the last 60 s of a run, or the last half of a run shorter than 120 s. A value is
+None if the trace lacks the data, or if the metric has no value, such as the time to an event that
+never happened.
 """
 
 from __future__ import annotations
@@ -56,18 +58,18 @@ METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric
 
 
 def measure(trace: Trace, names: Iterable[str | Metric] | None = None) -> dict[str, float | None]:
-    """The value of each metric by name, of all of METRICS if None; true is 1.
+    """The values of the metrics `names` (None: METRICS) for a trace, by name; true is 1.
 
-    ConfigError for an unknown name, MetricError if a custom metric fails.
+    ConfigError for an unknown name. MetricError if a custom metric fails.
     """
     wanted = map(metric_of, METRICS if names is None else names)
     return {metric.name: _plain(metric.value(trace)) for metric in wanted}
 
 
 def series(trace: Trace, name: str | Metric) -> Array | None:
-    """(T,) a metric over time, NaN where unknown; None if the trace lacks what it needs.
+    """(T,) a metric over time, NaN where unknown; None if the trace lacks the data.
 
-    ConfigError for an unknown metric, and for one that is defined for whole runs only.
+    ConfigError for an unknown metric, and for a metric that is defined for whole runs alone.
     """
     metric = metric_of(name)
     if metric.series is None:
@@ -82,8 +84,8 @@ def metric_of(name: str | Metric, digest: str = "") -> Metric:
     """The metric of that name; ConfigError with the nearest name if it is unknown.
 
     A name is one of METRICS, `report:KEY...`, `reading:KEY...`, one of `placed.KINDS` with its
-    places, `FILE.py:FUNCTION` or that of an installed metric. `digest`: the SHA-256 that the file
-    must have, or empty.
+    values, `FILE.py:FUNCTION`, or the name of an installed metric. `digest`: the SHA-256 that FILE
+    must have; empty: any.
     """
     if isinstance(name, Metric):
         return name
@@ -102,19 +104,19 @@ def metric_of(name: str | Metric, digest: str = "") -> Metric:
 
 
 def names_file(name: str) -> bool:
-    """Whether `metric_of` imports a file for this name."""
+    """Whether the name is FILE.py:FUNCTION, for which `metric_of` imports the file."""
     is_other = name in METRICS or name.startswith(PREFIXES) or is_placed(name)
     return ".py:" in name and not is_other
 
 
 def check_has_value(metric: Metric, trace: Trace) -> None:
-    """ConfigError with the nearest name if no robot of the trace has what a metric takes."""
+    """ConfigError with the nearest name if no robot of the trace has the report or reading."""
     if metric.name.startswith(PREFIXES):
         check_reported(metric.name, trace)
 
 
 def beyond_catalog(metrics: Iterable[Metric]) -> list[Metric]:
-    """Those that not every run measures, each once."""
+    """The metrics that are not in METRICS, without repetitions."""
     return list({(m.name, m.origin): m for m in metrics if m.name not in METRICS}.values())
 
 

@@ -40,13 +40,13 @@ def clearances(trace: Trace) -> Array | None:
 
 
 def clearance(trace: Trace) -> float | None:
-    """The smallest of these; None if the arena is unknown or there is no robot."""
+    """The smallest clearance of the run in m; None if the arena is unknown."""
     smallest = clearances(trace)
     return None if smallest is None else float(smallest.min(initial=np.inf))
 
 
 def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: Arena) -> None:
-    """Lower best (T,) to the clearance of the robots of one platform at the instants of a span."""
+    """Lower `best` (T,) in place to the clearance of one platform's robots in a span."""
     shape = trace.footprints[platform]
     pose = trace.pose[span][:, [name == platform for name in trace.platforms]]
     corners = transform(shape, pose)
@@ -62,7 +62,10 @@ def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: 
 
 
 def _obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array, float, Measure]]:
-    """Each with its centre, (2,) or (T, 1, 2), and the radius of a circle around all of it."""
+    """Yield each obstacle: its centre (2,) or (T, 1, 2), its radius, and a distance function.
+
+    The radius is that of a circle around the centre that holds the obstacle.
+    """
     for _, box in arena.fixed:
         yield np.array([box.x, box.y]), radius(box.shape), _from_fixed(box.corners)
     for pole in arena.poles:

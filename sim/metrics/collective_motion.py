@@ -1,8 +1,8 @@
 """Alignment, milling and displacement of a swarm.
 
-Directions are those of motion, not of yaw: robots may reverse or slide, and a row of parallel
-robots at rest is no flock. A robot slower than STANDING has no direction and adds nothing, so that
-a swarm at rest scores 0. Only present robots count.
+A robot's direction is its direction of motion, not its yaw: robots may reverse or slide, and a row
+of parallel robots at rest is no flock. A robot slower than STANDING counts as a zero vector, so
+that a swarm at rest scores 0. Only present robots count.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
 
 
 def centroid_path_length(trace: Trace) -> float | None:
-    """That length at the end; None if no robot is ever present."""
+    """`centroid_path_lengths` at the last instant; None if no robot is ever present."""
     return float(centroid_path_lengths(trace)[-1]) if presence(trace).any() else None
 
 

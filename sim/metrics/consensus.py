@@ -37,7 +37,7 @@ def consensus_shares(trace: Trace) -> Array | None:
 
 
 def consensus_share(trace: Trace) -> float | None:
-    """That share at the last instant."""
+    """`consensus_shares` at the last instant; None if unknown."""
     shares = consensus_shares(trace)
     return None if shares is None or np.isnan(shares[-1]) else float(shares[-1])
 
@@ -50,9 +50,10 @@ def consensus_opinion(trace: Trace) -> float | None:
 
 
 def consensus_time(trace: Trace) -> float | None:
-    """Seconds from the start until all present robots hold one opinion, and keep it to the end.
+    """Seconds from the start until all present robots hold the final opinion to the end.
 
-    A swarm that changes its opinion together starts again. None if they do not agree at the end.
+    A common opinion that the swarm gives up again does not count. None if the robots do not agree
+    at the end.
     """
     final = consensus_opinion(trace)
     if final is None:

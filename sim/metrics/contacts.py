@@ -1,7 +1,8 @@
-"""Contacts of robots, each counted once however many steps it lasts, and which robot was moving.
+"""Contact episodes of robots, and which robot was moving.
 
-Absent robots count too: they stand in the arena. The definitions are ours: `EPISODE_GAP` in
-`world/contacts.py` is the pause after which the same two have a new contact.
+An episode counts once, however many steps it lasts. A pair has a new episode after a pause of
+`EPISODE_GAP` (`world/contacts.py`). Absent robots count too: they stand in the arena. The
+definitions are ours.
 """
 
 from __future__ import annotations
@@ -25,28 +26,24 @@ Kind = Literal["robot", "arena", "box"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceContact:
-    """One contact, from `start` to `end` in the trace's s.
+    """One contact episode."""
 
-    `a` is a robot's id; `b` is another robot's, WALLS or the name of a movable box, as `kind` says.
-    `closing_speed` in m/s is the fastest approach during the contact. `is_a_moving` and
-    `is_b_moving`: whether its own surface then moved towards the other faster than MOVING.
-    """
-
-    start: float
+    start: float  # s of the trace
     end: float
-    a: str
-    b: str
+    a: str  # a robot's id
+    b: str  # by `kind`: another robot's id, WALLS, or the name of a movable box
     kind: Kind
-    closing_speed: float
-    is_a_moving: bool
-    is_b_moving: bool
+    closing_speed: float  # m/s, the highest during the episode
+    is_a_moving: bool  # at the highest closing speed, a's surface moved towards b above MOVING
+    is_b_moving: bool  # the same of b's surface
 
 
 def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[TraceContact]:
-    """Each contact of the run, by start and then by robots."""
+    """The contact episodes of the run, by start and then by robots; `gap`: the pause in s."""
     if len(trace.contact_t) == 0:
         return []
-    # The lower index first, but the arena and boxes, which are negative, always second.
+    # Sort each pair by index, except that the arena and boxes, whose indices are negative, come
+    # second.
     pair, speed = trace.contact_pair, trace.contact_speed
     is_turned = (pair[:, 1] >= 0) & (pair[:, 1] < pair[:, 0])
     pair = np.where(is_turned[:, None], pair[:, ::-1], pair)
@@ -81,12 +78,15 @@ def hardest_contact(trace: Trace) -> float | None:
 def _contact(
     trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray
 ) -> TraceContact:
+    """The episode of a pair from `ends[0]` to `ends[1]` s, with the speeds (2,) of its surfaces."""
     a, b = int(pair[0]), int(pair[1])
-    kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
-    # Below ARENA stand the movable boxes: -2 is the first of `movable_boxes`.
-    partner = (
-        trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.movable_boxes[ARENA - 1 - b]
-    )
+    kind: Kind
+    if b >= 0:
+        kind, partner = "robot", trace.ids[b]
+    elif b == ARENA:
+        kind, partner = "arena", WALLS
+    else:  # movable box m has the index ARENA - 1 - m
+        kind, partner = "box", trace.movable_boxes[ARENA - 1 - b]
     return TraceContact(
         start=ends[0],
         end=ends[1],

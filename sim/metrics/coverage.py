@@ -20,12 +20,12 @@ _MANY_CELLS = 4_000_000
 
 
 def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Array:
-    """(T,) the floor in m2 that has been within `radius` m of a robot until each instant.
+    """(T,) the floor in m2 that has been within `radius` m of a robot up to each instant.
 
-    Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) in squares of `cell` m.
-    A square is covered with its centre; of positions less than a tenth of a square apart, one is
-    evaluated. Walls do not block, and floor outside the arena does not count if the trace names
-    its size. Squares are larger if there would be more than four million.
+    Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) on a grid of squares of
+    `cell` m. A square is covered when its centre is. Of positions in the same tenth of a square
+    only the first is evaluated. Walls do not block. Floor outside the arena does not count if the
+    trace names an arena. The side of squares doubles until they are at most four million.
     """
     when, robot = np.nonzero(presence(trace))
     if len(when) == 0:
@@ -55,9 +55,9 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
 
 
 def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The first row of each square (k, 2), in reverse order.
+    """The rows of `index` (k, 2) at which each square appears first, in reverse order.
 
-    Of several writes to one element, the earliest row then remains.
+    In reverse order the earliest row writes an array element last.
     """
     low, high = index.min(axis=0), index.max(axis=0)
     key = (index[:, 0] - low[0]) * (high[1] - low[1] + 1) + index[:, 1] - low[1]
@@ -66,7 +66,7 @@ def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def covered_area(trace: Trace, radius: float = COVER, cell: float = CELL) -> float | None:
-    """That area at the end."""
+    """`covered_areas` at the last instant; None for a trace without instants."""
     areas = covered_areas(trace, radius, cell)
     return float(areas[-1]) if len(areas) else None
 

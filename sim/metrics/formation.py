@@ -1,9 +1,9 @@
 """Errors of line and circle formations.
 
-Distances from the line are orthogonal ones, and the line is that of total least squares (Pearson
-1901, Phil. Mag. 2), as in Fredslund and Mataric 2002 (IEEE Trans. Robotics and
-Automation 18, 837), which also asks for spacing. The circle is that of algebraic least squares
-(Kasa 1976, IEEE Trans. Instrum. Meas. 25). Only present robots count.
+The best line is the fit of total least squares, by orthogonal distances (Pearson 1901, Phil. Mag.
+2), as in Fredslund and Mataric 2002 (IEEE Trans. Robotics and Automation 18, 837), which also
+judges the spacing. The best circle is the fit of algebraic least squares (Kasa 1976, IEEE Trans.
+Instrum. Meas. 25). Only present robots count. `spacing` is the wanted distance of neighbours in m.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def line_offsets(trace: Trace) -> Array:
 
 
 def line_unevenness(trace: Trace, spacing: float | None = None) -> Array:
-    """(T,) the root mean square deviation of gaps along that line from `spacing`, over it.
+    """(T,) the rms deviation of the gaps along the best line from `spacing`, as a share of it.
 
-    Without `spacing`, from their own mean.
+    Without `spacing` the mean gap takes its place.
     """
 
     def of(place: Array) -> float:
@@ -38,15 +38,18 @@ def line_unevenness(trace: Trace, spacing: float | None = None) -> Array:
 
 
 def line_errors(trace: Trace, spacing: float) -> Array:
-    """(T,) the larger of both as shares of `spacing` m; NaN for fewer than two robots."""
+    """(T,) the larger of `line_offsets` / `spacing` and `line_unevenness`.
+
+    NaN for fewer than two robots.
+    """
     larger: Array = np.maximum(line_offsets(trace) / spacing, line_unevenness(trace, spacing))
     return larger
 
 
 def circle_offsets(trace: Trace, radius: float | None = None) -> Array:
-    """(T,) the root mean square of the distances in m from the best circle.
+    """(T,) the root mean square of the robots' distances in m from the best circle.
 
-    With a `radius` in m: from the circle of that radius around the best one's centre.
+    With a `radius` in m: from the circle of that radius around the best circle's centre.
     """
 
     def of(place: Array) -> float:
@@ -58,7 +61,7 @@ def circle_offsets(trace: Trace, radius: float | None = None) -> Array:
 
 
 def circle_unevenness(trace: Trace) -> Array:
-    """(T,) the root mean square deviation of angular gaps from equal ones, over these."""
+    """(T,) the rms deviation of angular gaps from 2 pi / n, as a share of 2 pi / n."""
 
     def of(place: Array) -> float:
         angles = np.sort(_around(place)[0])
@@ -69,9 +72,10 @@ def circle_unevenness(trace: Trace) -> Array:
 
 
 def circle_errors(trace: Trace, spacing: float) -> Array:
-    """(T,) the larger of both, the radius against that of neighbours `spacing` m apart.
+    """(T,) the larger of `circle_offsets` / `spacing` and `circle_unevenness`.
 
-    As shares of `spacing`, and of the equal angular gap. NaN for fewer than three robots.
+    The wanted circle has the radius at which neighbours are `spacing` m apart. NaN for fewer than
+    three robots.
     """
     errors = circle_unevenness(trace)
     counts = presence(trace).sum(axis=1)

@@ -1,6 +1,7 @@
-"""The smallest distance between robots, of exact footprints.
+"""The smallest distance between the exact footprints of two robots.
 
-Absent robots count too: they stand in the arena. Only pairs that can be the nearest are evaluated.
+Absent robots count too: they stand in the arena. Exact distances are computed only for pairs that
+may be the nearest, by lower and upper bounds.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ _ROUNDING = 1e-12
 
 
 def minimum_gap(trace: Trace) -> float:
-    """The smallest distance in m between two robots' footprints; inf for one robot alone.
+    """The smallest distance in m between two robots' footprints; inf for a single robot.
 
-    Exact at the trace's instants: convex polygons, 0 if they touch or overlap (distance of convex
-    polygons and separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9).
+    Exact at the trace's instants; 0 if footprints touch or overlap. Distance of convex polygons and
+    separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9.
     """
     best = np.inf
     for span in pairs.spans(*trace.pose.shape[:2]):
@@ -41,12 +42,13 @@ def minimum_gap(trace: Trace) -> float:
 
 
 def minimum_gaps(trace: Trace) -> Array:
-    """(T,) the smallest distance in m between two footprints at each instant; inf if alone."""
+    """(T,) the smallest distance in m between two footprints; inf for a single robot."""
     smallest = np.full(len(trace.t), np.inf)
     for span in pairs.spans(*trace.pose.shape[:2]):
         best = smallest[span]
         near, lower = _candidates(trace, span, float(_bounds(trace, span).max(initial=0.0)))
-        # First the pair that may be nearest at each instant, then pairs that may be nearer.
+        # First, at each instant, the pair with the least lower bound; then all pairs whose lower
+        # bound is below the exact distance of that pair.
         order = np.lexsort((lower, near.instant))
         leading = order[np.unique(near.instant[order], return_index=True)[1]]
         np.minimum.at(best, near.instant[leading], _exact(trace, span, near, leading))
@@ -56,9 +58,9 @@ def minimum_gaps(trace: Trace) -> Array:
 
 
 def _bounds(trace: Trace, span: slice) -> Array:
-    """(T,) an upper bound of the smallest gap of each instant; inf for a lone robot.
+    """(T,) an upper bound in m of the smallest gap at each instant; inf for a single robot.
 
-    Footprints are no farther apart than their frames' origins plus the radius of each.
+    The bound is the distance of the nearest two origins plus two radii of footprints.
     """
     place = trace.pose[span, :, :2]
     nearest = pairs.nearest(place, _is_in_arena(place))
@@ -81,10 +83,10 @@ def _is_in_arena(place: Array) -> NDArray[np.bool_]:
 
 
 def _along(trace: Trace, span: slice, near: Pairs) -> Array:
-    """(p,) a lower bound in m of the distance of the footprints.
+    """(p,) a lower bound in m of the distance of the footprints of each pair.
 
-    It is the gap of their projections onto the line through both origins; negative if these
-    overlap.
+    The bound is the gap between the projections of both footprints onto the line through both
+    origins; it is negative if the projections overlap.
     """
     pose = trace.pose[span]
     a, b = pose[near.instant, near.a], pose[near.instant, near.b]
@@ -104,7 +106,7 @@ def _along(trace: Trace, span: slice, near: Pairs) -> Array:
 
 
 def _exact(trace: Trace, span: slice, near: Pairs, chosen: pairs.Ints) -> Array:
-    """The distances of the footprints of the chosen pairs; `near.instant` counts within span."""
+    """The exact distances in m of the footprints of the pairs `chosen` (c,) of `near`."""
     names = sorted(set(trace.platforms))
     kind = np.array([names.index(name) for name in trace.platforms], dtype=np.int64)
     pose = trace.pose[span]

@@ -1,6 +1,7 @@
 """Path lengths and speeds.
 
-A step between two instants counts if the robot is present at both: an absent robot is only pushed.
+A step between two instants counts if the robot is present at both: an absent robot moves only when
+others push it.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ def mean_speeds(trace: Trace) -> Array:
 
 
 def speed_share(trace: Trace, seconds: float = LATE) -> float | None:
-    """The mean speed in the last `seconds` (or half, if shorter) as a share of v_max.
+    """The mean speed in the last `seconds` (`window.late`) as a share of each platform's v_max.
 
-    v_max is that of each robot's platform. None without `meta["v_max"]` or without a robot.
+    None without `meta["v_max"]` or without a robot.
     """
     limits = by_platform(trace, "v_max")
     if limits is None:
@@ -70,7 +71,7 @@ def speed_shares(trace: Trace) -> Array | None:
 
 
 def _mean_speeds(trace: Trace, limits: Array) -> Array:
-    """(T,) the same as a share of the limits (n,) in m/s."""
+    """(T,) the mean of speed / limit over present robots; `limits` (n,) in m/s."""
     if len(trace.t) == 0:
         return np.zeros(0)
     seconds = _seconds(trace)

@@ -32,15 +32,15 @@ class Metric:
     """(T,) the value at each instant, NaN where unknown, or None if the trace lacks data. A metric
     without `series` is defined for whole runs only."""
     better: Better | None = None
-    """The direction that is good for every task, else None."""
+    """The better direction; None if it depends on the task."""
     is_time_to_event: bool = False
     """The value is a duration in s, None where the event never happened."""
     event: str = ""
-    """The name of that event in a figure."""
+    """The name of the event in a figure, for a time to an event."""
     origin: str = ""
-    """The name that `metric_of` takes from any folder, where `name` is not."""
+    """The name by which `metric_of` finds a custom metric from any working folder; else empty."""
     digest: str = ""
-    """Of the code of a metric that does not come with swarmd."""
+    """The SHA-256 of the code of a custom metric; else empty."""
 
 
 def at_start(series: Series) -> Value:
@@ -78,10 +78,10 @@ def _mean_of(series: Series, part: Callable[[Trace], Trace]) -> Value:
 
 
 def over_time(values: Array, t: Array, word: str) -> float | None:
-    """One of TIMES of values (T,) at instants `t` (T,), NaN left out; None without a value.
+    """The statistic `word` (of TIMES) of values (T,) at instants `t` (T,), without NaN.
 
-    `start` and `end` are the values at the first and the last instant, `late` is the mean as of
-    `late_mean`.
+    `start` and `end`: the value at the first and the last instant. `late`: the mean as in
+    `late_mean`. None without a value.
     """
     if word == "start":
         values = values[:1]

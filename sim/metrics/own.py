@@ -68,8 +68,8 @@ def digest_of_file(text: str) -> str:
 def metric_of_file(text: str, digest: str = "") -> Metric:
     """The metric `FILE.py:FUNCTION`; ConfigError if file or function are missing or faulty.
 
-    Its name is that of the file and the function, without folders. `digest`: the SHA-256 that the
-    file must have, or empty.
+    The metric's name is `FILE.py:FUNCTION` without folders. `digest`: the SHA-256 that the file
+    must have; empty: any.
     """
     file, _, name = text.rpartition(":")
     path = Path(file).resolve()
@@ -93,7 +93,7 @@ def metric_of_file(text: str, digest: str = "") -> Metric:
 
 
 def installed_metrics() -> Mapping[str, Metric]:
-    """The metrics of installed packages by name; ConfigError if one cannot be imported."""
+    """The metrics of installed packages by name; ConfigError if an import fails."""
     metrics = {}
     for point in sorted(entry_points(group=GROUP)):
         try:

@@ -40,7 +40,10 @@ def spans(instants: int, points: int) -> Iterator[slice]:
 
 
 def near(place: Array, is_in: NDArray[np.bool_], reach: float) -> Pairs:
-    """The pairs of points (T, n, 2) within `reach` m at the same instant, of those in (T, n)."""
+    """The pairs of points `place` (T, n, 2) within `reach` m of each other at the same instant.
+
+    Only points with `is_in` (T, n) count.
+    """
     if place.shape[1] <= FEW:
         a, b = np.triu_indices(place.shape[1], 1)
         away = place[:, a] - place[:, b]
@@ -59,7 +62,7 @@ def near(place: Array, is_in: NDArray[np.bool_], reach: float) -> Pairs:
 
 
 def chosen(pairs: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
-    """The pairs for which (p,) is true."""
+    """The pairs for which `is_chosen` (p,) is true."""
     return Pairs(
         pairs.instant[is_chosen], pairs.a[is_chosen], pairs.b[is_chosen], pairs.distance[is_chosen]
     )

@@ -1,8 +1,8 @@
 """Metrics whose name holds a place or a number, such as `share_in:disc:1.5:0:0.7`.
 
-An area is `disc:x:y:radius` or `box:x:y:length:width` in m, as an arena has boxes in text. Several
-areas follow each other and count together. A file that names such a metric says all that another
-program needs to compute it. Only present robots count, by the position of their axle centres.
+An area is `disc:x:y:radius` or `box:x:y:length:width` in m. A name may have several areas, which
+count as their union. The name holds all numbers that another program needs to compute the metric.
+Only present robots count, by the position of their axle centres.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Area:
     numbers: tuple[float, ...]
 
     def holds(self, places: Array) -> NDArray[np.bool_]:
-        """(...) whether each of `places` (..., 2) is in it."""
+        """(...) whether each of `places` (..., 2) is in the area."""
         x, y, *size = self.numbers
         dx, dy = places[..., 0] - x, places[..., 1] - y
         if self.kind == "disc":
@@ -47,19 +47,20 @@ class Area:
 
 
 def share_in(trace: Trace, areas: Sequence[Area]) -> Array:
-    """(T,) the share of the robots that are in one of the areas; NaN without a robot."""
+    """(T,) the share of the present robots that are in the areas; NaN without a robot."""
     return row_means(_in_any(trace.pose[..., :2], areas).astype(np.float64), presence(trace))
 
 
 def share_reached(trace: Trace, areas: Sequence[Area]) -> Array:
-    """(T,) the share of all robots that have been in one of the areas until then."""
+    """(T,) the share of all robots that have been in the areas up to each instant."""
     return _share_until(_in_any(trace.pose[..., :2], areas) & presence(trace))
 
 
 def share_swapped(trace: Trace, reach: float) -> Array:
-    """(T,) the share of all robots that have been within `reach` m of the place opposite their own.
+    """(T,) the share of all robots that have been at their goals up to each instant.
 
-    Opposite: the start mirrored at the origin, as in the swap of van den Berg et al. 2011.
+    At the goal: within `reach` m of the start mirrored at the origin, as in the position swap of
+    van den Berg et al. 2011.
     """
     goals = -trace.pose[:1, :, :2]
     away = trace.pose[..., :2] - goals
@@ -67,9 +68,10 @@ def share_swapped(trace: Trace, reach: float) -> Array:
 
 
 def share_caught(trace: Trace, group: str, reach: float) -> Array | None:
-    """(T,) the share of a group's robots that another group's robot has been within `reach` m of.
+    """(T,) the share of a group's robots that have been caught up to each instant.
 
-    From axle to axle. None if the trace has no such group, or no other robot.
+    Caught: a robot of another group was within `reach` m, from axle to axle. None if the trace has
+    no such group, or no robot outside the group.
     """
     members = trace.meta.get("groups", {}).get(group, ())
     is_prey = np.array([robot in members for robot in trace.ids], dtype=bool)
@@ -83,10 +85,9 @@ def share_caught(trace: Trace, group: str, reach: float) -> Array | None:
 
 
 def share_reporting(trace: Trace, key: str, number: float) -> Array | None:
-    """(T,) the share of the robots whose pattern reports `number` as `key`.
+    """(T,) the share of the present robots whose pattern reports `number` as `key`.
 
-    None if no robot ever reports `key`. A robot without a report of `key` counts as a robot that
-    reports another number.
+    A robot without a report of `key` does not report `number`. None if no robot ever reports `key`.
     """
     said = trace.report.get(key)
     if said is None:
@@ -95,9 +96,9 @@ def share_reporting(trace: Trace, key: str, number: float) -> Array | None:
 
 
 def box_progress(trace: Trace, x: float, y: float) -> Array | None:
-    """(T,) the share of the way to x, y in m that the first movable box has made.
+    """(T,) 1 - d / d0, where d is the distance of the first movable box from x, y in m.
 
-    1 at the place, 0 as far away as at the start, negative beyond. None without a movable box.
+    d0 is the distance at the start. None without a movable box, or if the box starts at the place.
     """
     if trace.box_pose is None or not trace.box_pose.shape[1]:
         return None
@@ -108,10 +109,10 @@ def box_progress(trace: Trace, x: float, y: float) -> Array | None:
 
 
 def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
-    """(T,) the mean distance in m from the floor outside the areas to the nearest robot there.
+    """(T,) the mean distance in m from the floor outside the areas to the nearest robot outside.
 
     Robots in the areas do not count. Without a robot outside the areas the distance is the arena's
-    diagonal. None if the trace names no arena. Floor in squares of CELL m.
+    diagonal. The floor is a grid of squares of CELL m. None if the trace names no arena.
     """
     arena = arena_of(trace)
     if arena is None:
@@ -130,9 +131,10 @@ def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
 def network_area(trace: Trace, link: float, radius: float) -> Array:
     """(T,) the floor in m2 within `radius` m of a robot of the largest network.
 
-    Robots within `link` m of each other are linked. The largest network has the most robots; of
-    several such networks the greatest area counts. Walls do not block. Floor outside the arena does
-    not count if the trace names its size. Floor in squares of CELL m.
+    Robots within `link` m of each other are linked, also through walls. The largest network is the
+    connected component with the most robots; among equal components the greatest area counts. The
+    floor is a grid of squares of CELL m. Floor outside the arena does not count if the trace names
+    an arena.
     """
     is_here, arena = presence(trace), arena_of(trace)
     n = is_here.shape[1]
@@ -179,12 +181,15 @@ def _in_any(places: Array, areas: Sequence[Area]) -> NDArray[np.bool_]:
 
 
 def _share_until(is_so: NDArray[np.bool_]) -> Array:
-    """(T,) the share of the columns of (T, n) that have been true until then."""
+    """(T,) the share of the columns of `is_so` (T, n) that have been true up to each instant."""
     return np.asarray(np.logical_or.accumulate(is_so, axis=0).mean(axis=1))
 
 
 def _whole(series: Series, word: str) -> Value:
-    """One of TIMES of the series of the whole run, for values that depend on its beginning."""
+    """The statistic `word` (of TIMES) of a series, which is computed for the whole run.
+
+    For series that depend on the start of the run.
+    """
 
     def value(trace: Trace) -> float | None:
         values = series(trace)
@@ -198,18 +203,18 @@ _mean, _end = partial(_whole, word="mean"), partial(_whole, word="end")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placed:
-    """A kind of metric: `usage` is its name with placeholders, `read` gives a series of the words.
-
-    `over`: makes the number of a run from the series. `read` raises ValueError for wrong words.
-    """
+    """A kind of metric with values in its name."""
 
     usage: str
+    """The name with placeholders."""
     unit: str
     better: Better
     meaning: str
     source: str
     read: Callable[[Sequence[str]], Series]
+    """The series for the words of the name after the first; ValueError for wrong words."""
     over: Callable[[Series], Value]
+    """Makes the number of a run from the series."""
 
 
 def is_placed(name: str) -> bool:
@@ -218,7 +223,7 @@ def is_placed(name: str) -> bool:
 
 
 def placed_metric(name: str) -> Metric:
-    """The metric of a name such as `share_in:disc:1.5:0:0.7`; ConfigError for wrong places."""
+    """The metric of a name such as `share_in:disc:1.5:0:0.7`; ConfigError for wrong values."""
     kind, *words = name.split(":")
     placed = KINDS[kind]
     try:

@@ -1,4 +1,4 @@
-"""How protection changed requested commands.
+"""Metrics of protection: how often and how far it changes requested commands.
 
 Only present robots count: an absent robot has no daemon and therefore no protection.
 """
@@ -15,7 +15,7 @@ from swarmd.sim.metrics.window import by_platform, late, mean, presence, reaches
 from swarmd.sim.trace import Trace
 
 _TRAVEL_WINDOW = 60.0  # s
-_MIN_REQUEST = 0.1  # of the top speed: what counts as a request to travel
+_MIN_REQUEST = 0.1  # least requested speed, as a share of the top speed, of a robot that travels
 _ROUNDING = 1e-9
 
 HOLDS = (
@@ -36,9 +36,9 @@ HOLDS = (
 def protection_duty(trace: Trace) -> float | None:
     """The share of scans on which protection replaced or reduced the requested command.
 
-    Over the scans of all robots: the paper's protection decides on every scan (Kaiser et al.
-    2022). Where only `active` was recorded, the share of the running robots' instants. None if
-    neither was recorded, or there was no decision.
+    The share is over the scans of all robots, since the paper's protection decides on every scan
+    (Kaiser et al. 2022). A trace with `active` alone gives the share of the running robots'
+    instants. None if the trace has no data, or there was no decision.
     """
     if trace.decided is not None and trace.evaded is not None:
         is_present = presence(trace)
@@ -50,7 +50,7 @@ def protection_duty(trace: Trace) -> float | None:
 
 
 def protection_duties(trace: Trace) -> Array | None:
-    """(T,) the same for each instant; NaN without a decision, None if not recorded."""
+    """(T,) `protection_duty` at each instant; NaN without a decision, None if not recorded."""
     is_present = presence(trace)
     if trace.decided is not None and trace.evaded is not None:
         decided = np.where(is_present, trace.decided, 0).sum(axis=1)
@@ -65,12 +65,12 @@ def protection_duties(trace: Trace) -> Array | None:
 
 
 def alterations(trace: Trace) -> Array | None:
-    """(T, n) the difference of safe and requested command; 1 is full speed.
+    """(T, n) the difference of safe and requested command, as a share of full speed.
 
-    |safe - requested| / v_max, with the turn taken as the speed of the footprint's farthest corner.
-    NaN where the robot does not run. Safety barrier certificates minimise |u - u_requested| (Wang,
-    Ames and Egerstedt, IEEE T-RO 2017). The scale, which makes turns and platforms comparable, is
-    ours. None without requested commands or `meta["v_max"]`.
+    |safe - requested| / v_max, where the angular speed counts as the speed of the footprint's
+    farthest corner. Safety barrier certificates minimise |u - u_requested| (Wang, Ames and
+    Egerstedt, IEEE T-RO 2017). Our scale makes turns and platforms comparable. NaN where the robot
+    does not run. None without requested commands or `meta["v_max"]`.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None:
@@ -115,12 +115,12 @@ def recovery_share(trace: Trace) -> float | None:
 
 
 def travel_extent(trace: Trace) -> float | None:
-    """How far robots that request travel get about, in m: the mean over robots and windows of 60 s.
+    """The mean extent in m of the paths of robots that request motion, over windows of 60 s.
 
-    The extent of a window is the longer side of the box, along the axes of the arena, around all
-    places of the robot. Only windows count in which it requests motion for at least half of the
-    time. A group in deadlock that wanders to and fro before a door has a small extent, compared
-    with the way to its goals. Ours. None without requested commands or such a window.
+    The extent of a robot in a window is the longer side of the axis-aligned bounding box of its
+    positions. Only windows in which the robot requests motion for at least half of the time count.
+    A deadlocked group that wanders to and fro before a door has a small extent. Ours. None without
+    requested commands or such a window.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None or len(trace.t) == 0:
@@ -154,7 +154,7 @@ def failed_patterns(trace: Trace) -> int | None:
 
 
 def _running(trace: Trace) -> NDArray[np.bool_]:
-    """(T, n) present and, if the trace holds states, running."""
+    """(T, n) whether a robot is running; without recorded states, whether it is present."""
     is_present = presence(trace)
     return is_present if trace.state is None else is_present & (trace.state == str(State.RUNNING))
 

@@ -1,7 +1,7 @@
-"""The radio graph: which robots can hear each other, at their true positions.
+"""Metrics of the radio graph, whose edges (links) connect robots that can hear each other.
 
-Only present robots have a radio. If `meta["radio"]` gives neither a range nor line of sight, every
-robot hears every other. Loss and delay do not matter: a link exists if a message can pass.
+Links are computed from true positions, the range and line of sight of `meta["radio"]`. Without both
+all robots are linked. Loss and delay of messages do not matter. Only present robots are nodes.
 """
 
 from __future__ import annotations
@@ -31,10 +31,11 @@ def radio_range(trace: Trace) -> float:
 
 
 def radio_links(trace: Trace) -> Iterator[Pairs]:
-    """All links, in parts for consecutive instants; `instant` counts from the trace's start.
+    """Yield all links in parts, each of consecutive instants; `instant` indexes the whole trace.
 
     The disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of
-    Mobile Robot Networks, Proc. IEEE 99), without links that `radio.line_of_sight` blocks.
+    Mobile Robot Networks, Proc. IEEE 99), without links that obstacles block if
+    `radio.line_of_sight`.
     """
     sight = _sight(trace)
     is_present = presence(trace)
@@ -58,7 +59,8 @@ def radio_components(trace: Trace) -> Array:
             low, high = int(links.instant.min()), int(links.instant.max()) + 1
             node = (links.instant - low) * n
             root = pairs.components((high - low) * n, node + links.a, node + links.b)
-            is_joined = root != np.arange(len(root))  # to a lower robot: one component less
+            # A node that is not the lowest of its component makes one component less.
+            is_joined = root != np.arange(len(root))
             counts[low:high] -= is_joined.reshape(-1, n).sum(axis=1)
     return np.where(counts > 0.0, counts, np.nan)
 
@@ -77,9 +79,10 @@ def radio_connected(trace: Trace) -> float | None:
 def algebraic_connectivities(trace: Trace) -> Array:
     """(T,) the second smallest eigenvalue of the graph's Laplacian: 0 if it is not connected.
 
-    Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). n if all n robots
-    hear each other, and by our convention 0 for a lone robot. NaN without a present robot. Rounded
-    to eight decimals: further ones depend on the number of threads of the linear algebra.
+    Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). The value is n if all
+    n robots hear each other, and by our convention 0 for a single robot. NaN without a present
+    robot. Rounded to eight decimals: further decimals depend on the number of threads of the linear
+    algebra library.
     """
     here = presence(trace).sum(axis=1)
     if _is_complete(trace):

@@ -1,11 +1,13 @@
-"""Reports of patterns and readings of sensors as metrics: `report:KEY[=TEXT]`, `reading:KEY`.
+"""Metrics of reports of patterns and readings of sensors: `report:KEY[=TEXT]`, `reading:KEY`.
 
-Both take statistics, such as `report:KEY[.ROBOTS][_TIME]`. The numbers of the robots are combined
-over the robots (ROBOTS: mean, median, min, max, std, sum), then over time (TIME: start, end, late,
-mean, min, max, std). ROBOTS is `mean` by default, and TIME `late`. A TIME that is no word of ROBOTS
-may stand alone. Examples: `report:value`, `report:value.max`, `reading:battery.min_end`. With TEXT
-a robot counts 1 while it reports this text, else 0: `report:state=wait` is a share of the robots. A
-reading is never a text. Only present robots with a value of KEY count.
+A suffix names statistics: `report:KEY.ROBOTS_TIME`, `report:KEY.ROBOTS` or `report:KEY.TIME`. The
+values of the robots are first combined over the robots (ROBOTS: mean, median, min, max, std, sum;
+default mean), then over time (TIME: start, end, late, mean, min, max, std; default late). A word
+that is in both lists is ROBOTS. Examples: `report:value`, `report:value.max`,
+`reading:battery.min_end`.
+
+With TEXT the value of a robot is 1 while it reports this text, else 0: `report:state=wait` is the
+share of the robots that wait. A reading has no TEXT. Only present robots with a value of KEY count.
 """
 
 from __future__ import annotations
@@ -47,7 +49,7 @@ _SUFFIXES: Mapping[str, tuple[str, str]] = MappingProxyType(
     | {robots: (robots, "late") for robots in ROBOTS}
     | {f"{robots}_{time}": (robots, time) for robots in ROBOTS for time in TIMES}
 )
-"""Statistics over robots and time, by what stands behind the last point of a name."""
+"""Statistics over robots and over time, by the suffix of a name, after the last point."""
 
 
 def reported_metric(name: str) -> Metric:
@@ -86,7 +88,7 @@ def _unit(parts: _Parts) -> str:
 
 
 def check_reported(name: str, trace: Trace) -> None:
-    """ConfigError with the nearest name if no robot of the trace has what the metric takes."""
+    """ConfigError with the nearest name if no robot of the trace gives the report or reading."""
     prefix, key, text, _, _ = _parts(name)
     numbers, words = _named(trace, prefix)
     texts = [str(word) for word in np.unique(words[key]) if word] if key in words else []

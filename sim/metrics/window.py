@@ -31,7 +31,7 @@ def presence(trace: Trace) -> NDArray[np.bool_]:
 
 
 def late(trace: Trace, seconds: float = LATE) -> Trace:
-    """The last `seconds` of a run, or its last half if that is shorter."""
+    """The last `seconds` of a run, or its last half if half of the run is shorter."""
     return cut(trace, late_from(trace.t, seconds), len(trace.t)) if len(trace.t) else trace
 
 
@@ -75,7 +75,7 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
 
 
 def arena_of(trace: Trace) -> Arena | None:
-    """The arena that the trace names; None if it names none, as a trace from elsewhere."""
+    """The arena that the trace names; None without one, as in a trace of another program."""
     try:
         return parse_arena(str(trace.meta.get("arena", "")))
     except ConfigError:
@@ -83,7 +83,10 @@ def arena_of(trace: Trace) -> Arena | None:
 
 
 def tall_boxes(trace: Trace) -> tuple[Array, Array] | None:
-    """The outlines (m, k, 2) and poses (T, m, 3) of the movable boxes, without items."""
+    """The outlines (m, k, 2) and poses (T, m, 3) of the movable boxes, without items.
+
+    None without a movable box.
+    """
     if trace.box_pose is None or trace.box_shapes is None:
         return None
     arena = arena_of(trace)
@@ -104,13 +107,13 @@ def reaches(trace: Trace) -> Array:
 
 
 def mean(values: Array, is_counted: NDArray[np.bool_] | None = None) -> float | None:
-    """The mean of the values that are not NaN, of those counted; None without one."""
+    """The mean of the values that are counted and not NaN; None without such a value."""
     kept = ~np.isnan(values) if is_counted is None else is_counted & ~np.isnan(values)
     return float(values[kept].mean()) if kept.any() else None
 
 
 def row_means(values: Array, is_counted: NDArray[np.bool_]) -> Array:
-    """(T,) the mean of each row of values (T, n) over those counted; NaN without one."""
+    """(T,) the mean of each row of values (T, n) over its counted values; NaN without any."""
     count = is_counted.sum(axis=1)
     total = np.where(is_counted, values, 0.0).sum(axis=1)
     means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
@@ -118,7 +121,7 @@ def row_means(values: Array, is_counted: NDArray[np.bool_]) -> Array:
 
 
 def by_platform(trace: Trace, key: str) -> Array | None:
-    """(n,) the number that `meta[key]` gives each robot's platform; None if one is missing."""
+    """(n,) the number of each robot's platform in `meta[key]`; None if a number is missing."""
     table = trace.meta.get(key)
     if not isinstance(table, Mapping) or any(name not in table for name in trace.platforms):
         return None

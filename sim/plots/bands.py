@@ -1,4 +1,4 @@
-"""Pictures of metrics over time: the median over the seeds, and bands around it."""
+"""Figures of metrics over time: the median over the runs, and bands around the median."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Series = tuple[Array, Array]
 
 MAX_INSTANTS = 600
 MANY_RUNS = 20
-"""From so many runs on, 95 % of the runs are fewer than all."""
+"""From this number of runs on the wide band holds 95 % of the runs, else all runs."""
 _ROUNDING = 1e-9
 _TWO_COLUMNS = 5.0  # inches of a figure of a paper in which panels stand side by side
 _MAX_OUTER = 3  # variants up to which wide bands are drawn
@@ -51,14 +51,21 @@ def series_figure(
     width: float | None = None,
     axis: str = "",
 ) -> Figure:
-    """A picture of a metric over time, with a panel for each facet.
+    """A figure of a metric over time, with a panel for each facet.
 
-    `facets`: the runs of each variant, by panel; a variant has its colour in all panels. A line is
-    the median of its runs. A dark band holds half of the runs, a pale band 95 % (all, if there are
-    fewer than 20); with many variants there are fewer bands. If all values are 0 or 1, the line is
-    the share of runs at 1 and the band its 95 % interval. `target` is a dashed line, `events` are
-    dotted lines at times in s, with a label. `smoothing`: s over which each run is averaged first.
-    `width`: in inches, for a paper. `axis` names the legend. SwarmError without values.
+    The line of a variant is the median of its runs. A dark band holds half of the runs. A pale band
+    holds 95 % of the runs, or all if there are fewer than MANY_RUNS. With many variants bands are
+    left out. If all values are 0 or 1, the line is the share of runs at 1, and the band is the 95 %
+    interval of this share.
+
+    - `facets`: by panel, the runs of each variant. A variant has one colour in all panels.
+    - `target`: the value of a dashed line.
+    - `events`: times in s of dotted lines, with their labels.
+    - `smoothing`: s of the running mean of each run.
+    - `width`: in inches, for a paper.
+    - `axis`: the title of the legend.
+
+    SwarmError without values.
     """
     kept = {panel: _smoothed(groups, smoothing) for panel, groups in facets.items()}
     kept = {panel: groups for panel, groups in kept.items() if groups}
@@ -237,10 +244,11 @@ class Bands:
 
 
 def bands_of(runs: Sequence[Series]) -> Bands:
-    """The median, the band of half of the runs, and that of 95 % of them, or all below 20 runs.
+    """The median of the runs, the band of half of them, and the band of 95 % of them.
 
-    Runs are interpolated onto common instants, counts held. A run has no value after its end, and
-    infinite values are left out.
+    With fewer than MANY_RUNS runs the wide band holds all. The runs are interpolated onto common
+    instants; counts keep their last value instead. A run has no value after its end, and infinite
+    values are left out.
     """
     t = _common_instants([instants for instants, _ in runs])
     at = _held if is_count(runs) else _interpolated
@@ -257,7 +265,7 @@ def bands_of(runs: Sequence[Series]) -> Bands:
 
 
 def shares_of(runs: Sequence[Series]) -> Bands:
-    """The share of runs at 1, of runs whose values are 0 or 1, with Wilson's interval."""
+    """The share of runs at 1 with Wilson's interval, for runs whose values are 0 or 1."""
     t = _common_instants([instants for instants, _ in runs])
     rows = np.stack([_held(t, *run) for run in runs])
     counts, ones = np.isfinite(rows).sum(axis=0), np.nansum(rows, axis=0)

@@ -69,9 +69,9 @@ def check_drawable(trace: Trace) -> None:
 
 
 def extent_of(trace: Trace) -> Extent:
-    """The part to show: the arena and every position of robots and movable boxes, with a margin.
+    """The part of the world to show: the arena and all positions of robots and movable boxes.
 
-    If they used a small part of the arena, only that part.
+    If robots and boxes used a small part of the arena, only this part is shown. With a margin.
     """
     low, high = _used(trace)
     arena = arena_of(trace)
@@ -275,10 +275,10 @@ _MAPS = ("YlOrBr", "PuBu", "Greens")
 def paint_fields(
     axes: Axes, trace: Trace, extent: Extent, fields: Sequence[Field], *, is_small: bool = False
 ) -> None:
-    """Paint each field as shades with lines of equal value, which have numbers unless `is_small`.
+    """Paint fields as contour lines, which have numbers unless `is_small`; shade the first field.
 
-    Within the arena alone, if it is known. The first field of several is shaded, the others have
-    lines. A uniform field is not painted; a floor has its own colours, paler.
+    If the arena is known, fields are painted inside it alone. A uniform field is not painted. A
+    floor is painted in its own colours, paler.
     """
     if not fields:
         return

@@ -1,4 +1,4 @@
-"""Which metrics, runs and events of an experiment are drawn, and in which panel a variant."""
+"""The selection of metrics, runs and events for the figures of an experiment, and of panels."""
 
 from __future__ import annotations
 
@@ -102,9 +102,10 @@ def typical_first(values: Array) -> list[int]:
 
 
 def worst_first(values: Array, better: Better | None) -> tuple[list[int], str]:
-    """Indices from the worst run on, and the name of the first: "worst" or "least typical".
+    """Indices of runs, the worst first, and the name of the first: "worst" or "least typical".
 
-    Where neither direction is good as such, runs are ranked by distance from the median.
+    `better`: None for a metric without a better direction; then the run farthest from the median
+    is first.
     """
     if better is None:
         known = [index for index in typical_first(values) if not np.isnan(values[index])]
@@ -148,14 +149,14 @@ def _label(event: Mapping[str, Any], n: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What an axis shows: its name and unit, which may be empty. Swept keys and metrics."""
+    """The quantity of an axis, a swept key or a metric; `unit` may be empty."""
 
     name: str
     unit: str = ""
 
     @staticmethod
     def parse(text: str) -> Quantity:
-        """That of `lidar range [m]`."""
+        """The quantity of a text such as `lidar range [m]`."""
         name, _, unit = text.partition("[")
         return Quantity(name.strip(), unit.strip().removesuffix("]")) if unit else Quantity(text)
 
@@ -168,7 +169,7 @@ class Quantity:
 
 
 def swept_quantities(plan: Plan, labels: Mapping[str, str]) -> dict[str, Quantity]:
-    """What each swept key of a plan is, by its whole name; `labels` by key, or its last part."""
+    """The quantity of each swept key of a plan; `labels`: texts by key or by its last part."""
     found = {}
     for key in plan.sweep:
         short = key.rpartition(".")[2]
@@ -178,7 +179,7 @@ def swept_quantities(plan: Plan, labels: Mapping[str, str]) -> dict[str, Quantit
 
 
 def _unit_of(plan: Plan, key: str) -> str:
-    """The unit of a swept key: of a parameter as its pattern declares it; else of a few keys."""
+    """The unit of a swept key, if it is a pattern's parameter or one of _UNITS; else empty."""
     *_, kind, name = ("", *key.split("."))
     if kind != "parameters":
         return _UNITS.get(key, "")
@@ -201,14 +202,11 @@ _UNITS = {"duration": "s", "radio.range": "m", "start.clearance": "m"}
 
 @dataclass(frozen=True, slots=True)
 class Facet:
-    """The panel of a variant, empty without facets, and what distinguishes it in the panel.
+    """The place of a variant in a figure."""
 
-    `axis` names what the labels of all variants are values of; empty if they name it themselves.
-    """
-
-    panel: str
-    label: str
-    axis: str = ""
+    panel: str  # the title of its panel; empty without facets
+    label: str  # the variant's label in the panel
+    axis: str = ""  # the quantity of which the labels are values; empty if labels name it
 
 
 def facets_of(
@@ -216,9 +214,9 @@ def facets_of(
 ) -> dict[str, Facet]:
     """The facet of each variant by its name.
 
-    With a swept `key`, or its last part, there is a panel for each of its values. `alone` is the
-    label of a variant that nothing else distinguishes; `labels` name swept keys. ConfigError with
-    the nearest key if it was not swept.
+    `key`: a swept key, or its last part, each of whose values has a panel; None: one panel.
+    `alone`: the label of a single variant in a panel. `labels`: texts for swept keys. ConfigError
+    with the nearest key if `key` was not swept.
     """
     quantities = swept_quantities(plan, labels or {})
     if key is None:

@@ -37,13 +37,14 @@ def start_and_end_figure(
     fields: Sequence[Field] = (),
     width: float | None = None,
 ) -> Figure:
-    """A picture of the start beside the end.
+    """A figure of the first instant beside the last.
 
-    Robots of one cluster (single linkage) have one colour, and thin lines join robots within
-    `link` m of each other. The largest clusters have colours of their own, further ones are grey,
-    lone robots white. The default `link` is that of the metrics, twice the largest protection
-    threshold; if the trace has no threshold, all robots have one colour. If robots report
-    opinions, the colours show opinions instead. `width`: in inches, for a paper. SwarmError if
+    Colours show clusters (single linkage), and thin lines join robots within `link` m of each
+    other. The largest clusters have a colour each. Smaller clusters are grey, single robots white.
+    If robots report opinions, colours show opinions instead.
+
+    `link`: None for that of the metrics, twice the largest protection threshold. If the trace has
+    no threshold either, all robots have one colour. `width`: in inches, for a paper. SwarmError if
     there is nothing to draw.
     """
     scene.check_drawable(trace)

@@ -1,4 +1,4 @@
-"""Pictures of times to an event, as the share of runs that have not had it yet."""
+"""Survival curves: the share of runs in which an event has not happened yet, over time."""
 
 from __future__ import annotations
 
@@ -23,31 +23,28 @@ _MAX_BANDS = 3  # variants up to which intervals are drawn
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Times:
-    """Times to an event, (runs,) s: NaN where it never happened until the run's `ends`, (runs,)."""
+    """Times to an event in s."""
 
-    times: Array
-    ends: Array
+    times: Array  # (runs,) NaN: the event never happened
+    ends: Array  # (runs,) the end of each run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curve:
-    """A step function: `share` (k,) from `t` (k,) on, between `low` and `high`.
+    """A survival curve as a step function with its interval."""
 
-    `censored` (c,): the ends of runs without the event.
-    """
-
-    t: Array
-    share: Array
-    low: Array
-    high: Array
-    censored: Array
+    t: Array  # (k,) s of the steps
+    share: Array  # (k,) from each step on
+    low: Array  # (k,) lower bound of the interval, NaN without one
+    high: Array  # (k,)
+    censored: Array  # (c,) s, the ends of runs without the event
 
 
 def survival_curve(found: Times) -> Curve:
-    """The share of runs that have not had the event yet.
+    """The Kaplan-Meier estimate of the share of runs without the event so far.
 
-    Kaplan and Meier, "Nonparametric Estimation from Incomplete Observations", JASA 53, 1958; the
-    95 % interval is Greenwood's on the log-log scale, by scipy. NaN where it does not exist.
+    Kaplan and Meier, "Nonparametric Estimation from Incomplete Observations", JASA 53, 1958. The
+    95 % interval is Greenwood's on the log-log scale, by scipy; NaN where it does not exist.
     """
     from scipy.stats import CensoredData, ecdf
 
@@ -80,13 +77,12 @@ def survival_figure(
     width: float | None = None,
     axis: str = "",
 ) -> Figure:
-    """A picture of the share of runs without an event so far, over time.
+    """A figure of survival curves, with a panel for each facet and a line for each variant.
 
-    A panel for each facet, with one line a variant and a small stroke where a run ended without the
-    event; up to three variants have bands of the 95 % interval. The axis of time ends with the
-    last event, or with the last run without the event. `event`: a noun. `width`: in inches, for a
-    paper. `axis` names the legend.
-    SwarmError without a run.
+    A small stroke marks the end of a run without the event. With up to three variants, bands show
+    the 95 % interval. The axis of time ends with the last event or the last run without the event.
+    `event`: a noun. `width`: in inches, for a paper. `axis`: the title of the legend. SwarmError
+    without a run.
     """
     kept = {
         panel: {name: found for name, found in groups.items() if found.times.size}

@@ -1,4 +1,4 @@
-"""What all pictures share: figures, files and colours."""
+"""The common style of all figures: size, layout, colours and file formats."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def in_order(names: Iterable[str]) -> list[str]:
 def variant_styles(names: Sequence[str]) -> list[tuple[str, str]]:
     """Colour and line style of each variant by its name.
 
-    Three or more numbers, the values of one swept key, have the colours of a scale, dark to light
-    as they rise; other variants have those of `variant_style`.
+    Three or more numbers, which are values of one swept key, have colours of a scale from dark
+    (least) to light. Other variants have the colours of `variant_style`.
     """
     values = [finite_number(name) for name in names]
     if len(names) < _LEAST_ORDERED or any(map(math.isnan, values)):
@@ -145,11 +145,11 @@ def tidy(axes: Axes) -> None:
 
 
 def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
-    """Write the figure, cropped or enlarged to what is on it. The file appears whole or not at all.
+    """Write the figure to a file atomically, and make missing folders; returns the path.
 
-    With a `width` its size stays as it is, and PNG has the dots per inch of print.
-    Missing folders are made. ConfigError if the suffix names no format, SwarmError if the file
-    cannot be written. The same figure gives the same bytes.
+    Without a `width` the figure is cropped or enlarged to its contents. With a `width` the size
+    stays, and PNG has the resolution of print. Equal figures give equal bytes. ConfigError if the
+    suffix names no format. SwarmError if the file cannot be written.
     """
     from matplotlib import rc_context
 

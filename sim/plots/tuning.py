@@ -1,4 +1,4 @@
-"""Pictures of a tuning: the metric over each parameter, and which parameters matter."""
+"""Figures of a tuning: the metric over each parameter, and the importance of parameters."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _PRESENT, _BEST, _OUT = VARIANT_COLOURS[5], VARIANT_COLOURS[1], GUIDE_COLOUR
 
 
 def draw_tuning(found: Tuning, folder: Path) -> list[Path]:
-    """Write the pictures that there are values for; their paths.
+    """Write the figures of a tuning, as far as there are values; returns the paths.
 
-    SwarmError without matplotlib, or if one cannot be written.
+    SwarmError without matplotlib, or if a file cannot be written.
     """
     paths = []
     if isinstance(found.space, ParameterSpace):
@@ -34,7 +34,10 @@ def draw_tuning(found: Tuning, folder: Path) -> list[Path]:
 
 
 def draw_landscape(found: Tuning, space: ParameterSpace, path: Path) -> Path:
-    """The mean of each candidate over each parameter; small: ended early, its mean is estimated."""
+    """Draw the mean of each candidate over each parameter.
+
+    A small point is a candidate that ended early, whose mean is extrapolated.
+    """
     rows = -(-len(space.parameters) // _COLUMNS)
     columns = min(len(space.parameters), _COLUMNS)
     figure = new_figure(3.4 * columns, 2.8 * rows)

@@ -47,7 +47,7 @@ class Player:
 
 
 def player_of(source: Source) -> Player:
-    """The run that a source of a recorded run shows; its time is moved."""
+    """Sample the run of a source for the player; moves the playback time of the source."""
     playback = source.playback
     assert playback is not None
     playback.play(is_playing=False, speed=1.0)
@@ -108,7 +108,7 @@ def _linked(text: str) -> str:
 
 
 def _box_shapes(source: Source, duration: float) -> list[Array]:
-    """The outlines of all movable boxes that are in the arena at any of twenty times."""
+    """The outlines of the movable boxes, which are in the arena at one of 21 instants or more."""
     assert source.playback is not None
     shapes: dict[bytes, Array] = {}
     most = Counter[bytes]()
@@ -136,7 +136,7 @@ def _packed(poses: Array) -> tuple[str, list[float], float]:
 
 
 def _rows(source: Source, duration: float) -> tuple[float, list[Any], list[Any]]:
-    """The time in s between two samples, and by sample what has changed, and the links."""
+    """The time in s between samples, and by sample the changed values by robot, and the links."""
     assert source.playback is not None
     robots = max(len(source.robots), 1)
     count = max(1, min(math.floor(duration / ROW_PERIOD + 1e-6) + 1, MAX_ROWS // robots))

@@ -1,4 +1,4 @@
-"""A report of a recording: what each robot did, when it was held, and the run to play."""
+"""The report of a recording as HTML: numbers and stops of each robot, figures, and a player."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
 
 
 def _enter(arrays: Mapping[str, Any], place: tuple[int, int], decision: Any) -> None:
-    """Enter a recorded decision at an instant and robot."""
+    """Write a recorded decision at `place`, an instant and a robot, of the arrays."""
     for name in ("state", "reason", "gap", "scan_age"):
         arrays[name][place] = getattr(decision, name)
     for name in ("active", "recovering"):
@@ -138,7 +138,7 @@ def _enter_statuses(
     row: int,
     shape: tuple[int, int],
 ) -> None:
-    """Enter reports and readings of a robot's statuses; blank while the robot is not recorded."""
+    """Write the reports and readings of a robot's statuses; blank while nothing is recorded."""
     for at in track.topics["status"].times:
         status = track.status(at)
         if status is not None:
@@ -150,7 +150,7 @@ def _enter_statuses(
 
 
 def _robots(trace: Trace, timeline: Timeline) -> str:
-    """What each robot did, in numbers."""
+    """The table of numbers of each robot: distance, times, protection, gap and losses."""
     rows = []
     assert trace.state is not None
     assert trace.active is not None
@@ -181,7 +181,11 @@ def _robots(trace: Trace, timeline: Timeline) -> str:
 
 
 def _stops(trace: Trace) -> list[tuple[str, ...]]:
-    """When a running robot that was asked to move stood, and each change to another state."""
+    """Rows (time, robot, duration, reason) of stops of at least LEAST_STOP s, in order of time.
+
+    A stop: the robot is estopped or faulted, or runs with zero speed though its pattern requests
+    motion.
+    """
     assert trace.state is not None
     assert trace.reason is not None
     assert trace.requested is not None

@@ -18,7 +18,7 @@ from swarmd.sim.world.scalar_fields import Field
 
 @contextmanager
 def blamed(layers: Layered, *keys: str | int, prefix: str = "") -> Iterator[None]:
-    """Add the source of the keys to a ConfigError or PluginError that is raised within."""
+    """Add the file or option that gives the keys to a ConfigError or PluginError raised within."""
     try:
         yield
     except (ConfigError, PluginError) as error:
@@ -31,9 +31,10 @@ def arena_of(
     items: Sequence[ItemKind] = (),
     fields: Sequence[Field] = (),
 ) -> Arena:
-    """The arena; ConfigError for duplicate names and for places outside the walls.
+    """The arena of its section and of the items.
 
-    No reading of `items` may have the name of one of the `fields`, nor that of its sensors.
+    ConfigError for duplicate names, for places outside the walls, and for a reading of `items` with
+    the name of a reading of `fields`.
     """
     known, sensed = {HELD, DELIVERED}, {field.name for field in fields}
     for index, kind in enumerate(items):
@@ -80,7 +81,7 @@ def arena_of(
 
 
 def _sensor_of(reading: str) -> str:
-    """The field of a reading `<field>_<number>`, as robots with several sensors of it have."""
+    """The name of the field of a reading `<field>_<number>` of one sensor; else empty."""
     name, _, number = reading.rpartition("_")
     return name if number.isdigit() else ""
 

@@ -25,15 +25,16 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """All robots in the order of their names: the order of the file has no effect on a result.
-
-    `platform_files`: the complete content of each platform, by name.
-    """
+    """The robots of a scenario."""
 
     robots: Mapping[str, Platform]
+    """By id, in the order of ids: the order in the file has no effect on a result."""
     groups: Mapping[str, tuple[str, ...]]
+    """Ids by group."""
     group_of: Mapping[str, str]
+    """Group by id."""
     platform_files: Mapping[str, Data]
+    """The complete content of each platform's file, by name of the platform."""
 
     def named(self, target: str) -> tuple[str, ...]:
         """The robots of a group, a robot's id or `all`; empty if unknown."""

@@ -1,4 +1,4 @@
-"""Single values above those of a file, by dotted keys such as `groups.tb3.count`."""
+"""Overrides of single values of a scenario by dotted keys, such as `groups.tb3.count=5`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ DURATION = "duration"
 def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[str, Any]:
     """Key and value of `key=value`, the value read as YAML; ConfigError if malformed.
 
-    `null`, or nothing after the =, removes a value. With `form` "[{}]" it is the items of a list.
-    The key `duration` takes a unit, such as `3min`.
+    `null` or no text after the = removes the value. With `form` "[{}]" the text is the items of a
+    list. The value of `duration` may have a unit, such as `3min`.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
@@ -43,10 +43,11 @@ def _seconds(value: Any) -> Any:
 def nested(
     overrides: Mapping[str, Any], base: Mapping[str, Any], source: str = SOURCE
 ) -> dict[str, Any]:
-    """The overrides as a file would hold them. Items of lists go by number: `events.0.at`.
+    """The overrides by dotted key as nested mappings, in the form of a scenario's file.
 
-    `base` is the file that they override: a list of which one item changes is copied from there.
-    Raises ConfigError, which begins with `source`, for a missing item or an unknown group.
+    A number in a key is the index of a list's item: `events.0.at`. `base`: the file's data, from
+    which a list is copied if one of its items is overridden. ConfigError, which begins with
+    `source`, for a missing item or an unknown group.
     """
     over: dict[str, Any] = {}
     for key, value in overrides.items():
@@ -65,6 +66,7 @@ def nested(
 
 
 def _put(over: Any, base: Any, keys: Sequence[str], value: Any) -> None:
+    """Set the value at the path `keys` of `over`; `base`: the file's data at the same place."""
     head: str | int = keys[0]
     if isinstance(over, list):
         head = _index(over, keys[0])

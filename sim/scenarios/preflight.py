@@ -1,4 +1,4 @@
-"""Finds before a run invalid parameters of patterns, and platforms that do not see each other."""
+"""Checks before a run: parameters of patterns, and compatibility of the robots' platforms."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from swarmd.sim.scenarios.groups import Groups
 from swarmd.sim.scenarios.schedule import Preflight, Schedule
 from swarmd.sim.scenarios.schema import ScenarioFile
 
-_WORD = 64  # the longest source that a status can name
+_WORD = 64  # characters of the longest source of parameters that a status can name
 
 
 def configured_parameters(file: ScenarioFile, groups: Groups) -> Callable[[str, str], Layers]:
-    """The configured parameters of a robot and pattern, in layers by source, weakest first.
+    """A function that gives the configured parameters of a robot and pattern, as layers.
 
-    Layers are "platform", "scenario" and "group <name>"; empty ones are left out.
+    The layers are "platform", "scenario" and "group <name>", weakest first, without empty layers.
     """
 
     def layers_of(robot: str, pattern: str) -> Layers:
@@ -120,9 +120,10 @@ WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
 def check_compatibility(
     layers: Layered, file: ScenarioFile, groups: Groups
 ) -> tuple[Accepts, tuple[str, ...]]:
-    """What robots accept, and a line for each pair that fits only by what the scenario says.
+    """The exceptions that robots accept of their peers, and notes on pairs of platforms.
 
-    Raises ConfigError for the pairs that would be held.
+    A note is a line for a pair that is compatible only by an exception of the scenario. ConfigError
+    if protection would hold robots, at zero speed, because of the platforms of their peers.
     """
     accepts = Accepts.of(file.accepts_unseen, file.accepts_faster)
     names = dict.fromkeys(platform.name for platform in groups.robots.values())
@@ -149,7 +150,7 @@ def check_compatibility(
 
 
 def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> ConfigError:
-    """Names the pairs that would be held, and what helps, in one line."""
+    """The error in one line: the pairs because of which robots would be held, and the remedies."""
     pairs = [f"{own}: {finding.text.partition(';')[0]}" for own, finding in held[:_MOST_NAMED]]
     if len(held) > _MOST_NAMED:
         pairs.append(f"and {len(held) - _MOST_NAMED} more")
@@ -159,12 +160,12 @@ def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> Config
 
 
 def has_findings(platforms: Iterable[Platform], accepts: Accepts) -> bool:
-    """True if any two of the platforms, or two robots of one, have something between them."""
+    """True if two robots of these platforms have a finding about each other."""
     return any(True for _ in _pairs(platforms, accepts))
 
 
 def _pairs(platforms: Iterable[Platform], accepts: Accepts) -> Iterator[tuple[str, PeerFinding]]:
-    """Each finding of a platform about another, or about another robot of its own kind."""
+    """The name of a platform, and a finding of its robots about a peer, for all pairs of robots."""
     robots = list(platforms)
     kinds = {platform.name: platform for platform in robots}
     counts = Counter(platform.name for platform in robots)

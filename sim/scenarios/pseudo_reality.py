@@ -1,10 +1,10 @@
-"""Pseudo-reality: imperfections that each seed draws within bounds.
+"""Pseudo-reality: sensor, actuator and radio errors that each seed draws within bounds.
 
-A behaviour that was designed in one simulation is tried in others, before robots try it: what it
-loses there tells which behaviours lose much in reality. Source: A. Ligot and M. Birattari, "On
-mimicking the effects of the reality gap with simulation-only experiments", ANTS 2018; "Simulation-
-only experiments to mimic the effects of the reality gap in the automatic design of robot swarms",
-Swarm Intelligence 14, 2020.
+A behaviour that was designed in one simulation runs in simulations with other errors. A behaviour
+that loses much performance there is likely to lose much on robots (the reality gap). Source: A.
+Ligot and M. Birattari, "On mimicking the effects of the reality gap with simulation-only
+experiments", ANTS 2018; "Simulation-only experiments to mimic the effects of the reality gap in the
+automatic design of robot swarms", Swarm Intelligence 14, 2020.
 """
 
 from __future__ import annotations
@@ -36,19 +36,20 @@ BOUNDS: Bounds = MappingProxyType(
         "realism.odometry.wheelbase": (0.0, 0.05),
         "realism.odometry.slip": (0.0, 0.08),
         "realism.actuation.delay": (0.0, 0.12),
-        "realism.actuation.linear_acceleration": (0.5, 2.0),  # also with which a base brakes
+        "realism.actuation.linear_acceleration": (0.5, 2.0),  # also limits braking
         "radio.loss": (0.0, 0.3),
         "radio.delay": (0.02, 0.2),
         "radio.jitter": (0.0, 0.02),
     }
 )
-"""The bounds of `pseudo_reality: true`: from none to two to four times `realistic`; our choice."""
+"""The bounds of `pseudo_reality: true`: from 0 to two to four times `realistic`; our choice."""
 
 
 def bounds_of(value: bool | Mapping[str, Any], realism: Realism, radio: RadioSettings) -> Bounds:
-    """The bounds of the key `pseudo_reality`; ConfigError for a wrong key or a wrong bound.
+    """The bounds of the scenario's key `pseudo_reality`; True gives BOUNDS.
 
-    Both ends of all bounds must fit the other values.
+    ConfigError for an unknown key, and if all lower or all upper bounds together are no valid
+    `realism` and `radio`.
     """
     bounds: Bounds = BOUNDS if value is True else {}
     if isinstance(value, Mapping):
@@ -70,7 +71,7 @@ def draws(bounds: Bounds, seed: int) -> dict[str, float]:
 
 
 def drawn(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with what the seed draws; itself without bounds."""
+    """The scenario with the values that the seed draws; unchanged without `pseudo_reality`."""
     if not scenario.pseudo_reality:
         return scenario
     values = draws(scenario.pseudo_reality, seed)
@@ -91,7 +92,7 @@ def _pair(key: str, value: Any) -> tuple[float, float]:
 def _with(
     values: Mapping[str, float], realism: Realism, radio: RadioSettings
 ) -> tuple[Realism, RadioSettings]:
-    """Both with other values; ConfigError with the key for an unknown or refused one."""
+    """Realism and radio with `values` by dotted key; ConfigError for a wrong key or value."""
     data: dict[str, Any] = deepcopy(
         {"realism": msgspec.to_builtins(realism), "radio": msgspec.to_builtins(radio)}
     )

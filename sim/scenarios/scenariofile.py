@@ -49,11 +49,11 @@ def scenario_names() -> tuple[str, ...]:
 def load_scenario(
     name: str | Path, overrides: Mapping[str, Any] | None = None, *, source: str = SOURCE
 ) -> Scenario:
-    """The scenario of that name, or of that file if it ends in .yaml.
+    """The scenario of a name, or of a file's path that ends in .yaml.
 
-    `overrides` by dotted keys of the file: {"groups.tb3.count": 5, "duration": 30}. ConfigError
-    names the file, or `source` for an override, the key, the value, what was expected and the
-    nearest valid key.
+    `overrides`: values by dotted key of the file: {"groups.tb3.count": 5, "duration": 30}.
+    ConfigError names the file (`source` for an override), the key, the value, the expected value
+    and the nearest valid key.
     """
     path = _find(str(name), Path())
     stem = path.parent.name if path.name == SCENARIO else path.stem
@@ -67,9 +67,9 @@ def scenario_of(
     source: str = SOURCE,
     home: str = "effective configuration",
 ) -> Scenario:
-    """The scenario whose `effective` configuration this is; otherwise as `load_scenario`.
+    """The scenario of a complete configuration, `Scenario.effective`, without files.
 
-    Errors name its origin `home`.
+    `overrides`, `source`: as of `load_scenario`. Errors call the configuration `home`.
     """
     sources = ((home, dict(effective)),)
     return _overridden(sources, overrides, "scenario", source)
@@ -97,7 +97,7 @@ def _find(name: str, near: Path) -> Path:
 
 
 def _chain(path: Path) -> Iterator[tuple[str, Data]]:
-    """The file and those it extends, strongest first."""
+    """The data of a file and of the files that it extends, strongest first, with their paths."""
     for file, data in read_extended(path, _find):
         base = data.get("extends")
         if base is not None and not isinstance(base, str):

@@ -104,7 +104,10 @@ def _box_event(
 def _field_event(
     layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys
 ) -> ScheduledEvent:
-    """Fields for those of their names; robots keep their sensors, so that no reading is new."""
+    """The event that replaces fields by name; ConfigError for a reading that is not known yet.
+
+    Robots have sensors for the readings of the scenario's fields alone.
+    """
     known = {name for field in fields_of(layers, file.fields) for name in channels_of(field)}
     fields = fields_of(layers, section.fields or (), keys)
     name = f"events[{keys[1]}].fields"
@@ -157,7 +160,7 @@ class Schedule:
 def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule:
     """The schedule of a file; ConfigError names the first impossible event.
 
-    Simultaneous events keep the order of the file; groups start their patterns before them.
+    At time 0 groups start their patterns first. Simultaneous events keep the order of the file.
     """
     read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
@@ -182,14 +185,14 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
 
 @dataclass(slots=True)
 class _Robot:
-    """The state of a robot at a time. `until`: the end of its run."""
+    """The state of a robot at the time of an event."""
 
-    is_there: bool
-    is_out: bool = False
+    is_there: bool  # has a daemon
+    is_out: bool = False  # was taken out of the arena
     is_estopped: bool = False
-    pattern: str = ""
+    pattern: str = ""  # of the present run; empty without a run
     parameters: Values = field(default_factory=dict)
-    until: float = math.inf
+    until: float = math.inf  # the end of the run in s
 
 
 class _ScheduleChecker:

@@ -30,8 +30,8 @@ _CORNERS_OF_A_POLE = 16
 class Box:
     """A box as high as the walls: centre and side lengths in m, yaw in rad.
 
-    With a `mass` in kg it is movable: it slides on the floor when pushed, and this is its start
-    pose. `is_placed` False: a movable box that is not in the arena at first. Contacts name it
+    A box with a `mass` in kg is movable: it starts at this pose and slides on the floor when
+    pushed. `is_placed` False: the movable box is not in the arena at first. Contacts name a box
     `box/<name>`, or `box/<index>` without a name.
     """
 
@@ -58,9 +58,9 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A low thing on the floor: centre and size in m. With a `mass` in kg it is a round puck.
+    """A low object on the floor: centre and size in m; it blocks no lidar, lamp or radio.
 
-    Without a mass it is flat. Lidars, lamps and radios do not meet it.
+    With a `mass` in kg the item is a round puck, without a mass it is flat.
     """
 
     x: float

@@ -27,8 +27,9 @@ ARENA_TYPE = SOLID_BIT | GHOST_BIT
 
 _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
 _HEIGHT = 0.5
-# MuJoCo reserves memory for constraints of each joint with each other one: 40 GB for 10,000 robots.
-# They use 4 MB, or 36 MB with 3,000. Reserved memory costs nothing until it is used.
+# By default MuJoCo reserves memory for constraints of each joint with each other joint: 40 GB for
+# 10,000 robots, which use 4 MB, or 36 MB of it with 3,000. The sizes below are reserved instead;
+# reserved memory costs nothing until it is used.
 _MANY = 1000  # robots
 _MEMORY = 200_000  # bytes for each robot
 _PAIR_MEMORY = 16  # bytes for each pair

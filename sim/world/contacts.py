@@ -1,6 +1,6 @@
-"""Reads the contacts in a world's physics and counts contact episodes.
+"""Contacts in the physics of a world, and contact episodes.
 
-How bodies collide, and what a hit does to them, is modelled in `bodies.py`.
+`bodies.py` models the collision itself.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ class ContactEpisodes:
 
 
 class Contact(Struct, frozen=True):
-    """A contact of robot `a` with a robot or `wall/east`, `box/0`, `pole/0`, `segment/0`.
+    """A contact of robot `a` with `b`: a robot, `wall/east`, `box/0`, `pole/0` or `segment/0`.
 
-    `speed_a` and `speed_b` in m/s: the speed of each surface towards the other.
+    `speed_a` and `speed_b`: the speed in m/s of each surface towards the other surface.
     """
 
     a: str
@@ -74,12 +74,12 @@ class ContactReader:
     """Reads the contacts of robots from the contacts of a model."""
 
     def __init__(self, model: mujoco.MjModel, robots: int, counted: int) -> None:
-        """`robots`: how many of the model's bodies are robots; they come first.
+        """`robots`: the number of robots, which are the first bodies of the model.
 
-        Contacts with bodies beyond the first `counted` are left out.
+        `counted`: the number of bodies, from the first on, whose contacts with robots are read.
         """
-        # Body 0 is the arena, row i is body i + 1. The arena gets the last row: it comes last in a
-        # pair and never moves.
+        # Body 0 is the arena, and row i is body i + 1. The arena gets the last row, so that a pair,
+        # which is sorted by row, has the arena last.
         row = np.array(model.geom_bodyid, dtype=np.intp) - 1
         self._rows = np.where(row < 0, model.nbody - 1, row)
         self._robots = robots
@@ -117,7 +117,7 @@ class ContactReader:
         return ContactPoints(geoms, speeds)
 
     def contacts(self, steps: Sequence[ContactPoints]) -> list[Contact]:
-        """Each pair once, with its fastest approach over the steps, in order of robots."""
+        """Each pair once, with its highest closing speed over the steps, in order of geoms."""
         if not steps:
             return []
         geoms = np.concatenate([step.geoms for step in steps])

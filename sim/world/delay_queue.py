@@ -22,7 +22,7 @@ class DelayQueue(Generic[Item]):
         self._count = 0
 
     def put(self, at: float, item: Item, rank: float = 0.0) -> None:
-        """Hold the item until `at` s; of one time, items of lower rank are released first."""
+        """Hold the item until `at` s; among items of one time, lower ranks are released first."""
         heapq.heappush(self._heap, (at, rank, self._count, item))
         self._count += 1
 

@@ -1,4 +1,4 @@
-"""What robots recognise in the simulated world: robots, boxes and lamps within a field of view."""
+"""Detections in the simulated world: robots, boxes and lamps within a sensor's field of view."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.light import IsClear
 
 DETECTIONS = "detections"
-"""The name in a platform's `sensors` of those that recognise objects."""
+"""The key of a platform's `sensors` for sensors that recognise objects."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectsAround:
-    """What a robot may recognise; NaN for what is not there."""
+    """The objects that a robot may recognise."""
 
     pose: Array  # (3,) of the robot
     names: Sequence[tuple[str, str]]  # kind and id of each object
-    places: Array  # (k, 2) in m
-    extents: Array  # (k,) around the places, in m
+    places: Array  # (k, 2) in m; NaN for an absent object and for the robot itself
+    extents: Array  # (k,) radius of each object in m
     is_clear: IsClear
 
 
 def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...]:
-    """What the sensors of a robot recognise, each object once, without errors.
+    """The objects that the sensors of a robot recognise, each once, without measurement errors.
 
     `sensors` (s, 5): x, y, bearing, field of view and range in the base frame. An object is
-    recognised if its middle is within field of view and range and nothing stands between the sensor
-    and its extent. Bearings and distances are those of the middle, from the axle.
+    recognised if its middle is within the field of view and the range, and if the line of sight
+    from the sensor to the nearest point of its extent is clear. Bearings and distances are measured
+    from the axle to the middle of the object. At most MAX_DETECTIONS.
     """
     pose, is_seen = around.pose, np.zeros(len(around.names), dtype=np.bool_)
     for eye, (_, _, bearing, view, reach) in zip(

@@ -1,4 +1,4 @@
-"""A floor of grey and coloured patches, tiles and pictures, as sensors under a robot read it."""
+"""A floor of grey and coloured patches, tiles and pictures, read by sensors under a robot."""
 
 from __future__ import annotations
 
@@ -22,26 +22,22 @@ Colour = Shade | Annotated[list[Shade], Meta(min_length=3, max_length=3)]
 COLOURS = ("red", "green", "blue")
 MAX_TILES = 1_000_000
 MAX_PIXELS = 16_000_000
-"""Of a picture, which takes 24 bytes a pixel."""
+"""The most pixels of a picture; a pixel takes 24 bytes."""
 _GREY = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in the grey of a colour (ITU-R BT.601)."""
 
 
 class Patch(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A part of the floor: a `disc` x, y, radius; a `rectangle` x, y, length, width; a `polygon`.
+    """A part of the floor with one of three shapes; lengths in m."""
 
-    A rectangle may be turned by `yaw_deg`, hold a picture, the file `image`, or `tiles` of that
-    side in m: `share` of them, drawn by `seed`, have the `colour`. Lengths in m.
-    """
-
-    disc: tuple[Coordinate, Coordinate, Extent] | None = None
-    rectangle: tuple[Coordinate, Coordinate, Extent, Extent] | None = None
+    disc: tuple[Coordinate, Coordinate, Extent] | None = None  # x, y, radius
+    rectangle: tuple[Coordinate, Coordinate, Extent, Extent] | None = None  # x, y, length, width
     polygon: Annotated[list[Point], Meta(min_length=3, max_length=1000)] | None = None
-    yaw_deg: Degrees = 0.0
-    image: str | None = None
-    tiles: Extent | None = None
-    share: Shade = 0.5
-    seed: Annotated[int, Meta(ge=0, le=2**31)] = 0
+    yaw_deg: Degrees = 0.0  # of a rectangle
+    image: str | None = None  # the file of a picture that fills a rectangle
+    tiles: Extent | None = None  # the side of square tiles that fill a rectangle
+    share: Shade = 0.5  # of the tiles that have `colour`; the remaining tiles show the floor below
+    seed: Annotated[int, Meta(ge=0, le=2**31)] = 0  # of the draw of these tiles
     colour: Colour = 0.0
 
     def __post_init__(self) -> None:
@@ -55,7 +51,7 @@ class Patch(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
             raise ValueError(f"has {math.prod(self._grid)} tiles; expected {MAX_TILES} at most")
 
     def paint(self, places: Array, colours: Array) -> None:
-        """Put the colour of the patch into `colours` (k, 3) at those `places` (k, 2) it covers."""
+        """Write the patch's colours into `colours` (k, 3) where it covers the `places` (k, 2)."""
         if self.rectangle is None:
             colours[self._covers(places)] = self.colour
             return
@@ -93,7 +89,7 @@ class Patch(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
 
     @property
     def _grid(self) -> tuple[int, int]:
-        """The numbers of tiles along length and width: whole ones of about the side."""
+        """The numbers of tiles along length and width; the side is rounded to whole tiles."""
         if self.tiles is None or self.rectangle is None:
             return 0, 0
         _, _, length, width = self.rectangle
@@ -146,9 +142,10 @@ class FloorField(FieldKind, frozen=True, kw_only=True, tag="floor"):
 def floor_pixels(
     fields: Sequence[FieldKind], size: tuple[float, float], longest: int = 600
 ) -> NDArray[np.uint8] | None:
-    """The floor of an arena of `size` m, (rows, columns, 3) with the top row first; None without.
+    """A picture (rows, columns, 3) of the first floor among `fields`, top row first.
 
-    Of several floors the first one. The longer side has `longest` pixels.
+    `size`: length and width of the arena in m; the longer side has `longest` pixels. None without a
+    floor.
     """
     floor = next((field for field in fields if isinstance(field, FloorField)), None)
     if floor is None:
@@ -163,7 +160,7 @@ def floor_pixels(
 
 @lru_cache(maxsize=16)
 def drawn_tiles(count: int, share: float, seed: int) -> NDArray[np.bool_]:
-    """Which of `count` tiles have the colour: exactly that share, to the nearest tile."""
+    """(count,) whether a tile has the colour: a random choice of round(share * count) tiles."""
     drawn = np.arange(count) < round(share * count)
     np.random.default_rng(seed).shuffle(drawn)
     drawn.flags.writeable = False
@@ -171,12 +168,15 @@ def drawn_tiles(count: int, share: float, seed: int) -> NDArray[np.bool_]:
 
 
 FORMATS = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF", "WEBP")
-"""Of pictures, whatever their names: for PostScript Pillow would start Ghostscript."""
+"""Formats that Pillow may detect in a file: for PostScript, Pillow would start Ghostscript."""
 
 
 @lru_cache(maxsize=16)
 def picture(path: str) -> Array:
-    """The pixels (rows, columns, 3) of a picture, 0 to 1, the top row first; ConfigError."""
+    """The pixels (rows, columns, 3) of a picture, 0 to 1, the top row first.
+
+    ConfigError if the file cannot be read or is too large. PluginError without Pillow.
+    """
     try:
         from PIL import Image
     except ImportError as error:

@@ -19,7 +19,7 @@ def transform(points: Array, poses: Array) -> Array:
 
 
 def radius(polygon: Array) -> float:
-    """The distance of the farthest corner of a (k, 2) polygon from its frame's origin."""
+    """The distance in m of the farthest corner of a polygon (k, 2) from its frame's origin."""
     return float(np.hypot(polygon[:, 0], polygon[:, 1]).max())
 
 
@@ -35,7 +35,8 @@ def gaps(a: Array, b: Array) -> Array:
 def overlaps(a: Array, b: Array) -> NDArray[np.bool_]:
     """True where two counter-clockwise convex polygons (..., k, 2) share an inner point.
 
-    Separating axis theorem: apart if an edge of either has the whole other on its outer side.
+    Separating axis theorem: two polygons are apart if an edge of one of them has all corners of the
+    other polygon on its outer side.
     """
     return np.logical_not(_separates(a, b) | _separates(b, a))
 
@@ -71,7 +72,7 @@ def crossings(a: Array, b: Array, start: Array, end: Array) -> NDArray[np.bool_]
 
 
 def apart(points: Array, a: Array, b: Array) -> Array:
-    """The distance of points (..., 2) from the segment between a and b (..., 2)."""
+    """The distance in m of points (..., 2) from the segment between a and b (..., 2)."""
     way, to = b - a, points - a
     along = (to * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-300)
     rest = to - np.clip(along, 0.0, 1.0)[..., None] * way

@@ -1,4 +1,4 @@
-"""Kinds of items on the floor: their places, and what robots read of them."""
+"""Kinds of items on the floor: their places, and the readings that robots have of them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ _MOST = 10_000
 
 
 class ItemKind(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Items of one kind: a `count` in the disc `source`, x, y and radius, or those `at` places.
+    """Items of one kind: `count` items at random in the disc `source`, or an item at each of `at`.
 
-    Robots read `<name>`, how many are within `range` m, and `<name>_distance` and `<name>_bearing`
-    of the nearest, 0 without one. Without a `mass` in kg the items are flat: robots drive over
-    them, and grippers pick them up. An item that is dropped in `nest` is delivered, and another
-    appears in `source`. With a mass they are round pucks of diameter `size`, which robots push.
+    Discs are x, y, radius in m. Readings of a robot: `<name>`, the number of items within `range`
+    m, and `<name>_distance` and `<name>_bearing` of the nearest of them, 0 without one.
+
+    Without a `mass` in kg an item is flat: robots drive over it, and grippers pick it up. A flat
+    item that is dropped in `nest` is delivered, and reappears in `source`. With a mass an item is a
+    round puck of diameter `size` m, which robots push.
     """
 
     name: Name

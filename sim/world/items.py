@@ -1,7 +1,7 @@
-"""Items on the floor: flat ones that robots pick up and drop, and pucks that they push.
+"""Items on the floor: flat items that robots pick up and drop, and pucks that robots push.
 
-Items are low: no lidar, lamp or radio is hidden by them, and protection does not know them. A robot
-senses the items near it as readings.
+Items are low: they block no lidar, lamp or radio, and protection does not know them. The readings
+of a robot include the items near it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Items:
     def __init__(
         self, kinds: Sequence[ItemKind], arena: Arena, platforms: Sequence[Platform], seed: int
     ) -> None:
-        """Items without places yet: `begin` gives them."""
+        """`begin` later gives the items their places."""
         self._kinds = tuple(kinds)
         self._arena = arena
         n = len(platforms)
@@ -60,10 +60,10 @@ class Items:
         self.delivered = np.zeros(n, dtype=np.int64)
 
     def begin(self, model: mujoco.MjModel, data: mujoco.MjData, outlines: Sequence[Array]) -> None:
-        """Put all items in their places; the last bodies of the model are the pucks.
+        """Put all items in their places; the pucks are the last bodies of the model.
 
-        `outlines` (c, 2) are those of robots and boxes, which no puck may overlap; ConfigError if
-        there is no room.
+        `outlines`: (c, 2) of each robot and box, which no puck may overlap. ConfigError if there is
+        no room.
         """
         self._data, self._dt = data, float(model.opt.timestep)
         self._dofs = slice(model.nv - 3 * len(self._pucks), model.nv)
@@ -86,9 +86,11 @@ class Items:
         return self._places.copy()
 
     def apply_friction(self) -> None:
-        """Set the floor's friction on the pucks for the next step: it stops them, or brakes fully.
+        """Set the floor's friction on the pucks for the next step.
 
-        A force needs no constraint of MuJoCo's solver, so a puck at rest costs next to nothing.
+        The force stops a slow puck within the step, and brakes a faster puck with full friction. It
+        is an applied force and no constraint of MuJoCo's solver, so a puck at rest costs next to
+        nothing.
         """
         if not len(self._pucks):
             return
@@ -142,7 +144,7 @@ class Items:
         return readings
 
     def release(self, robot: int) -> None:
-        """Leave the item of a robot that is taken out of the arena where it is."""
+        """Release the item of a robot that is taken out of the arena; the item stays in place."""
         self._held[robot], self._is_closed[robot] = -1, False
 
     def _pick(self, robot: int, front: Array) -> None:

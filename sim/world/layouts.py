@@ -21,12 +21,12 @@ _TRIES = 2000
 def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: int) -> Array:
     """Start poses (n, 3) x, y in m and yaw in rad, one for each footprint.
 
-    - `row:1.0`: by spacing, along y through the middle, heading along x.
-    - `paper:1.0`: by spacing, along y from the middle on (experiment 1), heading along x.
-    - `grid:1.0`: by spacing, heading along x.
-    - `ring:1.5`: by radius, heading inwards.
-    - `random:0.2`: by clearance, seeded.
-    - `list:0:0:90,1:0:0`: by x, y and heading in degrees.
+    - `row:SPACING`: along y, centred at the origin, heading along x.
+    - `paper:SPACING`: along y from the origin on (experiment 1 of the paper), heading along x.
+    - `grid:SPACING`: heading along x.
+    - `ring:RADIUS`: heading inwards.
+    - `random:CLEARANCE`: at random by `seed`.
+    - `list:X:Y:DEGREES,X:Y:DEGREES,...`: given poses.
 
     Raises ConfigError for an unknown layout or a robot that overlaps a wall or another robot.
     """
@@ -147,9 +147,9 @@ def scatter(
 ) -> None:
     """Place the robots (rows) at random within `size` m around `center`, `clearance` m apart.
 
-    One after the other, in a random order: a later one has less room, which must not depend on its
-    row. Without `size` in the whole arena, without `heading` (rad) at random headings. ConfigError
-    if there is no room.
+    The robots are placed in a random order, so that no row has systematically less room. Without
+    `size` the robots lie in the whole arena; without `heading` (rad) they have random headings.
+    ConfigError if there is no room.
     """
     whole = (placement.arena.length, placement.arena.width)
     half = np.array([*(size or whole), 2.0 * math.pi]) / 2.0
@@ -173,9 +173,10 @@ def chain(
     center: tuple[float, float] = (0.0, 0.0),
     heading: float | None = None,
 ) -> None:
-    """Place the robots (rows) so that each is `near` to `far` m from the nearest placed before.
+    """Place the robots (rows) so that each is `near` to `far` m from the nearest robot before it.
 
-    They are placed in a random order, the first at `center`. ConfigError if there is no room.
+    The robots are placed in a random order, the first of them at `center`. ConfigError if there is
+    no room.
     """
     placed: list[Array] = []
     robots = rng.permutation(robots).tolist()

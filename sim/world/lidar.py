@@ -1,4 +1,4 @@
-"""Exact 2-D range sensors of a swarm: rays against the flat and round shapes in their plane.
+"""Exact 2-D range sensors of a swarm, by ray casting against walls, polygons and circles.
 
 `ray_caster.py` has the arithmetic. The tests compare the result with MuJoCo's ray caster to 1e-9 m.
 """
@@ -22,7 +22,7 @@ Visibility = Literal["body", "real"]
 
 @dataclass(frozen=True, slots=True)
 class LidarModel:
-    """How the lidars of a world see and turn.
+    """What the lidars of a world detect of robots, and into how many sectors they divide a turn.
 
     `body` is the default because the published behaviours need it: with true heights a Waffle Pi
     sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and protection that needs more than 5
@@ -30,42 +30,46 @@ class LidarModel:
     """
 
     visibility: Visibility = "body"
-    """Of another robot: its whole footprint (`body`), or the cross-section in the plane (`real`)"""
+    """The shape of a robot for a lidar: its footprint (`body`), or its section in the scan plane
+    (`real`)."""
     sectors: int = 10
-    """In so many sectors, or more, a rolling scan is measured"""
+    """The least number of sectors of a rolling scan; the rays of a sector are measured together."""
 
 
 _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
-# Rad by which rays may differ from equal steps for their places to be computed, not searched.
+# rad; bearings that differ less from equal steps count as even: indices are computed, not searched.
 _MAX_UNEVENNESS = 1e-13
 _AT_START = 1e-9  # rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """The shapes that one kind of sensor detects; lengths in m.
-
-    Fixed, in the world frame: `walls` (w, 2, 2), flat surfaces by start and end with the solid on
-    their left, visible from the right alone; `poles` (p, 3) x, y, radius. Moving, in the frames of
-    their owners: `polygons` (b, k, 2), convex and counter-clockwise, padded by repeating the last
-    corner, and `discs` (d, 3) x, y, radius. `polygon_owners` (b,) and `disc_owners` (d,) are the
-    rows of robots, then of boxes. No robot sees its own shapes.
-    """
+    """The shapes that one kind of sensor detects; lengths in m. No robot detects its own shapes."""
 
     walls: Array
+    """(w, 2, 2) start and end of fixed flat surfaces in the world frame.
+
+    The solid is on the left; a surface is visible from its right side alone."""
     poles: Array
+    """(p, 3) x, y, radius of fixed poles in the world frame."""
     polygons: Array
+    """(b, k, 2) convex counter-clockwise polygons in the frames of their owners.
+
+    Polygons with fewer than k corners repeat their last corner."""
     polygon_owners: Indices
+    """(b,) rows of the owners: robots, then boxes."""
     discs: Array
+    """(d, 3) x, y, radius in the frames of their owners."""
     disc_owners: Indices
+    """(d,) rows of the owners."""
 
 
 def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | None) -> Shapes:
-    """The shapes for one kind of sensor; row i is the robot of `platforms[i]`, then come boxes.
+    """The shapes for one kind of sensor; owner i is the robot of `platforms[i]`, then come boxes.
 
-    `plane`: the height in m of the scan plane; None: every footprint is visible. A plane within a
-    robot's height shows its footprint, above that the housing of its lidar, above that nothing.
-    Walls, boxes and poles reach any plane.
+    `plane`: the height in m of the scan plane; None: all footprints are visible. A robot shows its
+    footprint in a plane up to the height of its body, the housing of its lidar in a plane up to its
+    highest point, and nothing in a higher plane. Walls, boxes and poles are visible in any plane.
     """
     whole = [i for i, p in enumerate(platforms) if plane is None or plane <= value(p, "height")]
     housed = [
@@ -88,7 +92,7 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
 
 
 def _padded(polygons: Sequence[Array]) -> Array:
-    """(b, k, 2) with the last corner of those of fewer than k repeated."""
+    """(b, k, 2) the polygons; a polygon with fewer than k corners repeats its last corner."""
     most = max((len(polygon) for polygon in polygons), default=0)
     padded = [
         np.concatenate((polygon, np.repeat(polygon[-1:], most - len(polygon), axis=0)))
@@ -98,10 +102,11 @@ def _padded(polygons: Sequence[Array]) -> Array:
 
 
 class SortedRays:
-    """The rays of a scan in order of bearing, repeated over four turns so that no interval is cut.
+    """The rays of a scan in order of bearing, repeated over four turns.
 
-    By place in that order: `number` in the scan, `bearings` in rad, their `cos` and `sin`.
-    `is_even`: they differ by equal steps of `step` rad.
+    So each interval of bearings is a contiguous range of indices. By index: `number` of the ray in
+    the scan, `bearings` in rad, and their `cos` and `sin`. `is_even`: bearings differ by equal
+    steps of `step` rad.
     """
 
     def __init__(self, bearings: Array) -> None:
@@ -117,14 +122,14 @@ class SortedRays:
         self.is_even = np.allclose(even, self.bearings, rtol=0.0, atol=_MAX_UNEVENNESS)
 
     def place_of(self, number: int) -> int:
-        """The place of the ray with this number in the scan."""
+        """The first index of the ray with this number in the scan."""
         return int(np.flatnonzero(self.number == number)[0])
 
 
 def sweep_order(bearings: Array, sweep: Sweep) -> tuple[Indices, Array]:
-    """The rays (n,) in the order in which a sweep measures them, and the time of each in s."""
+    """The rays (n,) in the order in which a sweep measures them, and their times in s."""
     turned = sweep.direction * (bearings - sweep.start)
-    # A ray at the start is the first one, also if rounding places it before.
+    # A ray at the start comes first, even if rounding puts it just before the start.
     turned = np.mod(turned + _AT_START, 2.0 * np.pi)
     order = np.argsort(turned, kind="stable")
     return order, sweep.duration / (2.0 * np.pi) * turned[order]
@@ -166,9 +171,9 @@ class Lidar:
         return ranges
 
     def sectors(self, ends: Indices) -> tuple[Indices, Indices]:
-        """Sectors of a sweep that end after `ends` (k,) rays: the first place and the rays (k,).
+        """The sectors of a sweep: first index in order of bearing, and number of rays, (k,) each.
 
-        A place is that of a ray in order of bearing.
+        `ends` (k,): the number of rays that are measured by the end of each sector.
         """
         sweep, bearings = self._spec.sweep, self._spec.bearings
         assert sweep is not None
@@ -187,10 +192,9 @@ class Lidar:
         first: Indices,
         counts: Indices,
     ) -> None:
-        """Put the sectors `numbers` (m,) of robots `observers` (m,) in `rows` of `ranges`.
+        """Cast sectors `numbers` (m,) of robots `observers` (m,) into `rows` (m,) of `ranges`.
 
-        `first` and `counts` (k,) as of `sectors`; `ranges` (r, rays), `rows` (m,); `poses` as in
-        `cast`.
+        `ranges` (r, rays) in m; `first` and `counts` (k,) of `sectors`; `poses` as in `cast`.
         """
         self._caster.cast(poses, observers, numbers, first, counts, rows, ranges)
 

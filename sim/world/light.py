@@ -1,4 +1,4 @@
-"""Lamps: light that falls with the squared distance, and the shadows of robots and obstacles."""
+"""Lamps: light by the inverse square law, and the shadows of robots and obstacles."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.line_of_sight import LineOfSight
 
 IsClear: TypeAlias = Callable[[Array, Array], NDArray[np.bool_]]
-"""True where nothing hides the places of the one array (k, 2) from those of the other."""
+"""(k,) True where the line from place i of the first array (k, 2) to place i of the second is
+clear."""
 
 
 class LightField(FieldKind, frozen=True, kw_only=True, tag="light"):
     """A lamp at `center`, `height` m above the sensors: `power` / squared distance.
 
-    With `shadows` robots, boxes, poles and walls hide the lamp. A sensor with a bearing takes the
-    cosine of the angle between the lamp and its bearing, and nothing from behind.
+    With `shadows` robots, boxes, poles and walls hide the lamp. The light at a sensor with a
+    bearing is multiplied by the cosine of the angle between bearing and lamp, and is 0 from behind.
     """
 
     center: Point = (0.0, 0.0)
@@ -62,6 +63,9 @@ class Shadows:
         self._sight = LineOfSight(arena)
 
     def around(self, body: int, poses: Array) -> IsClear:
-        """Past all but `body`, with the bodies at `poses` (n, 3), NaN for one that is not there."""
+        """The test for clear lines of sight past all bodies except `body`.
+
+        `poses` (n, 3) of the bodies; NaN for an absent body.
+        """
         outlines = np.delete(transform(self._shapes, poses), body, axis=0)
         return lambda lamp, places: self._sight.is_clear(lamp, places, outlines)

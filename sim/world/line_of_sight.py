@@ -1,4 +1,4 @@
-"""Whether obstacles are between two places: for the radio and for lamps."""
+"""Line of sight between two places past obstacles, for the radio and for lamps."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class LineOfSight:
         self._walls, self._poles = arena.surfaces, arena.circles
 
     def is_clear(self, a: Array, b: Array, movable_boxes: Array | None = None) -> NDArray[np.bool_]:
-        """True where the path from a to b (k, 2), m in the world frame, is free.
+        """(k,) True where the line from a to b (k, 2), in m in the world frame, is clear.
 
-        `movable_boxes` (t, c, 2): corners of movable boxes; NaN for one outside the arena.
+        `movable_boxes` (t, c, 2): corners of movable boxes; NaN for a box outside the arena.
         """
         walls, poles = self._walls, self._poles
         if movable_boxes is not None and len(movable_boxes):

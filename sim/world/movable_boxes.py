@@ -15,7 +15,7 @@ from swarmd.sim.world.geometry import overlaps, transform
 
 GRAVITY = 9.81
 FRICTION = 0.4
-"""Of boxes and pucks on the floor."""
+"""Coefficient of dry friction of boxes and pucks on the floor."""
 
 
 class MovableBoxes:
@@ -78,10 +78,11 @@ class MovableBoxes:
     def apply_friction(self) -> None:
         """Set the floor's isotropic friction for the next step.
 
-        MuJoCo limits friction for each coordinate of a box separately. The three limits are set to
-        the point of an ellipsoid (Howe and Cutkosky 1996) in the direction of the force and torque
-        that would stop the box. Its half axes are the friction force and, for the torque, that
-        force times the lever of the box.
+        MuJoCo limits friction for each coordinate of a box (x, y, yaw) separately. Here the three
+        limits are a point on the limit surface of dry friction, an ellipsoid (Howe and Cutkosky
+        1996): the point in the direction of the force and torque that would stop the box. The half
+        axes of the ellipsoid are the friction force and, for the torque, the friction force times
+        the lever of the box.
         """
         if not self.is_there.any():
             return
@@ -90,7 +91,7 @@ class MovableBoxes:
         against = (momentum / self._model.opt.timestep + self._pushes()) / self._lever
         size = np.sqrt((against * against).sum(axis=1))[:, None]
         share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
-        # At least a little, or the number of friction constraints would change at every step.
+        # Above 0, so that the number of friction constraints does not change between steps.
         force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)
         self._model.dof_frictionloss[self._dofs] = force.ravel()
 
@@ -116,7 +117,7 @@ class MovableBoxes:
         return ""
 
     def _obstacles(self, row: int) -> list[tuple[str, Array]]:
-        """Name and outline of everything but robots, outer walls and box `row`."""
+        """Names and outlines of all obstacles except robots, outer walls and box `row`."""
         arena, poses = self._arena, self.poses()
         fixed = [(name, box.corners) for name, box in arena.fixed]
         fixed += [(f"pole/{index}", pole.corners) for index, pole in enumerate(arena.poles)]

@@ -20,7 +20,7 @@ BLOCK = 6
 
 
 class NoisyLidar:
-    """Sensor errors of a swarm; a robot's errors do not depend on which others scan with it."""
+    """Sensor errors of a swarm; each robot has a random generator of its own."""
 
     def __init__(
         self, noise: LidarNoise, platforms: Sequence[Platform], ids: Sequence[str], seed: int
@@ -31,7 +31,7 @@ class NoisyLidar:
         self._rngs = [generator(seed, "lidar", robot) for robot in ids]
         self._factors = np.array([1.0 + noise.bias * r.standard_normal() for r in self._rngs])
         self._reach = np.array([(spec.range_min, spec.range_max) for spec in specs]).reshape(-1, 2)
-        # A lost ray is 0, unless zeros mean too close (REP 117).
+        # The range of a lost ray: 0, or NaN for a sensor whose zeros mean "too close" (REP 117).
         self._lost = np.array([math.nan if s.zero == "too_close" else 0.0 for s in specs])
         self._near = np.array([_near(spec) for spec in specs])
         self._nothing = np.array([_nothing(spec) for spec in specs])
@@ -39,7 +39,7 @@ class NoisyLidar:
         self._block_dropout = np.array(blocks)
         changed = (noise.bias, noise.near_sd, noise.far_sd, noise.resolution)
         self._is_exact = not any((*changed, noise.dropout, *blocks))
-        # By number of rays: the errors, and the normal and even random numbers of the next scan.
+        # By number of rays: the kernel, and buffers of normal and of uniform random numbers.
         self._errors: dict[int, tuple[Any, Array, NDArray[np.float32]]] = {}
 
     def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
@@ -47,12 +47,12 @@ class NoisyLidar:
         return [self.measured(row, r) for row, r in zip(rows.tolist(), ranges, strict=True)]
 
     def measured(self, row: int, ranges: Array) -> Array:
-        """The measurements (rays,) of robot `row` for exact `ranges`, in another array.
+        """The measurements (rays,) of robot `row` for exact `ranges`, as a new array.
 
-        Rays without a return stay so. Measurements beyond range_max become +inf, nearer than
-        range_min -inf, and a lost ray NaN if the sensor's zeros mean too close, else 0. The result
-        is encoded as by the sensor's driver: an LDS reports no return as 0, and a sensor with
-        `near: lost` reports a return nearer than range_min as no return.
+        A ray without a return keeps no return. A measurement beyond range_max becomes +inf, nearer
+        than range_min -inf. A lost ray becomes 0, or NaN if the sensor's zeros mean "too close".
+        The encoding is that of the sensor's driver: an LDS reports no return as 0, and a sensor
+        with `near: lost` reports a return nearer than range_min as no return.
         """
         measured, rays = ranges.copy(), len(ranges)
         if rays not in self._errors:

@@ -52,7 +52,7 @@ class Odometers:
             np.array([value(platform, "wheel_separation") for platform in platforms]),
             np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
-        # Drawn in blocks: one draw for each reading takes as long as all the rest.
+        # Drawn in blocks: a draw for each reading would take half of the time of a reading.
         self._draws = np.empty((len(ids), _DRAWS, 2))
         self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
@@ -60,11 +60,12 @@ class Odometers:
         self._wheels = base.Wheels(self._measured, self._truth, self._reported)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
-        """Poses x, y, yaw and twists linear, angular, lateral, (m, 3) each, of robots `rows` (m,).
+        """A reading of robots `rows` (m,): poses x, y, yaw, and twists linear, angular, lateral.
 
-        `poses` (n, 3) in the world frame, yaw not wrapped, and `twists` (n, 3) in the base frames
-        are the truth of all robots. Each call is a reading: what a robot did since its last one
-        is taken for a straight way along its mean heading, as real bases take it.
+        Both results are (m, 3). `poses` (n, 3) in the world frame, yaw not wrapped, and `twists`
+        (n, 3) in the base frames are the ground truth of all robots. Each call is one reading. Real
+        bases take the motion between two readings for a straight line along the mean heading; so
+        does this model.
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
@@ -93,11 +94,11 @@ class Odometers:
 
 
 def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
-    """From true to measured motions (linear, angular, lateral), without slip: (n, 3, 3).
+    """Matrices (n, 3, 3) from true to measured motion (linear, angular, lateral), without slip.
 
-    A true motion, as a row, times its matrix is the measured motion. Odometry assumes wheels of the
-    mean diameter, `separation` (n,) m apart. A base that cannot move sideways does not measure
-    lateral motion.
+    A row vector of true motion times the matrix is the measured motion. `diameter` and `wheelbase`
+    (n,): E_d and E_b of UMBmark. Odometry assumes wheels of the mean diameter, `separation` (n,) m
+    apart. A base that cannot move sideways measures no lateral motion.
     """
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase

@@ -22,8 +22,8 @@ from swarmd.sim.world.seeding import generator
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Arrival = tuple[int, int, str, Value]
 Flight = tuple[float, float, list[int], int, str, Value]
-"""A message on its way: when it arrives and its rank among those that arrive with it, then its
-hearers, sender, name and value."""
+"""A message in transit: time of arrival in s, rank, rows of the receivers, row of the sender, name
+and value. Of messages that arrive at one instant, those of lower rank arrive first."""
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors without range and bearing."""
@@ -71,7 +71,7 @@ def check_radio(settings: RadioSettings) -> None:
 
 
 def needs_radio(settings: RadioSettings) -> bool:
-    """True if a message may be lost, late or out of reach, which no real network imitates."""
+    """True if messages may be lost, delayed or out of range, so that a radio must be simulated."""
     return structs.replace(settings, range_and_bearing=False) != RadioSettings()
 
 
@@ -86,11 +86,11 @@ def with_bearings(platform: Platform) -> Platform:
 
 
 class Radio:
-    """The radio of a swarm: deterministic for the same seed and the same calls.
+    """The radio of a swarm: deterministic for equal seeds and calls.
 
-    `poses` are of all robots, (n, 3) x, y in m and yaw in rad. `movable_boxes` are the
-    corners of movable boxes (t, c, 2) in m, NaN for one outside the arena; they matter only with
-    line_of_sight. No robot is its own neighbor.
+    Arguments of the methods: `poses` (n, 3) of all robots, x, y in m and yaw in rad;
+    `movable_boxes` (t, c, 2) corners in m, NaN for a box outside the arena, used with line_of_sight
+    alone. No robot is its own neighbor.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Radio:
     def neighbors(
         self, row: int, poses: Array, movable_boxes: Array | None = None
     ) -> tuple[Neighbor, ...]:
-        """The neighbors of robot `row`; with range_and_bearing also their noisy positions."""
+        """The neighbors of robot `row`; with range_and_bearing also their measured positions."""
         hears_all = math.isinf(self._reach) and self._sight is None
         if hears_all and not self.settings.range_and_bearing:
             return self._others(row)
@@ -126,13 +126,13 @@ class Radio:
         )
 
     def _others(self, row: int) -> tuple[Neighbor, ...]:
-        """All but robot `row`; the same tuple each time."""
+        """All robots except `row`, as one cached tuple."""
         if row not in self._all_others:
             self._all_others[row] = (*self._plain[:row], *self._plain[row + 1 :])
         return self._all_others[row]
 
     def hearers(self, row: int, poses: Array, movable_boxes: Array | None = None) -> Indices:
-        """The rows in radio contact with robot `row`, in order; the relation is symmetric."""
+        """The rows (k,) in radio contact with robot `row`, in order; the relation is symmetric."""
         if math.isinf(self._reach):
             neighbors = np.delete(np.arange(len(self._ids)), row)
         else:
@@ -154,10 +154,11 @@ class Radio:
         poses: Array,
         movable_boxes: Array | None = None,
     ) -> list[Flight]:
-        """The flights of `value` on channel `name`, sent at `now` s from robot `row`.
+        """The flights of `value` on channel `name`, sent at `now` s by robot `row`.
 
-        They go to its present hearers once `carry` has them. Those that arrive at one instant come
-        in a random order of their senders, as on the air.
+        Hand the flights to `carry`. The receivers are the present neighbors of the sender, except
+        those that miss the message. A random rank per sender and instant decides the order of
+        messages that arrive at one instant.
         """
         settings, rng = self.settings, self._loss_rngs[row]
         hearers = self.hearers(row, poses, movable_boxes)
@@ -176,14 +177,17 @@ class Radio:
     def carry(
         self, flights: Iterable[Flight], own: Callable[[list[int]], list[int]] = lambda rows: rows
     ) -> None:
-        """Take flights on their way, those of a sender in order; `own` selects the hearers."""
+        """Put flights in transit, those of one sender in order of sending.
+
+        `own` selects among the rows of receivers.
+        """
         for at, rank, hearers, row, name, value in flights:
             self._in_flight.put(at, (own(hearers), row, name, value), rank)
 
     def arrived(self, now: float) -> list[Arrival]:
-        """Take the messages that arrived by `now` s: (hearer, sender, name, value).
+        """Remove and return the messages that arrived by `now` s: (receiver, sender, name, value).
 
-        In order of arrival, then of the senders' ranks, then of sending, then of the hearer's row.
+        Sorted by time of arrival, then by rank, then by order of sending, then by receiver.
         """
         return [
             (hearer, sender, name, value)

@@ -84,10 +84,10 @@ class OdometryNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Actuation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Delay and acceleration caps of a base.
+    """Delay and acceleration limits of a base.
 
-    delay: from command to base in s. linear_acceleration and angular_acceleration: caps in m/s2
-    and rad/s2 below the platform's own; null: no further cap.
+    delay: s from command to motion. linear_acceleration and angular_acceleration: limits in m/s2
+    and rad/s2, besides the platform's own limits; null: the platform's limits alone.
     """
 
     delay: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
@@ -130,9 +130,10 @@ REALISMS: Mapping[str, Realism] = MappingProxyType({"ideal": IDEAL, "realistic":
 
 
 def realism_of(value: str | Mapping[str, Any], source: str = "realism") -> Realism:
-    """The preset of that name, or the mapping's values over its `preset` (or over `realistic`).
+    """The realism of a preset's name or of a mapping.
 
-    ConfigError begins with `source` and names the first key that is wrong.
+    The values of a mapping replace those of its key `preset`, by default `realistic`. ConfigError
+    begins with `source` and names the first wrong key.
     """
     if not isinstance(value, str | Mapping):
         raise ConfigError(
@@ -146,10 +147,10 @@ def realism_of(value: str | Mapping[str, Any], source: str = "realism") -> Reali
 
 
 def configured(platform: Platform, realism: Realism) -> Platform:
-    """The platform as its robots are configured.
+    """The platform that robots assume in a world of this realism.
 
-    Without scan noise, repeated scans do not mean a frozen sensor; without rolling scans or a
-    sweep, all rays are measured at once.
+    Without scan noise a repeated scan is no sign of a frozen sensor (`is_noisy` False). Without
+    rolling scans all rays are measured at once (no `sweep`).
     """
     lidar = realism.lidar
     scan = replace(

@@ -1,4 +1,4 @@
-"""Scans of sensors that turn: each ray is measured at its own time, while bodies move."""
+"""Rolling scans of rotating sensors: each ray is measured at its own time, while bodies move."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompleteScan:
-    """A scan of robot `row`: exact ranges (rays,) in m, ages (rays,) in s, and its first step.
-
-    The ranges are valid until the next `advance`.
-    """
+    """A complete rolling scan of robot `row`."""
 
     row: int
     ranges: Array
+    """(rays,) in m, exact; valid until the next `advance`."""
     ages: Array
+    """(rays,) in s at the end of the scan."""
     begun: int
+    """The step at which the scan began."""
 
 
 class RollingScans:
     """The scans in progress of the sensors of one platform, measured sector by sector.
 
-    A ray is measured within half a sector of its time. The ages of a scan are those of sectors.
+    All rays of a sector are measured at one step, and have one age. A ray is measured at most half
+    a sector's duration before or after its true time.
     """
 
     def __init__(self, lidar: Lidar, platform: Platform, n: int, dt: float, sectors: int) -> None:
-        """For `n` robots of a world with steps of `dt` s; `platform.scan.sweep` is given.
+        """`n`: robots of the world; `dt`: s of a step; `platform.scan.sweep` must be given.
 
-        A sweep has at least that many `sectors`, or one each step.
+        `sectors`: the least number of sectors of a sweep, if it has as many steps.
         """
         spec, sweep = platform.scan, platform.scan.sweep
         assert sweep is not None
@@ -43,28 +44,29 @@ class RollingScans:
         self._steps = max(int(duration / dt + _ROUNDING), 1)
         width = max(self._steps // sectors, 1)
         steps = np.minimum((times / (width * dt) + 0.5).astype(np.intp) * width, self._steps)
-        # By steps since the begin.
+        # The number of rays measured by each step since the begin of a scan.
         ends = np.searchsorted(steps, np.arange(self._steps + 1), side="right")
         self._first, self._counts = lidar.sectors(ends)
         self._ages = np.empty(len(order))
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
         self._lidar, self._n = lidar, n
-        # Two rows for each robot, since a scan begins at the step at which the last one ends.
+        # Two rows for each robot: a scan begins at the step at which the previous scan ends.
         self._ranges = np.full((2 * n, len(order)), np.inf)
         self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()
-        # (3, m) of the scans in progress: robots, first steps, and rows of `_ranges`.
+        # (3, m) the scans in progress in order of first steps: robots, first steps, and rows of
+        # `_ranges`.
         self._scans = np.empty((3, 0), dtype=np.intp)
 
     def begin(self, robot: int) -> None:
-        """Begin a scan of a robot at the next `advance`, or after its last one."""
+        """Begin a scan of a robot at the next `advance`, or after its scan in progress."""
         self._waiting.add(robot)
 
     def advance(self, poses: Array, step: int) -> list[CompleteScan]:
-        """Measure the rays of `step`, which is one after the last; returns the complete scans.
+        """Measure the rays of `step`; returns the scans that this step completes.
 
-        `poses` (k, 3) of robots, then of boxes.
+        Consecutive calls have consecutive steps. `poses` (k, 3) of robots, then of boxes.
         """
         if self._waiting:
             self._start(step)

@@ -77,9 +77,10 @@ def sample(
     bearings: Array | None = None,
     is_clear: IsClear | None = None,
 ) -> dict[str, Array]:
-    """The value (k,) of each name at `places` (k, 2) in m; fields of one name add up.
+    """The value (k,) of each reading at `places` (k, 2) in m; fields of one name add up.
 
-    Clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear`: as for lamps.
+    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear`: as
+    of `LightField.at`.
     """
     values: dict[str, Array] = {}
     for field in fields:
@@ -105,11 +106,11 @@ def readings_at(
     pose: Array,
     is_clear: IsClear | None = None,
 ) -> dict[str, float]:
-    """The readings of a robot at `pose` (3,): of a field's sensors if it has any, else at its axle.
+    """The readings of a robot at `pose` (3,), by name.
 
-    `sensors` by name of the field (k, 3): x, y and bearing in the base frame, NaN for a sensor of
-    all directions. The reading of the name is the mean of the sensors. Each sensor has a reading of
-    its own, `<name>_1` and on.
+    `sensors`: by name of the field (k, 3) x, y and bearing in the base frame; the bearing of a
+    sensor of all directions is NaN. A field with sensors has the reading `<name>_1`, `<name>_2` ...
+    of each sensor, and their mean as `<name>`. A field without sensors is sampled at the axle.
     """
     at_axle = [field for field in fields if field.name not in sensors]
     readings = {

@@ -1,7 +1,7 @@
-"""What the robots of a world measure and when, as inputs, for lockstep and real time.
+"""The due measurements of a world's robots as inputs, for lockstep and real time.
 
-Odometry, which lockstep hands over to all robots at once, and neighbors, which the radio gives, are
-not among them.
+Odometry and neighbors are not included: lockstep hands odometry to all robots at once, and the
+radio gives the neighbors.
 """
 
 from __future__ import annotations
@@ -30,17 +30,16 @@ Rows = Sequence[int] | Indices
 
 
 class Sensor(NamedTuple):
-    """A sensor beside lidar and range sensors: one row of SENSORS.
+    """A sensor beside lidar and range sensors: one row of SENSORS."""
 
-    `measure` gives the input of a robot, by its row and the stamp in s, or None without such a
-    sensor. `need`: a pattern that does not need this gets `unwanted` in place of a measurement.
-    """
-
-    rate: float
+    rate: float  # Hz
     is_there: Callable[[World], bool]
     measure: Callable[[World, int, float], SensorInput | None]
+    """The input of a robot, by its row and the stamp in s; None without such a sensor."""
     need: str = ""
+    """The need of patterns that use this sensor; "": the sensor measures for every pattern."""
     unwanted: SensorInput | None = None
+    """The input in place of a measurement for a pattern without this need; None: no input."""
 
 
 def detections(world: World, row: int, stamp: float) -> DetectionsInput | None:
@@ -76,19 +75,19 @@ SENSORS = (
 
 
 ALL_NEEDS = frozenset(sensor.need for sensor in SENSORS)
-"""Of a pattern that may need any sensor."""
+"""The needs of a pattern that may use any sensor."""
 
 
 class DueTimes(Protocol):
-    """When a sensor of each robot measures."""
+    """The schedule of one sensor of all robots."""
 
     def due(self, now: float) -> Rows:
-        """The rows due by `now` s."""
+        """The rows whose measurement is due by `now` s."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorTimes:
-    """The schedules of scans, of rings by their number in `World.rings`, and of other sensors."""
+    """The schedules of scans, of rings (by index in `World.rings`), and of other sensors."""
 
     scans: DueTimes
     rings: DueTimes
@@ -103,10 +102,10 @@ def sensors_due(
     stamp: float,
     own: Callable[[Any], Rows] = lambda rows: rows,
 ) -> Iterator[tuple[int, SensorInput]]:
-    """What sensors measure at the world's time: the row of each robot, and its input.
+    """Yield the row and the input of each measurement that is due at the world's time.
 
-    `needs`: what the pattern of a robot needs; None: nothing takes its inputs. `own` selects the
-    rows whose scans this process makes. `stamp` in s: of poses.
+    `needs`: the needs of a robot's pattern by row; None: no one takes the robot's inputs. `own`
+    selects the rows whose scans this process simulates. `stamp`: the stamp of poses in s.
     """
     now = world.time
     rows = own(times.scans.due(now))

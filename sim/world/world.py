@@ -1,7 +1,7 @@
 """The simulated world: robots in an arena, their sensors, and ground truth for metrics.
 
-Live worlds and lockstep share it. The same commands at the same steps give bit-identical poses.
-Robot i of `ids` is row i of every array.
+Live runs and lockstep use this class. Equal commands at equal steps give bit-identical poses. Robot
+i of `ids` is row i of every array.
 """
 
 from __future__ import annotations
@@ -41,10 +41,13 @@ _POSE_ERROR, _POSE_YAW_ERROR = 0.01, 0.01  # m and rad, as of motion capture
 class World:
     """Planar MuJoCo bodies with range sensors and odometry, movable boxes, and items.
 
-    `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
-    (m, 4, 2), their outlines in their own frames; `loose`, `loose_shapes` and `loose_poses()` are
-    those of boxes and then items. `grips` (n,): which robots' grippers are told to be closed.
-    `rings`: the rows of robots with a ring of range sensors, `ring_rates` (r,) the Hz of each.
+    - `movable_boxes`: names of the movable boxes; name i is row i of `box_poses()` and of
+      `box_shapes` (m, 4, 2), the outlines in the frames of the boxes.
+    - `loose`, `loose_shapes` and `loose_poses()`: the same of the movable boxes, then the items.
+    - `grips` (n,): the command of each gripper, True to close.
+    - `rings`: the rows of robots with a ring of range sensors; `ring_rates` (r,): the rate of each
+      ring in Hz.
+    - `posed`: the rows of robots whose pose in the world is measured.
     """
 
     def __init__(
@@ -61,8 +64,8 @@ class World:
     ) -> None:
         """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
 
-        `seed` is for the randomness of `realism` and the places of `items`, which are those of
-        `arena`; `readings` samples `fields`.
+        `seed`: of the errors of `realism` and of random places of `items`. `items`: the kinds of
+        the items in `arena`. `fields`: sampled by `readings`.
         """
         n = len(robots)
         if starts.shape != (n, 3):
@@ -79,7 +82,7 @@ class World:
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
-        """The model of MuJoCo, with robots and boxes at their places."""
+        """Build the model of MuJoCo, with robots and boxes at their start poses."""
         n, arena = len(robots), self.arena
         pucks = tuple(item for item in arena.items if item.mass is not None)
         self.model = bodies.build_model(robots, replace(arena, items=pucks), self.dt)
@@ -118,7 +121,7 @@ class World:
         base = load_kernel("swarmd.sim.world.base")
         self._bases = base.Bases(realism.actuation, self.platforms, memory, self.dt)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
-        self.posed = frozenset[int]()  # the rows of the robots that something tells their pose
+        self.posed = frozenset[int]()  # set by the caller
 
     def _begin_lidars(self, model: LidarModel, realism: Realism, seed: int) -> None:
         n = len(self.ids)
@@ -130,7 +133,7 @@ class World:
         self._sensors = RangeSensors(self.platforms, self.arena, model.visibility)
         self._rolling: list[RollingScans] = []
         self._rolling_of: list[RollingScans | None] = [None] * n  # by row
-        self._is_rolled = False  # the rays of this step are measured
+        self._is_rolled = False  # the rolling rays of this step have been measured
         for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
             platform = self.platforms[rows[0]]
             if platform.scan.sweep is not None:
@@ -140,7 +143,7 @@ class World:
                     self._rolling_of[row] = rolling
 
     def _begin_rings(self, realism: Realism, seed: int) -> None:
-        """Rings of range sensors."""
+        """Set up the rings of range sensors."""
         n = len(self.ids)
         self._ring_seq = [0] * n
         self.rings = [row for row in range(n) if self.platforms[row].ranges is not None]
@@ -152,7 +155,7 @@ class World:
                 replace(platform, scan=scan)
                 for platform, scan in zip(self.platforms, specs, strict=True)
             ]
-            # A ring looks below the plane of lidars, and sees whole bodies.
+            # The sensors of a ring are lower than lidars, and detect whole bodies.
             self._ring_sensors = RangeSensors(ringed, self.arena, "body")
             names = [f"ring of {robot}" for robot in self.ids]
             self._ring_noise = NoisyLidar(realism.lidar, ringed, names, seed)
@@ -163,10 +166,10 @@ class World:
         return self._steps * self.dt
 
     def set_commands(self, twists: Array) -> None:
-        """Set the commands (n, 3) linear, angular, lateral of the bases.
+        """Set the commands (n, 3) linear, angular, lateral of the bases in m/s and rad/s.
 
-        Each is clipped to its platform's limits, as firmware does; non-finite values become 0.
-        `realism` sets the delay and acceleration of the bases.
+        Commands are clipped to the platform's limits, as firmware does. Non-finite values become 0.
+        `realism` sets the delay and the acceleration limits of the bases.
         """
         self._bases.put(twists)
 
@@ -192,7 +195,7 @@ class World:
         self._is_rolled = False
 
     def _roll(self) -> None:
-        """Measure the rays of this step of all rolling scans, once."""
+        """Measure the rays of this step of all rolling scans, unless already done."""
         if self._is_rolled or not self._rolling:
             return
         self._is_rolled = True
@@ -230,13 +233,14 @@ class World:
         return twists
 
     def contacts(self) -> list[Contact]:
-        """The pairs in contact during the last call of `step`, each with its fastest approach."""
+        """The pairs in contact during the last `step`, each with its highest closing speed."""
         return self._contacts.contacts(self._touching)
 
     def begin_scans(self, robots: Indices) -> None:
-        """Begin a scan of each of `robots` (m,) now; call it before `arrived_scans`.
+        """Begin a scan of each of `robots` (m,) now; call this before `arrived_scans`.
 
-        Where the lidar rolls, its rays are measured one after the other; else all at once.
+        The rays of a rolling lidar are measured over the following steps, those of other lidars at
+        once.
         """
         at_once = []
         for row in robots.tolist():
@@ -251,12 +255,12 @@ class World:
                 self._transport.send(row, scan, self.time)
 
     def arrived_scans(self) -> list[tuple[int, Scan]]:
-        """The scans that have arrived since the last call, with their robots, in their order."""
+        """The scans that have arrived since the last call, with their rows, in order of rows."""
         self._roll()
         return self._transport.arrived(self.time)
 
     def scans(self, robots: Indices) -> list[Scan]:
-        """A scan of each of `robots` (m,), with all rays measured now; it needs no transport."""
+        """A scan of each of `robots` (m,), with all rays measured now, without transport delay."""
         ranges = self._noise.apply(robots, self._sensors.cast(self._all_poses(), robots))
         return [
             self._scan(row, seen, self.time)
@@ -264,14 +268,14 @@ class World:
         ]
 
     def _all_poses(self) -> Array:
-        """(n, 3) of robots, then of boxes."""
+        """(n + m, 3) poses of the robots, then of the movable boxes."""
         poses = self.poses()
         if self.movable_boxes:
             poses = np.concatenate((poses, self._movable_boxes.poses()))
         return poses
 
     def ring_scan(self, robot: int) -> Scan:
-        """A scan of the robot's ring of range sensors, with all of them measured now."""
+        """A scan of the robot's ring of range sensors, with all sensors measured now."""
         spec = self.platforms[robot].ranges
         assert spec is not None, f"{self.ids[robot]} has no ring"
         (seen,) = self._ring_sensors.cast(self._all_poses(), np.array([robot], dtype=np.intp))
@@ -296,7 +300,7 @@ class World:
         return list(map(Odometry, repeat(now), places, speeds))
 
     def readings(self, robot: int) -> Mapping[str, float]:
-        """The values of the fields at the robot's sensors or axle, and of near items, by name."""
+        """The readings of a robot by name: fields at its sensors or axle, and items near it."""
         is_clear = None
         if any(isinstance(field, LightField) and field.shadows for field in self.fields):
             is_clear = self._clear_around(robot)
@@ -315,7 +319,7 @@ class World:
         return SharedPose(stamp, pose, _POSE_ERROR, _POSE_YAW_ERROR, "world")
 
     def objects_around(self, robot: int) -> ObjectsAround:
-        """All that a robot may recognise where it is: bodies but itself, and lamps."""
+        """The objects that a robot may recognise: all other robots, boxes and lamps."""
         poses = self._all_poses()
         names = [("robot", name) for name in self.ids]
         names += [("box", name) for name in self.movable_boxes]
@@ -328,13 +332,14 @@ class World:
         return ObjectsAround(poses[robot], names, places, extents, self._clear_around(robot))
 
     def _clear_around(self, robot: int) -> IsClear:
+        """The test for lines of sight from a robot, which its own body does not block."""
         if self._shadows is None:
             shapes = [platform.footprint for platform in self.platforms]
             self._shadows = Shadows([*shapes, *self.box_shapes], self.arena)
         return self._shadows.around(robot, self._all_poses())
 
     def change_fields(self, fields: Sequence[Field]) -> None:
-        """Put `fields` in the place of all fields that have their names."""
+        """Replace all fields that have the name of one of `fields`."""
         names = {field.name for field in fields}
         self.fields = (*(field for field in self.fields if field.name not in names), *fields)
 

@@ -33,9 +33,10 @@ HEAD = ("what", "wanted", "least / median / most, or of all runs (95 %)", "runs"
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """One number of all runs, its 95 % interval, and the values of each run that it joins.
+    """A statistic of all runs with its 95 % interval, and the values of the runs (samples).
 
-    `kind`: its function below is `<kind>_of`.
+    `kind`: the statistic, which the function `<kind>_of` makes. A ratio or difference has two
+    samples.
     """
 
     kind: Literal["mean", "median", "share", "ratio", "difference"]
@@ -57,13 +58,13 @@ def median_of(values: Iterable[float]) -> Joined:
 
 
 def share_of(is_so: Iterable[bool]) -> Joined:
-    """The share of the runs for which it is so."""
+    """The share of runs with a true value."""
     (some,) = samples = (tuple(map(float, is_so)),)
     return Joined("share", float(np.mean(some)), wilson(int(sum(some)), len(some)), samples)
 
 
 def ratio_of(above: Iterable[float], below: Iterable[float]) -> Joined:
-    """The mean of one kind of run by the mean of another."""
+    """The mean of `above` divided by the mean of `below`, two independent samples of runs."""
     samples = tuple(map(float, above)), tuple(map(float, below))
     upper, lower = map(np.array, samples)
     ratio = float(upper.mean() / lower.mean())
@@ -71,7 +72,7 @@ def ratio_of(above: Iterable[float], below: Iterable[float]) -> Joined:
 
 
 def difference_of(more: Iterable[float], less: Iterable[float]) -> Joined:
-    """The mean of one kind of run less the mean of another."""
+    """The mean of `more` minus the mean of `less`, two independent samples of runs."""
     samples = tuple(map(float, more)), tuple(map(float, less))
     larger, smaller = map(np.array, samples)
     difference = float(larger.mean() - smaller.mean())
@@ -80,18 +81,15 @@ def difference_of(more: Iterable[float], less: Iterable[float]) -> Joined:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """One number of one pattern. `values`: one for each run, or that of `joined`.
-
-    `wanted` is the condition as text, `source` the origin of the condition.
-    """
+    """A number that a pattern has to reach, and the values of its runs."""
 
     pattern: str
-    what: str
-    wanted: str
-    values: tuple[float, ...]
+    what: str  # the number, in words
+    wanted: str  # the condition, as text
+    values: tuple[float, ...]  # a value for each run, or the value of `joined`
     is_reached: bool
-    source: str
-    joined: Joined | None = None
+    source: str  # the origin of the condition
+    joined: Joined | None = None  # if the condition is on a statistic of all runs
 
     @property
     def shown(self) -> str:
@@ -106,7 +104,7 @@ class Outcome:
 
     @property
     def runs(self) -> int:
-        """The number of runs, of the kind that has fewest."""
+        """The number of runs; of two samples, of the smaller sample."""
         return len(self.values) if self.joined is None else min(map(len, self.joined.samples))
 
     @property
@@ -133,9 +131,10 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def keep(pattern: str, seeds: int, outcomes: Sequence[Outcome]) -> None:
-    """Write the outcomes of these first seeds beside the pattern, and the table of its page.
+    """Write the outcomes beside the pattern, and their table into the pattern's page.
 
-    A page without the two comments of `RESULTS_PART` stays as it is.
+    `seeds`: the number of seeds, from 0 on. A page without the two comments of `RESULTS_PART` is
+    not changed.
     """
     kept = Kept(pattern, seeds, made_with(), tuple(outcomes))
     text = msgspec.json.encode(kept).replace(b'{"pattern"', b'\n{"pattern"')  # a line for each
@@ -158,7 +157,10 @@ def kept_outcomes() -> dict[str, Kept]:
 def at_most(
     pattern: str, what: str, bound: float, values: Sequence[float] | Joined, source: str
 ) -> Outcome:
-    """Reached if there are values, and none is above the bound or NaN."""
+    """An outcome that is reached if all values are at most `bound`.
+
+    Without a value, or with NaN, it is not reached.
+    """
     wanted = f"<= {bound:g}" if bound else "0"
     return _judged(pattern, what, wanted, values, source, lambda value: value <= bound)
 
@@ -166,12 +168,15 @@ def at_most(
 def at_least(
     pattern: str, what: str, bound: float, values: Sequence[float] | Joined, source: str
 ) -> Outcome:
-    """Reached if there are values, and none is below the bound or NaN."""
+    """An outcome that is reached if all values are at least `bound`.
+
+    Without a value, or with NaN, it is not reached.
+    """
     return _judged(pattern, what, f">= {bound:g}", values, source, lambda value: value >= bound)
 
 
 def within(pattern: str, what: str, low: float, high: float, value: Joined, source: str) -> Outcome:
-    """Reached if the value is within both bounds."""
+    """An outcome that is reached if the value is from `low` to `high`."""
     wanted = f"{low:g} to {high:g}"
     return _judged(pattern, what, wanted, value, source, lambda value: low <= value <= high)
 

@@ -1,9 +1,9 @@
 """The arena as a process: `python -m studies.ros.arena FOLDER SEED`.
 
-It simulates the bodies of all robots, and exchanges datagrams with their nodes (`node.py`), which
-can be killed, frozen and restarted one by one. Sockets in FOLDER: `arena` receives commands and
-heartbeats of bases, and where a robot is to be carried; `<robot>.base` receives odometry,
-`<robot>.lidar` scans, and `truth` every true pose.
+The process simulates the bodies of all robots, and exchanges datagrams with the robots' nodes
+(`node.py`), which are processes of their own. Sockets in FOLDER: `arena` receives commands and
+heartbeats of bases, and requests to carry a robot; `<robot>.base` receives odometry,
+`<robot>.lidar` receives scans, and `truth` receives every true pose.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from swarmd.sim.world.realism import REALISTIC
 from swarmd.sim.world.world import World
 
 HEARTBEAT_TIMEOUT = 0.5
-"""Seconds after the end of its node after which the firmware of a base stops the motors."""
+"""Seconds without a heartbeat of its node after which the firmware of a base stops the motors."""
 
 _MAX_DATAGRAM = 1000
 
@@ -98,12 +98,12 @@ class Nodes:
         self._sender.close()
 
     def _send(self, name: str, payload: bytes) -> None:
-        # Its node has ended, or does not read.
+        # The node has ended, or does not read.
         with contextlib.suppress(FileNotFoundError, ConnectionRefusedError, BlockingIOError):
             self._sender.sendto(payload, str(self._folder / name))
 
     def _receive(self) -> None:
-        """Commands and heartbeats until the end; a base whose node has ended gets zero."""
+        """Receive datagrams until `close`; a base without heartbeats gets a zero command."""
         beats: dict[str, float] = {}
         while not self._ending.is_set():
             with contextlib.suppress(TimeoutError):

@@ -1,4 +1,4 @@
-"""The chain: an arena, its robots' nodes on DDS, one bridge, a daemon for each, an operator."""
+"""The chain: an arena, the robots' nodes on DDS, one bridge, a daemon per robot, an operator."""
 
 from __future__ import annotations
 
@@ -34,29 +34,32 @@ PATTERN = "random_walk"
 
 _MAX_DATAGRAM = 1000
 _PAUSE = 0.1
-_CARRIED = 0.2  # m between two readings
+_CARRIED = 0.2  # m between two poses; a larger step means that the robot was carried
 _status = Decoder(Status)
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A command that a base took: CLOCK_MONOTONIC in s, m/s and rad/s."""
+    """A command that a base took."""
 
-    at: float
-    linear: float
-    angular: float
+    at: float  # s of CLOCK_MONOTONIC
+    linear: float  # m/s
+    angular: float  # rad/s
 
     @property
     def is_zero(self) -> bool:
-        """True if it does not move the base."""
+        """True if the command does not move the base."""
         return self.linear == 0.0 and self.angular == 0.0
 
 
 class NodeProcess:
-    """A node in a process of its own; `commands` are those that a base took."""
+    """A ROS node in a process of its own."""
 
     def __init__(self, settings: Settings, commands: list[Command], log: Path) -> None:
-        """Start it; returns once it is on DDS."""
+        """Start the node; returns once it is on DDS.
+
+        `commands`: the list to which the commands that a base takes are appended.
+        """
         with log.open("a") as errors:
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "studies.ros.node", msgspec.json.encode(settings).decode()],
@@ -72,18 +75,18 @@ class NodeProcess:
         self._thread.start()
 
     def set(self, faults: Faults) -> None:
-        """What is wrong with it from now on."""
+        """Set the faults of the node from now on."""
         assert self._process.stdin is not None
         print(msgspec.json.encode(faults).decode(), file=self._process.stdin, flush=True)
 
     def end(self) -> None:
-        """End it in order: it leaves DDS."""
+        """End the node in order, so that it leaves DDS."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._finish()
 
     def kill(self) -> None:
-        """SIGKILL."""
+        """End the node by SIGKILL."""
         self._process.kill()
         self._finish()
 
@@ -104,9 +107,10 @@ class NodeProcess:
 class Chain:
     """Three robots that drive in one arena; a context manager that leaves no process behind.
 
-    `statuses` of each robot as they came, with CLOCK_MONOTONIC in s; `poses` the true ones of each
-    body, with theirs; `commands` those that each body took. `usual`: what a driver says of a robot
-    without a fault.
+    - `statuses`: by robot, (s of CLOCK_MONOTONIC at reception, status).
+    - `poses`: by body, (s of CLOCK_MONOTONIC, x, y, yaw) of ground truth.
+    - `commands`: by body, the commands that its base took.
+    - `usual`: the driver's text in the status of a robot without a fault.
     """
 
     def __init__(self, folder: Path, seed: int) -> None:
@@ -161,9 +165,10 @@ class Chain:
         at: str | None = None,
         is_stamped: bool = False,
     ) -> NodeProcess:
-        """Start a node of a robot; `body`, `name` and namespace `at` are by default the robot's.
+        """Start a node of a robot.
 
-        With an empty name it is no ROS node.
+        `body` of the arena, node `name` and namespace `at` are by default the robot's own. With an
+        empty name the process publishes on DDS without a ROS node.
         """
         usual = {"base": BASE, "lidar": LIDAR, "teleop": "teleop_keyboard"}[kind]
         body = body or robot
@@ -182,7 +187,7 @@ class Chain:
         return node
 
     def start_daemon(self, robot: str, at: str = "{robot}") -> DaemonProcess:
-        """Start a robot's daemon, also again; `at` is the namespace in its options."""
+        """Start a robot's daemon; `at`: the namespace in the options of its driver."""
         self.daemons[robot] = daemon = DaemonProcess(
             self.folder,
             swarm=self.swarm,
@@ -197,19 +202,19 @@ class Chain:
         return daemon
 
     def restart_bridge(self, domain: int | None = None) -> None:
-        """Kill the bridge and start it, in another DDS domain if one is given."""
+        """Kill the bridge and start it again, in DDS domain `domain`; None: the robots' domain."""
         self.bridge.kill()
         self.bridge.domain = self.domain if domain is None else domain
         self.bridge.start()
 
     def restart_daemon(self, robot: str, at: str = "{robot}") -> None:
-        """End a robot's daemon in order, and start it; `at` as above."""
+        """End a robot's daemon in order, and start it again; `at` as of `start_daemon`."""
         self.daemons[robot].terminate()
         self.start_daemon(robot, at).wait_ready()
         self.look()
 
     def look(self) -> None:
-        """Find the daemons; from then on their statuses come."""
+        """Find the daemons, so that the operator receives their statuses from then on."""
         for robot, member in self.operator.members(timeout=1.0).members.items():
             if member.status is not None:
                 self._take(robot, member.status)
@@ -217,13 +222,13 @@ class Chain:
     # An operator
 
     def swarmctl(self, *words: str) -> tuple[int, float, str]:
-        """Exit code, duration in s and output of a `swarmctl`."""
+        """Run `swarmctl`: its exit code, duration in s and output."""
         begun = time.monotonic()
         done = run_command("swarmctl", *words, cwd=self.folder, SWARM=self.swarm)
         return done.returncode, time.monotonic() - begun, done.stdout + done.stderr
 
     def run(self, robot: str) -> None:
-        """Reset a robot and run the pattern, as far as the robot's state demands it."""
+        """Make one request to a robot that is not running: reset if it has latches, else run."""
         view = self.operator.members(timeout=1.0)
         member = view.members.get(robot)
         if member is None or member.status is None or member.status.state == "running":
@@ -240,7 +245,7 @@ class Chain:
         return known[-1][1] if known else None
 
     def set_load(self, count: int) -> None:
-        """Keep so many processes busy beside the chain."""
+        """Keep `count` busy processes beside the chain."""
         for process in self._load:
             process.kill()
             process.wait()
@@ -253,7 +258,7 @@ class Chain:
             link.sendto(json.dumps(["carry", robot, pose]).encode(), str(self.folder / "arena"))
 
     def describe(self) -> str:
-        """What each robot says, and how fast it is."""
+        """A line for each robot with pose, speed and status, for logs."""
         lines = []
         for robot in ROBOTS:
             if (status := self.status(robot)) is not None:
@@ -268,9 +273,10 @@ class Chain:
     # What really happens
 
     def path(self, body: str, since: float, until: float = math.inf) -> float:
-        """The length in m of a body's way between two times, as far as it was not carried."""
-        way = [pose[1:3] for pose in self.poses.get(body, [])[:] if since <= pose[0] <= until]
-        return sum(step for step in (math.dist(a, b) for a, b in pairwise(way)) if step < _CARRIED)
+        """The length in m of a body's path between two times, without steps by `carry`."""
+        places = [pose[1:3] for pose in self.poses.get(body, [])[:] if since <= pose[0] <= until]
+        steps = (math.dist(a, b) for a, b in pairwise(places))
+        return sum(step for step in steps if step < _CARRIED)
 
     def speed(self, body: str, within: float = 0.5) -> float:
         """The mean speed in m/s of a body in the last `within` s."""
@@ -282,7 +288,7 @@ class Chain:
         return [c.at for c in taken if not c.is_zero and c.linear != RIVAL_SPEED]
 
     def standing(self, body: str, since: float) -> float:
-        """When a body stood for good, in s after `since`; inf if it moves still."""
+        """The time of a body's last motion, in s after `since`; inf if it still moves."""
         last = since
         for a, b in pairwise([pose for pose in self.poses.get(body, [])[:] if pose[0] >= since]):
             if math.dist(a[1:3], b[1:3]) > 0.001 or abs(a[3] - b[3]) > 0.005:

@@ -1,4 +1,7 @@
-"""The faults of the study: what is done to a chain that drives, and what mends it."""
+"""The faults of the study: for each, the action that injects it and the actions that repair it.
+
+The chain is the world's nodes on DDS, the bridge and the daemons (`chain.py`).
+"""
 
 from __future__ import annotations
 
@@ -24,31 +27,35 @@ Act = Callable[[Chain], object]
 class Fault:
     """One row of the table.
 
-    The fault begins with `inject`, or once that has returned if it `begins_later`. `bound`: seconds
-    from then on after which no command to move may reach the base, as the documentation states; inf
-    where it states none. `robots` that it concerns, and other `bodies` that it may move. `lasts` s
-    until the operator gives `order`, `stays` s more until `mend`; where robots do not drive again
-    after that comes `mend_more`. `look`: what others say of the fault. `is_fault` False: the robots
-    are to drive on.
+    The course of a row: 1. `inject`. 2. After `lasts` s the operator gives `order`. 3. After
+    `stays` s more, `mend`. 4. `mend_more`, if robots do not drive again.
     """
 
     name: str
     inject: Act
     mend: Act
     bound: float
+    """Seconds from the begin of the fault after which no command to move may reach the base.
+
+    The documentation states this time; inf: it states none."""
     mend_more: Act | None = None
     robots: Sequence[str] = (VICTIM,)
+    """The robots that the fault concerns."""
     bodies: Sequence[str] = ()
+    """Further bodies that the fault may move."""
     lasts: float = 5.0
     stays: float = 0.0
     order: str = "stop"
     begins_later: bool = False
+    """The fault begins when `inject` returns, not when it is called."""
     is_fault: bool = True
+    """False: a load without a fault, under which the robots must drive on."""
     look: Callable[[Chain], str] = lambda chain: ""
+    """What peers of the robot report of the fault; empty without a report."""
 
 
 def faults() -> tuple[Fault, ...]:
-    """All of them, in the order of the table."""
+    """All faults, in the order of the table."""
     return (
         *_of_the_bridge(),
         *_of_the_base(),
@@ -296,7 +303,7 @@ def _of_the_daemon() -> Sequence[Fault]:
 
 
 def _nothing(chain: Chain) -> None:
-    """It is mended already."""
+    """No repair: `inject` has restarted the process already."""
 
 
 def _restart_base(

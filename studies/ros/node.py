@@ -1,9 +1,11 @@
-"""One node of a robot as a process: `python -m studies.ros.node SETTINGS`, which are JSON.
+"""One node of a robot as a process: `python -m studies.ros.node SETTINGS`, with SETTINGS in JSON.
 
-The nodes are those that a TurtleBot3 starts: its base takes commands and publishes odometry, its
-lidar publishes scans. A `teleop` publishes commands. A line on standard input changes what the
-node does (`Faults`); its end ends the node in order. The node prints a line once it is on DDS, and
-a base prints one for each command: the time (CLOCK_MONOTONIC), the linear and the angular speed.
+The nodes are those of a TurtleBot3: the base takes commands and publishes odometry, and the lidar
+publishes scans. A `teleop` node publishes commands of a rival. Each line on standard input sets the
+faults of the node (`Faults`, in JSON). The end of standard input ends the node in order.
+
+The node prints `ready` once it is on DDS. A base prints a line for each command: the time in s
+(CLOCK_MONOTONIC), the linear and the angular speed.
 """
 
 from __future__ import annotations
@@ -35,42 +37,34 @@ _MAX_DATAGRAM = 100_000
 
 
 class Settings(Struct, frozen=True, kw_only=True):
-    """What a node is.
+    """The settings of a node."""
 
-    `body` is the robot of the arena to which it belongs, `folder` where the arena's sockets are.
-    `is_stamped`: a base that wants a TwistStamped.
-    """
-
-    folder: str
-    domain: int
-    body: str
+    folder: str  # of the arena's sockets
+    domain: int  # of DDS
+    body: str  # the robot of the arena to which the node belongs
     kind: Kind
-    name: str
+    name: str  # of the ROS node; empty: no ROS node
     namespace: str
-    is_stamped: bool = False
+    is_stamped: bool = False  # a base that takes TwistStamped
 
 
 class Faults(Struct, frozen=True, kw_only=True):
-    """What is wrong with a node.
-
-    `scans`: as measured, all with the ranges of the first one (`frozen`), all rays 0 (`zeros`), or
-    the same message again (`repeated`). `every`: one message of so many is published, `copies`: so
-    many times, each a little later. `clock`: s by which stamps are ahead. `is_silent`: nothing is
-    published.
-    """
+    """The faults of a node; by default none."""
 
     scans: Literal["measured", "frozen", "zeros", "repeated"] = "measured"
-    every: int = 1
-    copies: int = 1
-    clock: float = 0.0
-    is_silent: bool = False
+    """`frozen`: new stamps, but the ranges of the first scan; `zeros`: all rays are 0; `repeated`:
+    the first message again and again."""
+    every: int = 1  # only each n-th message is published
+    copies: int = 1  # each message is published n times, 0.1 s apart
+    clock: float = 0.0  # s by which stamps are ahead
+    is_silent: bool = False  # no message is published
 
 
 class Node:
-    """The node, its socket to the arena, and its faults."""
+    """A node on DDS that exchanges datagrams with the arena."""
 
     def __init__(self, settings: Settings) -> None:
-        """It is on DDS from now on, and in `ros_discovery_info`."""
+        """Join DDS, with an entry in `ros_discovery_info`."""
         self._settings, self.faults = settings, Faults()
         self._command = dds.TwistStamped if settings.is_stamped else dds.Twist
         space = settings.namespace.rstrip("/")
@@ -95,8 +89,8 @@ class Node:
     def run(self) -> None:
         """Publish and take commands until standard input ends."""
         work = {"base": (self._sense, self._obey), "lidar": (self._sense,), "teleop": (self._rule,)}
-        threads = [threading.Thread(target=one) for one in work[self._settings.kind]]
-        print("ready", flush=True)  # before the first command is
+        threads = [threading.Thread(target=loop) for loop in work[self._settings.kind]]
+        print("ready", flush=True)  # before the line of the first command
         for thread in threads:
             thread.start()
         for line in sys.stdin:

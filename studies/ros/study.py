@@ -1,4 +1,4 @@
-"""Injects faults one after the other while the chain drives, and measures each."""
+"""The course of the study: inject each fault while the chain drives, and measure the effects."""
 
 from __future__ import annotations
 
@@ -19,62 +19,62 @@ from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import apart
 
 MOVING = 0.1
-"""m/s from which a robot drives."""
+"""Speed in m/s above which a robot drives."""
 FREE = 1.8
-"""m ahead of a robot that are free when a fault comes: some faults let a base drive on blindly."""
+"""Length in m of the free corridor ahead of a robot when a fault is injected: with some faults a
+base drives on blindly."""
 ASIDE = 0.4
-"""m from the middle of a robot's way that are free."""
+"""Half of the corridor's width in m."""
 STARTS = tuple((x, y, 0.0) for y in (-2.0, -1.0, 0.0, 1.0, 2.0) for x in (-2.0, 0.0))
-"""Where robots are put down, in m and rad: the first of these with a free way."""
-PATIENCE, START_ATTEMPTS, MEND_CAP = 20.0, 5, 15.0
-"""Seconds for robots to drive with a free way, how often, and seconds for mended ones to drive."""
+"""Poses in m and rad to which robots are carried: the first with a free corridor."""
+PATIENCE = 20.0
+"""Seconds of a wait for robots to drive with a free corridor."""
+START_ATTEMPTS = 5
+"""The number of such waits."""
+MEND_CAP = 15.0
+"""Seconds of a wait for repaired robots to drive."""
 SETTLED = 1.0
-"""Seconds for which a mended chain is watched before robots are to run again."""
+"""Seconds for which a repaired chain is watched before the robots run again."""
 ON_ITS_WAY = 0.1
-"""Seconds that a command may be on its way to a base while its robot acknowledges a stop."""
+"""Seconds that a command may take to a base while its robot acknowledges a stop."""
 
 _USUAL = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What was seen. Times in s after the fault (inf: never), except `again` after it was mended.
-
-    `commanded`: the last command of swarmd to move that a base took before the order. `late`: how
-    many more came from the order's acknowledgement on until the next run. `code`, `taken` and
-    `answer`: exit code and duration of the order, and what the first robot answers. `driven`: m of
-    each body until the next run. `others`: what robots that the fault does not concern say.
-    `needs_more`: `mend` of the fault was not enough.
-    """
+    """The measurements of one fault. Times in s from the begin of the fault; inf: never."""
 
     fault: Fault
-    noticed: float
-    says: str
-    commanded: float
-    stood: float
-    driven: Sequence[float]
-    code: int
-    taken: float
-    answer: str
-    late: int
-    again: float
-    needs_more: bool
-    others: str
+    noticed: float  # first report of the fault by a daemon or a peer
+    says: str  # text of that report
+    commanded: float  # last command of swarmd to move that a base took before the order
+    stood: float  # last motion of a body
+    driven: Sequence[float]  # m that each body moved until the next run
+    code: int  # exit code of the order
+    taken: float  # s, duration of the order
+    answer: str  # the first robot's answer to the order
+    late: int  # commands to move after the acknowledgement of the order, until the next run
+    again: float  # s from the repair until all robots drive
+    needs_more: bool  # `mend` of the fault was not enough
+    others: str  # reports of robots that the fault does not concern
 
     @property
     def is_late(self) -> bool:
-        """A base got a command to move that it must not get."""
+        """True if a base took a command to move after the bound or after the order."""
         return self.commanded > self.fault.bound or self.late > 0
 
 
 def play(chain: Chain, fault: Fault) -> Row:
-    """Inject a fault into a chain that drives, give the order, mend it, and run again."""
+    """Inject a fault into a chain that drives, give the order, repair the chain, and run again."""
     make_drive(chain, fault.robots)
+    # 1. The fault.
     begun = time.monotonic()
     fault.inject(chain)
     begun = time.monotonic() if fault.begins_later else begun
     looking = _Looking(chain, fault)
     time.sleep(max(0.0, begun + fault.lasts - time.monotonic()))
+    # 2. The order.
     ordered = time.monotonic()
     code, taken, output = chain.swarmctl(fault.order, *fault.robots)
     acknowledged = time.monotonic()
@@ -83,6 +83,7 @@ def play(chain: Chain, fault: Fault) -> Row:
     others = {
         robot: _noticed(chain, robot, begun, ordered)[1] for robot in set(ROBOTS) - {*fault.robots}
     }
+    # 3. The repair, then the measurements before the robots run again.
     fault.mend(chain)
     mended = time.monotonic()
     time.sleep(SETTLED)
@@ -91,6 +92,7 @@ def play(chain: Chain, fault: Fault) -> Row:
     late = [at for body in bodies for at in chain.moving_commands(body, acknowledged + ON_ITS_WAY)]
     stood = max(chain.standing(body, begun) for body in bodies)
     driven = [chain.path(body, begun) for body in bodies]
+    # 4. The next run.
     for robot in fault.robots:
         _carry(chain, robot)
     is_mended = wait(lambda: _drives(chain, fault.robots), MEND_CAP) < math.inf
@@ -117,10 +119,11 @@ def play(chain: Chain, fault: Fault) -> Row:
 
 
 def make_drive(chain: Chain, robots: Sequence[str]) -> None:
-    """Run the pattern on all robots; AssertionError unless these drive at once, on a free way.
+    """Run the pattern on all robots, until `robots` drive at once, each with a free corridor.
 
-    Where they do not within PATIENCE, robots are carried to a free way, and the bridge is started
-    again if it lacks a robot: it forgets nodes some time after a crash.
+    After a wait of PATIENCE s without success, `robots` are carried to free corridors, and the
+    bridge is restarted if a driver has a fault: a bridge may forget nodes some time after a crash.
+    AssertionError after START_ATTEMPTS waits.
     """
 
     def is_well() -> bool:
@@ -146,7 +149,7 @@ def make_drive(chain: Chain, robots: Sequence[str]) -> None:
 
 
 def _has_delay(status: Status | None) -> bool:
-    """Whether stamps tell the delay of scans, as they do after some seconds with one clock."""
+    """Whether the daemon has measured the delay of scans by their stamps, which takes seconds."""
     delay = None if status is None else status.scan_delay
     return delay is not None and any(
         figure.method == "stamps" and figure.delay is not None for figure in delay.figures
@@ -154,7 +157,7 @@ def _has_delay(status: Status | None) -> bool:
 
 
 def _drives(chain: Chain, robots: Sequence[str]) -> bool:
-    """Whether all of these drive; those that do not run are told to."""
+    """Whether all of `robots` drive; requests a run of each robot that does not run."""
     for robot in robots:
         status = chain.status(robot)
         if status is None or status.state is not State.RUNNING:
@@ -163,7 +166,7 @@ def _drives(chain: Chain, robots: Sequence[str]) -> bool:
 
 
 def _carry(chain: Chain, robot: str) -> None:
-    """Carry a robot to a place with a free way, unless it has one."""
+    """Carry a robot to a pose with a free corridor, unless it has a free corridor already."""
     if _is_free(chain, robot):
         return
     start = next((start for start in STARTS if _is_free(chain, robot, start)), STARTS[0])
@@ -172,7 +175,10 @@ def _carry(chain: Chain, robot: str) -> None:
 
 
 def _is_free(chain: Chain, robot: str, pose: tuple[float, float, float] | None = None) -> bool:
-    """Whether neither a wall nor another robot is on its next FREE m; from `pose`, if given."""
+    """Whether no wall and no robot is in the corridor ahead of a robot.
+
+    `pose`: where the corridor begins; None: the robot's present pose.
+    """
     x, y, yaw = pose or chain.poses[robot][-1][1:]
     start = np.array((x, y))
     end = start + FREE * np.array((math.cos(yaw), math.sin(yaw)))
@@ -183,7 +189,7 @@ def _is_free(chain: Chain, robot: str, pose: tuple[float, float, float] | None =
 
 
 class _Looking:
-    """Asks others about the fault until the end: the first answer, with its time."""
+    """Calls `look` of a fault in a thread until the first report, which it keeps with its time."""
 
     def __init__(self, chain: Chain, fault: Fault) -> None:
         self._told: list[tuple[float, str]] = []
@@ -193,7 +199,7 @@ class _Looking:
         self._thread.start()
 
     def end(self) -> Sequence[tuple[float, str]]:
-        """The answer, if there was one."""
+        """End the thread; the report as [(s of CLOCK_MONOTONIC, text)], or [] without one."""
         self._over.set()
         self._thread.join()
         return self._told
@@ -205,23 +211,29 @@ class _Looking:
 
 
 def _noticed(chain: Chain, robot: str, since: float, ordered: float) -> tuple[float, str]:
-    """When a daemon's status first told of a fault, and what it says last; inf and empty: never.
+    """When a daemon's status first reported a fault, and its last fault text before the order.
 
-    From `ordered` on its state is that of the order: then only the driver's text counts.
+    Without a report before the order, the last text after it. (inf, "") without any report. From
+    `ordered` on the state is that of the order, so only the driver's text counts.
     """
-    told = [
+    texts = [
         (at, _fault(status, chain.usual, is_ordered=at >= ordered))
         for at, status in chain.statuses[robot][:]
         if at >= since
     ]
-    before = [(at, text) for at, text in told if at < ordered]
-    first = next((at for at, text in told if text), math.inf)
-    some = before if any(text for _, text in before) else told
-    return first, next((text for _, text in reversed(some) if text), "")
+    reports = [(at, text) for at, text in texts if text]
+    if not reports:
+        return math.inf, ""
+    before_order = [text for at, text in reports if at < ordered]
+    last_text = before_order[-1] if before_order else reports[-1][1]
+    return reports[0][0], last_text
 
 
 def _fault(status: Status, usual: str, *, is_ordered: bool) -> str:
-    """What a status tells of a fault; empty if nothing."""
+    """The text of a fault in a status; empty without a fault.
+
+    `usual`: the driver's text without a fault. `is_ordered`: the state follows from the order.
+    """
     is_usual = status.state is State.RUNNING and status.reason in _USUAL
     words = []
     if not is_usual and not is_ordered:
@@ -245,6 +257,6 @@ def _driver(status: Status | None) -> str:
 
 
 def rows(chain: Chain, faults: Sequence[Fault]) -> Iterator[Row]:
-    """All of them, one after the other."""
+    """Play all faults one after the other, and yield the row of each."""
     for fault in faults:
         yield play(chain, fault)

@@ -21,7 +21,7 @@ HEAD = (
 
 
 def line(row: Row, endpoint: str) -> str:
-    """The row of the table; `endpoint` is replaced, since it is another one each time."""
+    """The line of a row; the bridge's `endpoint` is replaced, since it differs in each run."""
     fault = row.fault
     says = row.says.replace(endpoint, "tcp/127.0.0.1:7447").replace("|", "/")
     bound = "none" if fault.bound == math.inf else f"{fault.bound:g}"
@@ -42,7 +42,7 @@ def line(row: Row, endpoint: str) -> str:
 
 
 def summary(rows: Sequence[Row], contacts: str, seed: int) -> str:
-    """What holds for all rows."""
+    """The paragraph with the totals of all rows."""
     faults = [row for row in rows if row.fault.is_fault]
     noticed = sum(row.noticed < math.inf for row in faults)
     held = [f"{row.fault.name} ({row.others})" for row in rows if row.others]
