@@ -215,7 +215,7 @@ def command_summaries() -> Mapping[str, str]:
         pass  # the first time, or no file of this version
     points = command_names()
     lines = {name: command_summary(point) for name, point in points.items()}
-    sources = [str(file) for point in points.values() if (file := _source_file(point.module))]
+    sources = [str(path) for point in points.values() if (path := _source_file(point.module))]
     times = {path: _time(path) for path in (*sys.path, *sources)}
     kept = {"times": times, "sources": sources, "lines": lines}
     with suppress(OSError, RuntimeError):

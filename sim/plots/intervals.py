@@ -309,6 +309,8 @@ def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> F
     """The metrics of one variant as the rows of a table; for a paper without median and range."""
     columns = ["metric", "mean", "95 % interval", "median", "range", "runs"]
     shares = [0.36, 0.11, 0.19, 0.11, 0.15, 0.08]
+    from matplotlib.transforms import Bbox
+
     rows = [_table_row(panel) for panel in panels]
     if width is not None:
         kept = slice(0, 3)
@@ -317,7 +319,7 @@ def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> F
     figure = new_figure(width or _TABLE_WIDTH, height)
     axes = figure.subplots()
     axes.set_axis_off()
-    table = axes.table(rows, colLabels=columns, colWidths=shares, bbox=[0.0, 0.0, 1.0, 1.0],
+    table = axes.table(rows, colLabels=columns, colWidths=shares, bbox=Bbox.unit(),
                        edges="horizontal", cellLoc="left", colLoc="left")  # fmt: skip
     table.auto_set_font_size(value=False)
     table.set_fontsize(9 if width is None else _SMALL)

@@ -152,7 +152,7 @@ def test_a_robot_clears_the_way_of_another_that_does_not_go_on() -> None:
 def test_a_robot_in_an_opening_goes_on_while_another_is_before_its_other_side() -> None:
     ride = Ride()
     ride.at(near(-0.6))
-    ride.way._is_mine, ride.way._drawn_until = False, np.inf  # chance is against the robot
+    ride.way._has_priority, ride.way._drawn_until = False, np.inf  # chance is against the robot
     ride.at(near(-0.2), track(1, 0.5), seconds=4.0)
     assert ride.state() is WayState.IN
 

@@ -208,9 +208,7 @@ def test_a_curve_joins_the_means_over_the_values() -> None:
     curve = max((np.asarray(line.get_xydata()) for line in axes.lines), key=len)
     assert curve.tolist() == [[0.5, 0.5], [1.0, 1.5], [2.0, 2.0]]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("range [m]", "m")
-    bars = [
-        np.asarray(line.get_xdata()).tolist() for line in axes.lines if len(line.get_xdata()) == 2
-    ]
+    bars = [xs for line in axes.lines if len(xs := np.asarray(line.get_xdata()).tolist()) == 2]
     assert bars[:3] == [[0.5, 0.5], [1.0, 1.0], [2.0, 2.0]]
 
 
