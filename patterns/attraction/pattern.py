@@ -9,12 +9,13 @@ not partly hidden by a nearer object. The attraction grows with the distance, as
 obstacles limit only the speed towards them, so that the robot slides past. The robot rests once the
 attraction is small.
 
-Attraction alone would leave a row unchanged, since its robots hide one another. Therefore a robot
-with fewer than three adjacent robots, but with more in sight or more that send messages, moves
-along the outside of the group from time to time until three are adjacent, as atoms do on a crystal.
-If all robots in sight lie in a line, the robot does so before it settles. The time between tries
-doubles with each try, so that the swarm comes to rest, and is reset when more robots are in sight
-than ever before. A robot with few robots in sight finally drives away to search for the rest.
+Attraction alone would leave a row unchanged, since the robots of a row hide one another. So a robot
+may roll: move along the outside of the group until three robots are adjacent, as atoms do on a
+crystal. A robot rolls from time to time if fewer than three robots are adjacent, but more are in
+sight or send messages. If all robots in sight lie in a line, the robot rolls before it settles. The
+time between tries doubles with each try, so that the swarm comes to rest. The time is reset when
+more robots are in sight than ever before. A robot with few robots in sight finally leads: it drives
+away to search for the rest of the swarm.
 
 Limits: a robot within about 0.2 m of a wall is taken for a part of the wall, a pillar counts as a
 robot, and groups farther apart than `range` meet only by chance.

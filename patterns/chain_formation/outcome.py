@@ -34,19 +34,15 @@ _MOTION = "Nouyan et al. 2008: chains that move find the prey; the bound: ours"
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """When the nest learned of the goal in s (inf: never), and the chain from then on.
+    """When a chain joined nest and goal, and how well."""
 
-    `gap`: the longest gap from nest to goal / the distance of members, when it is complete (NaN:
-    there is no such chain); `held`: the share of later samples in which the nest is told so.
-    """
-
-    at: float
-    gap: float
-    held: float
+    at: float  # s until the nest learned of the goal; inf: never
+    gap: float  # longest gap in the chain at that time, over the distance of members; NaN: no chain
+    held: float  # share of later samples in which the nest's chain leads to the goal; NaN: no chain
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:
-    """All outcomes: for each seed a run with the defaults, and `has_more` with still chains."""
+    """All outcomes: for each seed a run with the defaults; `has_more`: also with fixed chains."""
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
     done = [one for one in runs if one.at <= SECONDS]
     joined = share_of(map(_is_joined, runs))
@@ -79,7 +75,10 @@ def _held(runs: Sequence[Chain]) -> list[float]:
 
 
 def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
-    """Robots at random places around the nest, the first robot; the goal is the second."""
+    """One run: robot 0 is the nest, robot 1 the goal, the others begin at random around the nest.
+
+    The run ends `HELD` samples after the nest learned of the goal.
+    """
     seed, params = given
     rng = np.random.default_rng(seed)
     to_goal = float(rng.uniform(-math.pi, math.pi))
@@ -107,12 +106,15 @@ def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
 
 
 def _longest_gap(track: Track, row: int) -> float:
-    """The longest gap of the best way from nest to goal over members, by the distance of two."""
+    """The longest gap on the way from nest to goal over members, over the distance of members.
+
+    The way is the one whose longest gap is least.
+    """
     places = track.pose[row, :, :2]
     states = [one.get("state") for one in track.reports[row]]
     members = [k for k, one in enumerate(states) if one in ("nest", "goal", "chain")]
     x, y = places[members].T
     apart = np.asarray(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y)))
-    for k in range(len(members)):  # the way whose longest gap is least (Floyd and Warshall)
+    for k in range(len(members)):  # minimax paths by the algorithm of Floyd and Warshall
         apart = np.minimum(apart, np.maximum(apart[:, k : k + 1], apart[k : k + 1, :]))
     return float(apart[0, 1] / DISTANCE)

@@ -3,12 +3,14 @@
 Source: Nouyan, Gross, Bonani, Mondada and Dorigo, "Teamwork in self-organized robot colonies", IEEE
 Trans. Evolutionary Computation 13, 2009, with the chains of Nouyan, Campo and Dorigo, "Path
 formation in a robot swarm", Swarm Intelligence 2, 2008: an explorer moves along a chain to its
-tail, and joins it there with a probability a second. The tail leaves with another one, unless it
-sees the goal, and goes back to the nest. Members keep their distance and align.
+tail, and there joins the chain at the rate `join`. The robot at the tail leaves the chain at the
+rate `leave`, unless that robot sees the goal, and goes back to the nest. Members keep their
+distance and align.
 
-Ours: members tell their hops to the nest and the member before them, in place of three colours that
-tell the direction. Nest and goal are robots that stand there. Members also tell that their chain
-leads to the goal; explorers at the nest choose that chain, and rest at its tail.
+Ours: members send their number of hops to the nest and the id of the member before them. In the
+source three colours show the direction instead. Nest and goal are robots that stand. Members also
+send whether their chain leads to the goal. Explorers at the nest choose such a chain, and rest at
+its tail.
 """
 
 from __future__ import annotations
@@ -145,7 +147,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         }
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The command of the state, and what members tell."""
+        """The command of the state, and the message of a member."""
         now, params = inputs.now, self.params
         self._hear(inputs)
         state: str = params.role
@@ -196,7 +198,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             self._places[neighbor.id] = distance * math.cos(bearing), distance * math.sin(bearing)
 
     def _after(self, name: str) -> list[str]:
-        """The members whose member before is `name`."""
+        """The sensed members that name `name` as the member before them."""
         return sorted(member for member in self._places if self._heard[member].before == name)
 
     def _leads(self) -> bool:
@@ -207,15 +209,15 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         )
 
     def _hold(self, inputs: Inputs, own: _Member) -> Twist:
-        """Keep the place in the chain, or leave it."""
+        """The command of a member: keep the place in the chain, or leave the chain (zero)."""
         params = self.params
         robot = self.context.robot
         before = self._places.get(own.before)
         near = _NEAR * params.distance
         leads = self._leads()
         is_tail = not self._after(robot)
-        # Of two near members behind the same member stays the one that leads to the goal, else the
-        # one with a chain behind it, else the one with the lower id.
+        # If two near members are behind the same member, one leaves. The member that stays leads to
+        # the goal, else has a chain behind it, else has the lower id.
         is_double = any(
             (not self._heard[name].leads, not self._after(name), name) < (not leads, is_tail, robot)
             and math.hypot(*self._places[name]) < near
@@ -241,7 +243,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return drive_along(x, y, speed=params.speed, turn=params.turn)
 
     def _beyond(self, name: str) -> Vector:
-        """The place behind the member `name` in the line of its chain."""
+        """The place `distance` m behind the member `name`, in line with the member before it."""
         x, y = self._places[name]
         far_x, far_y = self._places.get(self._heard[name].before, (2.0 * x, 2.0 * y))
         way = math.hypot(x - far_x, y - far_y) or 1.0
@@ -249,7 +251,11 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return x + share * (x - far_x), y + share * (y - far_y)
 
     def _explore(self, inputs: Inputs) -> Twist:
-        """Along the chain to its tail, or home to the nest; join where the chain may grow."""
+        """The command of an explorer: along the chain to its tail, or home to the nest.
+
+        At the tail, or at the nest if a new chain may start, the robot may join. At the tail of a
+        chain that leads to the goal the robot rests.
+        """
         params, places = self.params, self._places
         if self._by not in places:
             self._by = min(places, key=lambda name: math.hypot(*places[name]))

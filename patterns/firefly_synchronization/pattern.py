@@ -110,7 +110,7 @@ class FireflySynchronization(Pattern[FireflySynchronizationParams]):
         self._known: dict[str, tuple[int, float]] = {}  # number and time of the last flash
 
     def step(self, inputs: Inputs) -> Outputs:
-        """Count what was heard, flash when the phase is 1, and repeat the last flash."""
+        """Take in the flashes of others, flash when the phase is 1, and repeat the last flash."""
         now, period = inputs.now, self.params.period
         if self._flashed_at is None:
             self._flashed_at = now - float(self.context.rng.random()) * period
@@ -133,7 +133,7 @@ class FireflySynchronization(Pattern[FireflySynchronizationParams]):
         return Outputs(messages=messages, report=report)
 
     def _hear(self, message: Message, now: float) -> None:
-        """Jump ahead at the first message of a flash of another."""
+        """Make the phase jump ahead at a flash of another robot; repeated messages do not count."""
         flash = _read(message)
         if flash is None or message.sender == self.context.robot or self._flashed_at is None:
             return

@@ -29,16 +29,12 @@ _CHANCE = "ours: the start must not have the order"
 
 @dataclass(frozen=True, slots=True)
 class Lattice:
-    """Share of bonds within a tenth of the distance, and psi6, the mean order of their angles.
+    """The order of a lattice; a bond is between two robots nearer than BOND times the distance."""
 
-    `spread` is the standard deviation of the bonds' lengths / distance, `shared` the number of
-    pairs that share a place of the lattice.
-    """
-
-    near: float
-    psi6: float
-    spread: float
-    shared: int
+    near: float  # share of bonds whose length is within a tenth of the distance
+    psi6: float  # mean bond-orientational order of the robots
+    spread: float  # standard deviation of the lengths of bonds, over the distance
+    shared: int  # number of pairs of robots that share a place of the lattice
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:

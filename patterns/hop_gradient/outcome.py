@@ -26,7 +26,7 @@ _LEASE = "ours: the lease of 5 s, and half of its length and two rounds a hop at
 
 @dataclass(frozen=True, slots=True)
 class Election:
-    """Rounds until all hops were right, samples wrong after that, both before and after a death."""
+    """Rounds until all hops are right, and wrong samples later; before and after a death."""
 
     eccentricity: int
     rounds: float

@@ -5,9 +5,9 @@ Algorithms, 1996, 4.1); hop counts by adding one to the least of the neighbours 
 Bellman-Ford; on robots the gradient of the Kilobots: Rubenstein, Cornejo and Nagpal, Science 345,
 2014).
 
-Ours: the leader counts up, and a leader whose count stands still is no leader any more. So the
-swarm elects a new leader when its leader dies, and no hop count circulates for ever: old counts do
-not pass on.
+Ours: the leader sends a count that rises, and the others pass on the highest count they know. A
+leader whose count no longer rises is no leader any more. So the swarm elects a new leader when its
+leader dies, and no hop count of a dead leader circulates for ever.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class HopGradient(Pattern[HopGradientParams]):
     def __init__(self, params: HopGradientParams, context: Context) -> None:
         super().__init__(params, context)
         self._heard: dict[str, _Heard] = {}  # by neighbour
-        self._counts: dict[_Leader, tuple[int, float]] = {}  # and when it rose
+        self._counts: dict[_Leader, tuple[int, float]] = {}  # highest count, and when it rose
         self._count = 0
         self._share_at = 0.0
         self._place: tuple[_Leader, int] | None = None
@@ -114,8 +114,8 @@ class HopGradient(Pattern[HopGradientParams]):
             return
         leader, hops, count = read
         if leader.id == self.context.robot:
-            self._count = max(self._count, count + 1)  # others know a count from before a restart
-            self._heard.pop(message.sender, None)  # a way to this robot leads past no neighbour
+            self._count = max(self._count, count + 1)  # others may know a count before a restart
+            self._heard.pop(message.sender, None)  # the sender's hops lead to this robot
             return
         self._heard[message.sender] = _Heard(leader, hops, at)
         known = self._counts.get(leader)
@@ -125,7 +125,7 @@ class HopGradient(Pattern[HopGradientParams]):
                 self._forget()
 
     def _forget(self) -> None:
-        """Forget the half of the leaders whose counts rose first, but no leader of a neighbour."""
+        """Forget the half of the leaders whose counts rose longest ago, but none of a neighbour."""
         by_rise = sorted(self._counts, key=lambda leader: self._counts[leader][1])
         kept = {heard.leader for heard in self._heard.values()} | {*by_rise[_MAX_LEADERS // 2 :]}
         self._counts = {leader: count for leader, count in self._counts.items() if leader in kept}

@@ -28,21 +28,22 @@ _LEASE = "ours: the lease of 2 s, and a message of 0.5 s for each robot"
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The largest gap error behind the first follower / that of the first, and further numbers.
+    """How gap errors and speeds pass on along a chain.
 
-    A gap error is the root mean square of a robot's gap less that of the policy. `peak`: top speed
-    / the leader's; `off`: largest gap error in m at the end. `named`: s until all name the lost
-    leader and follow the next.
+    The gap error of a robot is the difference between its gap and the policy's gap.
     """
 
-    growth: float
-    peak: float
-    off: float
-    named: float
+    growth: float  # largest RMS gap error of the later followers, over that of the first follower
+    peak: float  # top speed of any robot, over the leader's speed
+    off: float  # m, largest gap error at the end
+    named: float  # s from the loss of the leader until all name it as lost and follow the next
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) -> list[Outcome]:
-    """All outcomes: for each seed a run of points, one too close, and `has_bodies` of Burgers."""
+    """All outcomes: for each seed a run of points, and one with too short a headway.
+
+    `has_bodies`: also a run of Burgers.
+    """
     runs = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
     close = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)
     what, named = "largest gap error / the first follower's", [one.named for one in runs]
@@ -91,7 +92,10 @@ def run(given: tuple[int, float, float]) -> Chain:
 
 
 def _named(track: Track) -> float:
-    """The time in s from the loss until all others name the lost robot and the next as leader."""
+    """s from the loss of the leader until all others report it as lost and the next as leader.
+
+    NaN if that never happens.
+    """
     lost, leads = "robot-000", "robot-001"
     for at, now in zip(track.t.tolist(), track.reports, strict=True):
         if all(one.get("lost") == lost and one.get("leader") == leads for one in now[1:]):

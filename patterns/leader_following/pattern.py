@@ -112,16 +112,16 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         self._since: float | None = None
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The command, and the leader's id for those behind it."""
+        """The command, and a message with the leader's id for the robots behind."""
         now, params = inputs.now, self.params
         self._since = now if self._since is None else self._since
         before = self._before(inputs)
-        if before is None and self._sensed:
+        if before is None and self._sensed:  # a robot before was sensed a moment ago: drive on
             aim, turn = self._speed, 0.0
             before_id = max(self._sensed, key=self._place)
-        elif before is None:
+        elif before is None:  # no robot before: lead
             before_id = ""
-            # At the start it waits for robots to be sensed.
+            # At the start the robot waits until other robots can be sensed.
             is_ready = now - self._since >= params.lease
             aim, turn = (params.pace * params.speed, params.curve) if is_ready else (0.0, 0.0)
             if is_ready and self._leader != self.context.robot:
@@ -131,7 +131,7 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
             aim = (distance - params.standstill) / params.headway
             turn = 2.0 * bearing
             if abs(bearing) > 0.5 * math.pi:
-                aim = 0.0  # it turns first
+                aim = 0.0  # turn first
             self._adopt(inputs, before_id)
         share = min(1.0, inputs.dt / params.lag) if params.lag > 0.0 else 1.0
         aim = max(-params.speed, min(params.speed, aim))
@@ -149,7 +149,10 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         return Outputs(twist, {_CHANNEL: self._leader}, report)
 
     def _before(self, inputs: Inputs) -> tuple[str, float, float] | None:
-        """The last robot before it that is sensed: its id, distance and bearing."""
+        """The last sensed robot before this robot in the chain: id, distance and bearing.
+
+        None if no robot before this robot is sensed now. Also updates `_sensed`.
+        """
         own, last = self._place(self.context.robot), None
         for neighbor in inputs.neighbors:
             place = self._place(neighbor.id)
@@ -163,10 +166,11 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         return last
 
     def _place(self, name: str) -> tuple[bool, str]:
+        """The order in the chain: first the leader, then the others by id."""
         return name != self.params.leader, name
 
     def _adopt(self, inputs: Inputs, before: str) -> None:
-        """Take the leader's id from the robot before it."""
+        """Take the leader's id from the messages of the robot `before`."""
         for message in inputs.messages:
             name = message.value
             if message.channel != _CHANNEL or message.sender != before:

@@ -24,16 +24,12 @@ _POWER = "Viswanathan et al. 1999: (l / shortest)^(1 - mu)"
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """The time in s to find a target, mean of those found after the start, and the law's.
+    """How fast walkers find random targets."""
 
-    `missed` is the share of the targets that were never found, `displaced` the distance in m of a
-    robot after a minute from where it was.
-    """
-
-    mean: float
-    law: float
-    missed: float
-    displaced: float
+    mean: float  # s, mean time to find a target, of those found after the start
+    law: float  # s, the same by the law of random search
+    missed: float  # share of the targets that were never found
+    displaced: float  # m, mean distance between the places of a robot now and a minute ago
 
 
 @dataclass(frozen=True, slots=True)

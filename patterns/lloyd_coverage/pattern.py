@@ -107,7 +107,11 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
         return drive_along(x, y, speed=params.speed, turn=params.turn, gain=params.gain)
 
     def _find(self, scan: Scan, neighbors: Sequence[Neighbor]) -> tuple[float, float]:
-        """The centroid of the cell, in the base frame; (0, 0) where there is none."""
+        """The centroid of the cell in m in the base frame; (0, 0) if the cell is empty.
+
+        The cell is a star of triangles from the robot to each two neighbouring rays. A ray ends at
+        its return, at `reach`, or at the line halfway to a neighbour.
+        """
         is_known, reach = ~np.isnan(scan.ranges), min(self.params.reach, scan.range_max)
         ranges = np.clip(scan.ranges[is_known], 0.0, reach)
         bearings = scan.bearings[is_known]

@@ -96,7 +96,10 @@ def split(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Rounds of three, three and one: the one has the say, and as often for either."""
+    """Rounds: three robots hold opinion 0, three hold 1, and one holds 2.
+
+    By symmetry 0 and 1 win equally often. In standard errors from half; inf unless 0 or 1 wins.
+    """
     results = debates(seeds, jobs, params=IN_STEP, held=(0, 0, 0, 1, 1, 1, 2))
     wins = [sum(result.winner == opinion for result in results) for opinion in (0, 1)]
     off = abs(wins[0] - 0.5 * len(results)) / math.sqrt(0.25 * len(results))
@@ -106,7 +109,10 @@ def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Rounds: how far the shares that agreed after 1, 2 ... are from theory, in standard errors."""
+    """Rounds: the shares of swarms that agreed after 1, 2 ... rounds, compared with theory.
+
+    The greatest difference in standard errors.
+    """
     results = debates(seeds, jobs, params=IN_STEP, air=Air(twice=0.1))
     expected = agreed_by(at_random(ROBOTS, OPINIONS), most_frequent, ROUNDS)
     off = [
@@ -121,7 +127,7 @@ def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def like_lockstep(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """How far mean times are from those of whole robots in lockstep, in standard errors."""
+    """Difference in standard errors between the mean times here and in the lockstep simulation."""
     group = {"platform": "burger", "count": ROBOTS, "pattern": NAME, "parameters": dict(_SHORT)}
     start = {"layout": "grid", "spacing": 1.0}
     scenario = scenario_of({"duration": 4.0, "groups": {"all": group}, "start": start})

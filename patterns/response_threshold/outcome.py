@@ -69,9 +69,9 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
 
 
 def work(setting: _Setting) -> Array:
-    """The share (n,) of the time for which each robot works.
+    """The share (n,) of the time in which each robot works.
 
-    From `SETTLED` on; where robots leave, of the last 100 s.
+    The time is that from `SETTLED` on, or the last 100 s if robots leave.
     """
     store = Store()
     swarm = PointSwarm(

@@ -24,12 +24,12 @@ FIRST = (2, 5, 8)
 """How many of the ten hold opinion 1 at first."""
 WITHIN = 300.0
 SHORT: Mapping[str, Value] = {"opinions": 2, "window": 0.5, "share_period": 0.25, "expiry": 1.0}
-"""What wins does not depend on how long a window is."""
+"""Short windows: the winner does not depend on their length."""
 LOSSY = Air(delay=0.02, jitter=0.01, loss=0.1, twice=0.1)
 # Of chi-squared with 3 degrees of freedom once in 1,000, of a standard normal once in 2,000.
 CHI2_MAX, Z_MAX = 16.3, 3.5
 RATIO = (0.8, 1.25)
-"""Words take time, and a robot's first window may be too short to hear anyone."""
+"""Messages take time, and a robot may hear no other robot in its first window."""
 TWO: Mapping[str, Value] = {"opinions": 2}
 _LONGEST = 200
 _SIMULATED = 3000
@@ -48,7 +48,10 @@ def outcomes(
 
 
 def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Tumbling windows and a radio that loses: who wins, by the share at first."""
+    """Tumbling windows and a lossy radio: chi-squared of how often opinion 1 wins.
+
+    In theory opinion 1 wins with a probability equal to its share at first.
+    """
     off = 0.0
     for first in FIRST:
         winners = [result.winner for result in debates(seeds, jobs, first, SHORT, LOSSY)]
@@ -60,7 +63,10 @@ def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Rounds: how far the mean number until all agree is from theory, in standard errors."""
+    """Rounds: difference of the mean number of rounds until all agree from theory.
+
+    In standard errors.
+    """
     results = debates(seeds, jobs, 5, {**IN_STEP, "opinions": 2}, Air(twice=0.1))
     mean, spread = expected_rounds(ROBOTS, 5)
     off = abs(float(np.mean([r.rounds for r in results])) - mean) * math.sqrt(len(results)) / spread
@@ -91,7 +97,10 @@ def debates(
 
 
 def expected_rounds(count: int, first: int) -> tuple[float, float]:
-    """Mean and standard deviation of the rounds until all agree."""
+    """Mean and standard deviation of the rounds until all agree, by the exact Markov chain.
+
+    `first` of `count` robots hold one of two opinions at first.
+    """
     start: Mapping[Counts, float] = {(count - first, first): 1.0}
     late = 1.0 - np.array(agreed_by(start, any_of, _LONGEST))
     mean = float(late.sum())
@@ -100,7 +109,10 @@ def expected_rounds(count: int, first: int) -> tuple[float, float]:
 
 
 def simulated(count: int, first: int) -> float:
-    """Mean windows until all agree if each robot in turn adopts that of another, at once."""
+    """Mean number of windows until all agree, in a simulation without messages.
+
+    In each window every robot, in turn, adopts the opinion of another random robot at once.
+    """
     rng = np.random.default_rng(0)
     taken = []
     for _ in range(_SIMULATED):

@@ -63,7 +63,10 @@ F = TypeVar("F", bound=FieldParams)
 
 
 class FieldPattern(MovementPattern[F]):
-    """Follows the field with law "paper", and settles otherwise. `state` is reported."""
+    """Follows the field with law "paper"; with law "settling", `settle` gives the command.
+
+    `state` is reported.
+    """
 
     field_kind: ClassVar[FieldKind]
     state: str

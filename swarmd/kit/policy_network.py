@@ -29,8 +29,8 @@ class PolicyNetwork:
     """A network of dense layers; the last one ends in tanh, so that actions are in [-1, 1].
 
     `weights[i]` is (outputs, inputs) and `biases[i]` (outputs,). The first layer takes the
-    observation of `spec`, the last gives its action. ConfigError if the shapes do not fit, or if a
-    file could not give the network back.
+    observation of `spec`, the last gives its action. ConfigError if the shapes do not fit, or if
+    the network could not be read back from a file.
     """
 
     spec: PolicySpec
@@ -39,7 +39,7 @@ class PolicyNetwork:
     activation: Activation = "tanh"
 
     def __post_init__(self) -> None:
-        """Check it as a file is checked."""
+        """Check the network by the same rules as a file."""
         if self.activation not in get_args(Activation):
             raise ConfigError(f"policy: activation is {self.activation!r}; expected tanh or relu")
         check_spec(self.spec)

@@ -27,7 +27,7 @@ def robots_near(
     sector.
     """
     width = object_width(platform)
-    # Of a wall, less than that would seem narrow if the scan were cut off at `within`.
+    # If the scan were cut off at `within`, the near part of a wall would seem as narrow as a robot.
     seen = clusters(scan, within=within + width)
     objects = (seen.ranges, seen.bearings, seen.widths, seen.is_free)
     rays = [

@@ -66,9 +66,9 @@ def steer(
 ) -> Twist:
     """The command of a differential base along a vector: it turns, and drives once aligned.
 
-    For a vector that points backwards it turns in place, or reverses at half speed with `may_back`.
-    Points ahead limit the speed as in `keep_clear` while the base is still turning. A zero or
-    non-finite vector gives zero.
+    If the vector points backwards, the base turns in place, or reverses at half speed with
+    `may_back`. Points ahead of the base limit the speed as in `keep_clear`, also while the base is
+    still turning. A zero or non-finite vector gives zero.
     """
     x, y = float(vector[0]), float(vector[1])
     return NearPoints(points.tolist()).steer(
@@ -77,7 +77,7 @@ def steer(
 
 
 class Ahead:
-    """The nearest return ahead, within `AHEAD_HALF_WIDTH`; it looks at each scan once."""
+    """Finds the nearest return within `AHEAD_HALF_WIDTH` of ahead, once for each scan."""
 
     def __init__(self) -> None:
         self._scan: Scan | None = None

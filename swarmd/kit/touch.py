@@ -46,7 +46,7 @@ def check_zone(pattern: str, zone: object) -> None:
 
 
 def intersection(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
-    """The directions in both zones, at the lower speed; None if there are none.
+    """The zone of the directions that lie in both zones, at the lower speed; None without any.
 
     For every `asked` the result lies within `granted`.
     """

@@ -26,15 +26,11 @@ _NO_DIRECTION = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldResult:
-    """The sum over all rays. `vector` (2,): x forward, y left, no unit, bias included.
+    """The sum of a potential field over all rays."""
 
-    `count` is the number of returns within range; `is_alone` is true if it does not exceed the ray
-    threshold.
-    """
-
-    vector: Array
-    count: int
-    is_alone: bool
+    vector: Array  # (2,) x forward, y left, no unit, bias included
+    count: int  # number of returns within range
+    is_alone: bool  # `count` does not exceed the ray threshold
 
 
 def potential_field(

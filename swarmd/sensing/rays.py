@@ -36,18 +36,18 @@ class Gap(NamedTuple):
 
 
 class RayClusters(Struct, frozen=True, eq=False):
-    """Objects as runs of neighbouring rays, one element of each array per object.
-
-    `ranges` (k,) m to the nearest ray, `bearings` (k,) rad of the middle, `widths` (k,) m across
-    the visible part, `counts` (k,) rays, `is_free` (k,) true if no nearer object hides
-    a side of it.
-    """
+    """Objects in a scan, each a run of neighbouring rays; each array has an element per object."""
 
     ranges: Array
+    """(k,) m, of the nearest ray"""
     bearings: Array
+    """(k,) rad, of the middle"""
     widths: Array
+    """(k,) m across the visible part"""
     counts: NDArray[np.int64]
+    """(k,) number of rays"""
     is_free: NDArray[np.bool_]
+    """(k,) True if no nearer object hides a side of the object"""
 
     def __len__(self) -> int:
         """The number of objects."""
@@ -83,8 +83,8 @@ def sectors(scan: Scan | None, count: int) -> Array:
 def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:
     """The points where surfaces come closest: (k, 2) of range in m and bearing in rad.
 
-    One point per robot, and one per straight wall (the foot of the perpendicular): the local
-    minima, among `count` equal sectors, of the ranges up to `within` m.
+    The points are the local minima of the ranges up to `within` m, among `count` equal sectors. A
+    robot gives one point, and so does a straight wall (the foot of the perpendicular).
     """
     if scan is None:
         return np.empty((0, 2))
@@ -121,9 +121,10 @@ def clusters(
 ) -> RayClusters:
     """The objects up to `within` m.
 
-    Two neighbouring rays belong together if their ranges differ by less than `jump` m plus what a
-    surface seen at an angle of `grazing` rad makes between them, which grows with the range
-    (Borges and Aldon, "Line extraction in 2D range images for mobile robotics", 2004).
+    Two neighbouring rays belong to one object if their ranges differ by less than a bound. The
+    bound is `jump` m plus the difference on a surface at an angle of `grazing` rad to the rays,
+    which grows with the range (Borges and Aldon, "Line extraction in 2D range images for mobile
+    robotics", 2004).
     """
     arrays = None if scan is None else _kernel.clusters(scan, within, jump, grazing)
     if arrays is None:

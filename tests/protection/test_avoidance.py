@@ -16,7 +16,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Limits, Platform, Pose, Twist
 from swarmd.protection.avoidance import Avoidance
-from swarmd.protection.decision import Permit
+from swarmd.protection.decision import Permit, WayState
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.tracks import Surroundings, Track
 from swarmd.settings.settings import load_platform
@@ -222,7 +222,7 @@ def test_a_decision_says_that_the_robot_drives_to_an_opening_and_passes_it() -> 
     walls.append(box(0.1, 6.0, Pose(3.0)))  # what is seen through the door
     ride = FilterSim(AVOIDING, walls).run(AHEAD, 30.0, Permit(may_recover=True))
     avoided = [decision.avoided for _, decision in ride.decisions if decision.avoided is not None]
-    assert {one.way for one in avoided} >= {"go", "in"}
+    assert {one.way for one in avoided} >= {WayState.GO, WayState.IN}
     assert avoided[0].text.startswith("drives to an opening, 0.")
 
 
