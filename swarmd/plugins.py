@@ -207,8 +207,8 @@ def command_summaries() -> Mapping[str, str]:
     try:
         # A queue without a writer must not block, and a device may never end.
         handle = os.open(_summaries_file(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(handle, "rb") as file:
-            kept = json.loads(file.read(MAX_SUMMARIES))
+        with open(handle, "rb") as stored:
+            kept = json.loads(stored.read(MAX_SUMMARIES))
         if kept["times"] == {path: _time(path) for path in (*sys.path, *kept["sources"])}:
             return {str(name): str(text) for name, text in kept["lines"].items()}
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):
