@@ -209,7 +209,9 @@ def test_a_curve_joins_the_means_over_the_values() -> None:
     assert curve.tolist() == [[0.5, 0.5], [1.0, 1.5], [2.0, 2.0]]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("range [m]", "m")
     bars = [
-        np.asarray(line.get_xdata()).tolist() for line in axes.lines if len(line.get_xdata()) == 2
+        np.asarray(line.get_xdata()).tolist()
+        for line in axes.lines
+        if np.size(line.get_xdata()) == 2
     ]
     assert bars[:3] == [[0.5, 0.5], [1.0, 1.0], [2.0, 2.0]]
 
