@@ -22,7 +22,7 @@ MAX_FIGURES = 24
 """Pictures in a report; a sweep of many variants has more."""
 
 _CAPTIONS = (
-    ("intervals", "Values of every run by variant, with mean and 95 % interval."),
+    ("intervals", "Mean, 95 % interval and spread of the runs, by variant."),
     ("differences", "Differences of means from the first variant, with 95 % intervals."),
     ("survival_", "{Name}: share of runs that have not had it yet (Kaplan-Meier)."),
     ("over_time_", "{Name} over time: median over the seeds, and bands around it."),

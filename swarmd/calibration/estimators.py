@@ -88,6 +88,21 @@ def mean_of(values: Sequence[float], why: str) -> Figure:
     return Figure(float(np.mean(values)), float(np.std(values)), len(values))
 
 
+def scale_of(ways: Sequence[tuple[float, float]], why: str) -> Figure:
+    """The way by odometry over that by scans, of pairs of both in m; `why` there is none if empty.
+
+    The slope of least squares and the deviation from it: a place by a scan is some mm off whatever
+    the way, so that a short way tells less.
+    """
+    if not ways:
+        return Figure(why=why)
+    odometry, seen = np.array(ways).T
+    weights = seen**2 / float(seen @ seen)
+    ratios = odometry / seen
+    value = float(weights @ ratios)
+    return Figure(value, float(np.sqrt(weights @ (ratios - value) ** 2)), len(ways))
+
+
 def turn_delay(
     arrivals: Array, seen: Array, times: Array, measured: Array
 ) -> tuple[Figure, Figure]:

@@ -29,6 +29,12 @@ class Figure(NamedTuple):
         """True if there is a value."""
         return not self.why
 
+    def over(self, scale: Self) -> Self:
+        """The figure divided by a scale, whose deviation is added to its own."""
+        value = self.value / scale.value
+        shares = self.spread / self.value, scale.spread / scale.value
+        return self._replace(value=value, spread=value * math.hypot(*shares))
+
     @property
     def text(self) -> str:
         """The figure in a report, whose values are scalars; see `parse`."""

@@ -13,6 +13,7 @@ from swarmd.calibration.estimators import (
     Braking,
     is_steady,
     mean_of,
+    scale_of,
     stop_of,
     stopping,
     turn_delay,
@@ -67,6 +68,8 @@ _AXES = {
 }
 
 _Drives: TypeAlias = Generator[Twist, Inputs, None]
+_Ways: TypeAlias = tuple[float, float]
+"""A way in m by odometry, and by scans."""
 
 
 class CalibrationParams(Params, frozen=True, kw_only=True):
@@ -191,7 +194,7 @@ class Calibration(Pattern[CalibrationParams]):
     def _script(self) -> _Drives:
         yield ZERO
         yield from self._look()
-        scales = dict[str, list[float]]()
+        scales = dict[str, list[_Ways]]()
         stops = dict[str, list[tuple[float, Braking]]]()
         for axis in (axis for axis in _AXES if axis in self._speeds):
             stops[axis], scales[axis] = [], []
@@ -276,7 +279,7 @@ class Calibration(Pattern[CalibrationParams]):
     def _locate(self, points: Array, guess: Pose) -> Located | None:
         return None if self._reference is None else self._reference.locate(points, guess)
 
-    def _stops(self, axis: str, stops: list[tuple[float, Braking]], scales: list[float]) -> _Drives:
+    def _stops(self, axis: str, stops: list[tuple[float, Braking]], scales: list[_Ways]) -> _Drives:
         """Stops from two speeds, to and fro; add them to `stops`, each with the speed commanded.
 
         After a drive that was not steady all over again, slower.
@@ -300,7 +303,7 @@ class Calibration(Pattern[CalibrationParams]):
             self._speeds[axis] *= _SLOWER
 
     def _stop(
-        self, speed: float, axis: str, scales: list[float]
+        self, speed: float, axis: str, scales: list[_Ways]
     ) -> Generator[Twist, Inputs, Braking | None]:
         """Drive or turn until the speed is steady, and stop; None if it was not steady."""
         twist = Twist(**{axis: speed})
@@ -371,16 +374,16 @@ class Calibration(Pattern[CalibrationParams]):
         self,
         before: tuple[Pose, Located | None],
         after: tuple[Pose, Located | None],
-        scales: list[float],
+        scales: list[_Ways],
     ) -> None:
-        """Add the way by odometry over that by scans, if scans tell it."""
+        """Add the way by odometry and that by scans in m, if scans tell it."""
         (a, seen_a), (b, seen_b) = before, after
         if seen_a is None or seen_b is None or not (seen_a.binds_place and seen_b.binds_place):
             return
         start, end = seen_a.pose, seen_b.pose
         way = math.hypot(end.x - start.x, end.y - start.y)
         if way >= _LEAST_WAY:
-            scales.append(math.hypot(b.x - a.x, b.y - a.y) / way)
+            scales.append((math.hypot(b.x - a.x, b.y - a.y), way))
 
     def _swing(self) -> Generator[Twist, Inputs, tuple[list[float], list[Array], Array]]:
         """Turn to and fro at a changing rate; when scans arrived, their points, and odometry."""
@@ -403,7 +406,7 @@ class Calibration(Pattern[CalibrationParams]):
     def _finish(
         self,
         stops: Mapping[str, Sequence[tuple[float, Braking]]],
-        scales: Mapping[str, Sequence[float]],
+        scales: Mapping[str, Sequence[_Ways]],
         headings: Sequence[tuple[float, float]],
         track: Array,
     ) -> None:
@@ -416,14 +419,13 @@ class Calibration(Pattern[CalibrationParams]):
             late = turned = Figure(why=why)
         why = "what stands around does not show the way: too little of it, or a bare corridor"
         for word, pairs in stops.items():
-            scale = turned if word == "angular" else mean_of(scales[word], why)
+            scale = turned if word == "angular" else scale_of(scales[word], why)
             brake, delay = stopping([stop for _, stop in pairs])
             fast = max(speed for speed, _ in pairs)
             shares = [stop.speed / speed for speed, stop in pairs if speed == fast]
             share = mean_of(shares, "no steady drive")
             if scale.is_measured:  # protection measures its room by scans
-                share = share._replace(value=share.value / scale.value)
-                brake = brake._replace(value=brake.value / scale.value)
+                share, brake = share.over(scale), brake.over(scale)
             # `braking_linear` holds in each direction.
             declared = "braking_angular" if word == "angular" else "braking_linear"
             braking = float(barrier.get(declared, math.nan))

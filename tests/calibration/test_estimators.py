@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.calibration.estimators import Braking, is_steady, stop_of, stopping, turn_delay
+from swarmd.calibration.estimators import (
+    Braking,
+    is_steady,
+    scale_of,
+    stop_of,
+    stopping,
+    turn_delay,
+)
+from swarmd.calibration.figures import Figure
 from swarmd.core.values import Array
 
 
@@ -84,3 +92,18 @@ def test_a_robot_that_does_not_turn_shows_no_delay() -> None:
     late, scale = turn_delay(arrivals, 0.0 * arrivals, times, 1e-4 * np.sin(times))
     assert not late.is_measured
     assert not scale.is_measured
+
+
+def test_a_short_way_counts_less_in_a_scale() -> None:
+    found = scale_of([(0.22, 0.2), (0.2, 0.2), (0.21, 0.2), (0.02, 0.04)], "")
+    assert found.value == pytest.approx(sum((0.044, 0.04, 0.042, 0.0008)) / 0.1216)
+    assert 0.04 < found.spread < 0.15
+    assert found.samples == 4
+    assert scale_of([], "none").why == "none"
+
+
+def test_a_figure_over_a_scale_has_the_deviation_of_both() -> None:
+    found = Figure(2.0, 0.06, 8, 1.5).over(Figure(0.5, 0.02, 4))
+    assert found.value == pytest.approx(4.0)
+    assert found.spread == pytest.approx(4.0 * 0.05)
+    assert (found.samples, found.assumed) == (8, 1.5)

@@ -117,6 +117,17 @@ def test_brakes_and_delays_are_found_within_five_percent(
         assert figures[name].samples >= 8
 
 
+@pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.evidence)])
+def test_a_scale_that_far_walls_hardly_bind_is_stated_as_less_exact(seed: int) -> None:
+    arena = {"size": [6.0, 6.0], "boxes": [{"name": "crate", "at": [1.7, 0.4], "size": [0.3, 0.3]}]}
+    figures = found(simulated(realism=NOISE, arena=arena, seed=seed))  # the lidar reaches 3.5 m
+    scale, share = figures["odometry_linear"], figures["speed_linear"]
+    assert abs(scale.value - 1.0) < 2.0 * scale.spread
+    assert abs(share.value - 1.0) < 2.0 * share.spread
+    brake = figures["braking_linear"]
+    assert brake.spread / brake.value > scale.spread / scale.value
+
+
 def test_scales_of_speed_and_odometry_are_found_within_five_percent() -> None:
     sim = simulated(realism=NOISE, limits={"linear": 0.19, "angular": 1.6})
     measured = sim.world._odometers._measured

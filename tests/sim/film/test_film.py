@@ -197,7 +197,8 @@ def test_frames_from_above_have_names_and_a_scale_bar(trace: Trace) -> None:
         marks = Marks(renderer, named.ids)
         assert marks.prefix == "tb3-"
         bare = renderer.frame(0.0)
-        difference: Array = (np.abs(marks.onto(bare, 0.0).astype(int) - bare) > 60).any(axis=2)
+        changes = np.abs(marks.onto(bare, 0.0).astype(int) - bare)
+        difference = changes.max(axis=2) > 60
         reach = renderer.stage.reach * scale
         for x, y in renderer.pixels(0.0).tolist():
             left, right = round(x - reach), round(x + reach)
