@@ -316,7 +316,6 @@ def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> F
         kept = slice(0, 3)
         columns, rows, shares = columns[kept], [row[kept] for row in rows], [0.57, 0.14, 0.29]
     height = _TABLE_ROW * (len(rows) + 1) * (1.0 if width is None else _PAPER_ROW)
-    from matplotlib.transforms import Bbox
 
     figure = new_figure(width or _TABLE_WIDTH, height)
     axes = figure.subplots()

@@ -1,1 +1,1 @@
-"""Calibration: what protection assumes of a base and its lidar, measured by a few short drives."""
+"""Calibration: measures, by short drives, what protection assumes of a base and its lidar."""

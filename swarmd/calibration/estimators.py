@@ -1,8 +1,9 @@
-"""Estimates of a calibration, from recorded samples. Pure.
+"""Estimators of a calibration, from recorded samples. Pure.
 
-A stop is measured by its way alone: after the command zero, a base that cruises at a speed v rolls
-for v (delay + v / 2b). This way over v rises linearly with v. Stops from two speeds give the delay
-and the brake b as its intercept and slope, however slowly odometry is sampled.
+A stop is measured by its stopping distance alone. After the command zero, a base that cruises at
+the speed v travels d = v (delay + v / 2b) with the deceleration b. So d / v rises linearly with v:
+the intercept is the delay, the slope is 1 / 2b. Stops from two speeds give both, however slowly
+odometry is sampled.
 """
 
 from __future__ import annotations
@@ -19,21 +20,27 @@ from swarmd.core.values import Array
 CRUISE = 0.5
 """Seconds of a drive before its stop whose speed must be steady."""
 
-_STEADY = 0.08  # share by which the speeds of the halves of a cruise may differ
+_STEADY = 0.08  # share by which the speeds of the two halves of a cruise may differ
 _MAX_DELAY = 1.2  # s, of a scan
 _DELAY_STEP = 0.005  # s
-_LEAST_TURN_RATE = 0.1  # rad/s, root of the mean square, below which a turn shows no delay
+_LEAST_TURN_RATE = 0.1  # rad/s (root mean square), below which a turn gives no delay
 
 
 class Braking(NamedTuple):
-    """A stop from a cruise at `speed`, m/s or rad/s; `seconds` at that speed give its way."""
+    """A stop from a cruise at `speed` (m/s or rad/s).
+
+    `seconds`: the stopping distance divided by `speed`.
+    """
 
     speed: float
     seconds: float
 
 
 def is_steady(times: Array, way: Array) -> bool:
-    """True if the speed over the last CRUISE s is steady; `way` (n,) m or rad at `times` (n,) s."""
+    """True if the speed over the last CRUISE s is steady.
+
+    `way`: (n,) travelled m or rad at `times` (n,) s.
+    """
     if len(times) < 3 or times[0] > times[-1] - CRUISE:
         return False
     a, b, c = np.interp(times[-1] - CRUISE * np.array((1.0, 0.5, 0.0)), times, way)
@@ -43,8 +50,8 @@ def is_steady(times: Array, way: Array) -> bool:
 def stop_of(times: Array, way: Array, at: float) -> Braking | None:
     """The stop after the command zero at `at` s; None without a cruise before it.
 
-    `way` (n,) m or rad at `times` (n,) s of one clock, positive in the sense of the drive, up to
-    standstill.
+    `way`: (n,) travelled m or rad at `times` (n,) s of one clock, up to standstill, positive in the
+    direction of the drive.
     """
     before = np.flatnonzero(times <= at)
     cruise = before[times[before] >= at - CRUISE]
@@ -59,7 +66,7 @@ def stop_of(times: Array, way: Array, at: float) -> Braking | None:
 
 
 def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
-    """The brake in m/s2 or rad/s2 and the delay in s, of stops from two speeds or more."""
+    """The deceleration in m/s2 or rad/s2 and the delay in s, from stops at two or more speeds."""
     if len(stops) < 4:
         none = Figure(why="fewer than four stops")
         return none, none
@@ -74,7 +81,7 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     if slope <= 3.0 * deviation:
         return Figure(why="it brakes within the scatter of its odometry"), late
     is_fast = speeds > speeds.mean()
-    # A scatter of the seconds of a stop is one of its brake, to first order.
+    # To first order, the scatter of `seconds` gives the scatter of the deceleration.
     shares = errors[is_fast] / (slope * speeds[is_fast])
     brake = 0.5 / slope
     spread = brake * max(float(np.std(shares)), deviation / slope)
@@ -82,7 +89,7 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
 
 
 def mean_of(values: Sequence[float], why: str) -> Figure:
-    """Mean and deviation; `why` there is none if there are no values."""
+    """Mean and standard deviation; without values a figure with the reason `why`."""
     if not values:
         return Figure(why=why)
     return Figure(float(np.mean(values)), float(np.std(values)), len(values))
@@ -106,12 +113,13 @@ def scale_of(ways: Sequence[tuple[float, float]], why: str) -> Figure:
 def turn_delay(
     arrivals: Array, seen: Array, times: Array, measured: Array
 ) -> tuple[Figure, Figure]:
-    """How late scans are in s, and the turn by odometry over that seen by scans.
+    """The scan delay in s, and the scale of odometry: its turn over the turn seen by scans.
 
-    `seen` (m,) rad are headings found in scans that arrived at `arrivals` (m,) s, `measured` (n,)
-    rad headings by odometry at `times` (n,) s of the same clock, neither of them wrapped. For each
-    delay the scale and offset of least squares; the delay with the least error. After Rehder,
-    Siegwart and Furgale, IEEE T-RO 2016, with one axis.
+    `seen`: (m,) headings in rad from scans that arrived at `arrivals` (m,) s. `measured`: (n,)
+    headings in rad by odometry at `times` (n,) s of the same clock. No heading is wrapped.
+
+    For each candidate delay, scale and offset are fitted by least squares; the delay with the least
+    error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
     """
     usable = arrivals - _MAX_DELAY >= times[0]
     arrivals, seen = arrivals[usable], seen[usable]
@@ -126,7 +134,7 @@ def turn_delay(
         none = Figure(why=f"no delay below {_MAX_DELAY:g} s explains the turns that scans show")
         return none, none
     delay = float(delays[best])
-    if best > 0:
+    if best > 0:  # refine by a parabola through the three least errors
         a, b, c = errors[best - 1 : best + 2]
         delay += _DELAY_STEP * 0.5 * float((a - c) / (a - 2.0 * b + c))
     rates = np.interp(arrivals - delay + 0.02, times, measured)
@@ -146,7 +154,7 @@ def turn_delay(
 
 
 def _scaled(measured: Array, seen: Array) -> tuple[float, float]:
-    """The scale that fits `measured` to `seen`, both about their means, and the squared error."""
+    """The least-squares scale from `measured` to `seen`, means removed, and the squared error."""
     x, y = measured - measured.mean(), seen - seen.mean()
     scale = float(x @ y / max(float(x @ x), 1e-12))
     rest = y - scale * x

@@ -1,4 +1,4 @@
-"""The figures of a calibration, as a pattern reports them and as swarmctl reads them. No numpy."""
+"""The figures of a calibration, as the pattern reports and swarmctl reads them. No numpy."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ DONE, REFUSED = "done", "refused"
 class Figure(NamedTuple):
     """A measured value, its standard deviation from sample to sample, and the number of samples.
 
-    `assumed`: the value of the platform file, or of protection itself; NaN if there is none.
-    `why`: the reason why there is no value; empty if there is one.
+    `assumed`: the value in the platform file, or assumed by protection; NaN without such a value.
+    `why`: why there is no measured value; empty if there is a value.
     """
 
     value: float = math.nan
@@ -44,7 +44,7 @@ class Figure(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """The figure of a report; ValueError if the text is none."""
+        """The figure in a text of `text`; ValueError if the text is no figure."""
         first, *others = text.split(" ")
         if first == "-" and len(others) > 1:
             return cls(assumed=float(others[0]), why=" ".join(others[1:]))

@@ -1,4 +1,4 @@
-"""Speeds of a calibration, and the floor that it needs so that protection limits none of them."""
+"""The speeds of a calibration, and the floor size at which protection limits none of them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ LEAST_FLOOR = 2.0
 """m, side of the smallest floor."""
 
 _TRAVEL_TIME = 1.2  # s at the top speed: a drive, with 0.3 s for its stop
-_TOLERANCE = (0.05, 0.06)  # m, and share of the distance
+_TOLERANCE = (0.05, 0.06)  # of a return: m, and share of its distance
 
 _TICK = 0.05  # s, until the next decision, and from a decision to the response of the base
-_SHARE = 0.95  # of the surface speed that protection allows near obstacles
+_SHARE = 0.95  # share of the surface speed that protection permits near obstacles
 
 
 def top_speeds(platform: Platform) -> dict[str, float]:
@@ -36,11 +36,11 @@ def top_speeds(platform: Platform) -> dict[str, float]:
 
 
 def needed_floor(platform: Platform, late: float = 0.0) -> float:
-    """Side in m of the square floor, the robot in its middle, rounded up to 0.1 m.
+    """The side in m of the square floor with the robot in its middle, rounded up to 0.1 m.
 
-    The gap that mode `barrier` needs at top speed (docs/safety.md), beyond the longest drive, ahead
-    and at the sides of a base that moves sideways. `late`: s by which scans arrive later than
-    declared, which protection adds to their age.
+    The floor has room for the longest drive, plus the gap that mode `barrier` needs at top speed
+    (docs/safety.md): ahead, and also at the sides of a base that moves sideways. `late`: s by which
+    scans arrive later than declared, which protection adds to their age.
     """
     front, left = platform.footprint.max(axis=0).tolist()
     speeds = top_speeds(platform)
@@ -52,7 +52,10 @@ def needed_floor(platform: Platform, late: float = 0.0) -> float:
 
 
 def _needed_half(platform: Platform, speed: float, reach: float, late: float) -> float:
-    """m from the axle that drives at `speed` m/s need free; the outline reaches `reach` m there."""
+    """The free distance in m from the axle for drives at `speed` m/s.
+
+    `reach`: distance in m from axle to outline in the direction of the drive.
+    """
     barrier, spec = _barrier(platform), platform.scan
     way = travel(speed)
     age = 1.0 / spec.rate + spec.latency + late + _TICK
@@ -63,23 +66,23 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
     gap += float(barrier.get("margin") or 0.0) + float(barrier.get("unseen_extent") or 0.0)
     half = gap + max(reach + way, _outer(platform))
     keep_out = barrier.get("keep_out")
-    if keep_out is not None:  # each of two robots may use half of the room before it
+    if keep_out is not None:  # two robots that meet share the room between them by halves
         room = 2.0 * (speed * (2.0 * _TICK + age) + 0.5 * speed * speed / brake)
         half = max(half, float(keep_out) + room + way + float(np.hypot(*spec.offset)))
     return half
 
 
 def travel(speed: float) -> float:
-    """m from its start within which a drive at a top speed in m/s begins to brake, and stops.
+    """The distance in m from its start within which a drive at `speed` m/s brakes and stops.
 
-    A base that needs more than 0.3 s at that speed to stop, as one with 1.0 m/s2 from 0.4 m/s on,
-    stops beyond it, in the gap that `needed_floor` adds for its brake.
+    A base that needs more than 0.3 s at that speed to stop (such as 1.0 m/s2 from 0.4 m/s on) stops
+    beyond this distance, in the gap that `needed_floor` adds for its deceleration.
     """
     return _TRAVEL_TIME * speed
 
 
 def tolerance(half: float) -> float:
-    """m by which a return at `half` m may seem nearer: noise, and drift of the odometry."""
+    """The m by which a return at `half` m may seem nearer, by noise and drift of odometry."""
     return _TOLERANCE[0] + _TOLERANCE[1] * half
 
 
@@ -93,5 +96,5 @@ def _surface_speed(platform: Platform) -> float:
 
 
 def _outer(platform: Platform) -> float:
-    """m from the axle to the farthest corner."""
+    """The distance in m from the axle to the farthest corner of the outline."""
     return float(np.hypot(*platform.footprint.T).max())

@@ -1,4 +1,4 @@
-"""The drives of a calibration, as a pattern: it runs under protection as every other pattern."""
+"""The drives of a calibration, as a pattern, which runs under protection like any other pattern."""
 
 from __future__ import annotations
 
@@ -27,26 +27,27 @@ from swarmd.kit.params import Params, Recovery, about
 from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
 
-_SLOW = 0.35  # share of the top speed of the slower drives
-_CLEAR = 0.3  # s for which a steady drive goes on, until the cruise has nothing of its start
+_SLOW = 0.35  # speed of the slower drives, as a share of the top speed
+_CLEAR = 0.3  # s for which a steady drive continues, so that the cruise excludes its start
 _SETTLE = 0.4  # s at standstill by odometry before a stop counts as over
 _STILL = 0.01  # share of the top speed, per s: slower counts as standstill
 _LONGEST_STOP = 8.0  # s
 _LONGEST_DRIVE = 8.0  # s
-_UNSEEN = (0.7, 0.03)  # s of a drive, and least share of the commanded way seen in the last of them
-_BRAKED_SHARE = 0.75  # of a drive's longest way, after which it ends; the rest is for its stop
+_UNSEEN_TIME = 0.7  # s at the end of a drive over which odometry must show motion
+_UNSEEN_SHARE = 0.03  # least share of the commanded distance that odometry must show in that time
+_BRAKED_SHARE = 0.75  # share of a drive's longest distance at which it brakes
 _LOOKS = 6  # scans at rest before the first drive
-_LOOK_TIME = 10.0  # s within which they must come
-_SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # s a swing; share of the top rate of turn
-_LEAST_WAY = 0.08  # m between two scans that tell the scale of odometry
-_RETRIES = 3  # drives without a steady speed before it gives up
-_SLOWER = 0.7  # share of a top speed that is tried next
+_LOOK_TIME = 10.0  # s within which these scans must arrive
+_SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # count; s a swing; share of top turn rate
+_LEAST_WAY = 0.08  # m between two scans that give a scale of odometry
+_RETRIES = 3  # drives without a steady speed before the calibration gives up
+_SLOWER = 0.7  # factor of the top speed for the next try
 _STANDS = "the base stands (motors off, a stop button), its odometry does not change"
 _NO_SLIDE = "its wheels do not slide (limits.lateral: 0)"
 
 
 class _Axis(NamedTuple):
-    """How messages name the moves on an axis, and why they may be unsteady or unseen."""
+    """The words of messages for the moves on an axis; `unsteady`, `unseen`: likely causes."""
 
     move: str
     unit: str
@@ -100,21 +101,21 @@ class CalibrationParams(Params, frozen=True, kw_only=True):
 
 
 class _EndError(Exception):
-    """The calibration ends without figures; the text says why."""
+    """Ends the calibration without figures, with the reason as text."""
 
 
 class Calibration(Pattern[CalibrationParams]):
     """Measures brakes, delays and scales by a few short drives; see `swarmctl calibrate`.
 
-    `swarmctl calibrate` starts it, asks for the floor first, and prints the figures. The robot
-    drives to and fro, to both sides if its base moves sideways, and turns within the floor, for
-    about 90 s (sideways 130 s), and ends.
+    `swarmctl calibrate` asks for the floor, starts the pattern, and prints the figures. The robot
+    drives to and fro, also to both sides if its base moves sideways, and turns within the floor.
+    That takes about 90 s (sideways 130 s).
     """
 
     params_type = CalibrationParams
     needs = frozenset({"scan", "odometry"})
     rate = 50.0
-    scan_delay = 0.5  # the delay that it is to measure must not end it
+    scan_delay = 0.5  # a late scan must not hold the pattern that measures this delay
 
     def __init__(self, params: CalibrationParams, context: Context) -> None:
         super().__init__(params, context)
@@ -127,7 +128,7 @@ class Calibration(Pattern[CalibrationParams]):
         }
         self._step_name = "looks"
         self._report: dict[str, Scalar] = {}
-        # Odometry: stamp, x, y, yaw not wrapped. `_offset`: robot's clock less that of odometry.
+        # Odometry: stamp, x, y, yaw (not wrapped). `_offset`: robot's clock less odometry's clock.
         self._odometry: list[tuple[float, float, float, float]] = []
         self._offset = math.inf
         self._ages: list[float] = []
@@ -141,7 +142,7 @@ class Calibration(Pattern[CalibrationParams]):
         next(self._drives)
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The next command of the drives; zero and `done` at their end."""
+        """The next command of the drives; zero and `done` at the end of the drives."""
         if self._done is not None:
             return Outputs(ZERO, report=self._report, done=self._done)
         self._now = inputs.now
@@ -176,7 +177,7 @@ class Calibration(Pattern[CalibrationParams]):
             self._scan_count += 1
 
     def _track(self, since: float) -> Array:
-        """(n, 4) odometry since that time of the robot's clock: its time on it, x, y, yaw."""
+        """(n, 4) odometry since `since` on the robot's clock: time on this clock, x, y, yaw."""
         rows = self._odometry
         begin = since - self._offset
         first = next((i for i in range(len(rows), 0, -1) if rows[i - 1][0] < begin), 0)
@@ -204,7 +205,7 @@ class Calibration(Pattern[CalibrationParams]):
         self._step_name = "matches scans"
         headings: list[tuple[float, float]] = []
         for at, points in zip(arrivals, seen, strict=True):
-            yield ZERO  # one a step: a step must not take long
+            yield ZERO  # only one scan is matched in each step, to keep the step short
             guess = self._relative(self._pose_at(at - self._spec.latency - self._late))
             located = self._locate(points, guess)
             if located is not None and located.binds_yaw:
@@ -213,7 +214,7 @@ class Calibration(Pattern[CalibrationParams]):
         self._finish(stops, scales, headings, track)
 
     def _look(self) -> _Drives:
-        """Look at the floor before anything moves."""
+        """Take scans of the floor and check it, before the robot moves."""
         looks: list[Array] = []
         arrivals: list[tuple[float, float]] = []
         begin, count = None, 0
@@ -238,7 +239,7 @@ class Calibration(Pattern[CalibrationParams]):
         self._reference = Reference(looks) if len(whole) else None
 
     def _check_size(self, arrivals: list[tuple[float, float]], scan: Scan | None) -> None:
-        """End if the floor is too small for scans that arrive as late as their stamps tell."""
+        """End if the floor is too small for the scan delay that the stamps show."""
         odometry = [(stamp + self._offset, stamp) for stamp, *_ in self._odometry]
         figure = delay_by_stamps(arrivals, odometry, scan, self._spec)
         late = 0.0 if figure.delay is None else figure.delay - self._spec.latency
@@ -253,7 +254,7 @@ class Calibration(Pattern[CalibrationParams]):
             )
 
     def _check_floor(self, points: Array, pose: Pose) -> None:
-        """End if a return is on the floor, seen from `pose` in the frame of the start."""
+        """End if a return lies on the floor; `points` are seen from `pose` in the start frame."""
         half = 0.5 * self.params.floor
         half -= tolerance(half)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
@@ -280,9 +281,9 @@ class Calibration(Pattern[CalibrationParams]):
         return None if self._reference is None else self._reference.locate(points, guess)
 
     def _stops(self, axis: str, stops: list[tuple[float, Braking]], scales: list[_Ways]) -> _Drives:
-        """Stops from two speeds, to and fro; add them to `stops`, each with the speed commanded.
+        """Measure stops from two speeds, to and fro; appends (commanded speed, stop) to `stops`.
 
-        After a drive that was not steady all over again, slower.
+        After a drive without a steady speed, all stops are repeated at a slower speed.
         """
         failures, told = 0, _AXES[axis]
         while len(stops) < 4 * self.params.repeats:
@@ -305,7 +306,11 @@ class Calibration(Pattern[CalibrationParams]):
     def _stop(
         self, speed: float, axis: str, scales: list[_Ways]
     ) -> Generator[Twist, Inputs, Braking | None]:
-        """Drive or turn until the speed is steady, and stop; None if it was not steady."""
+        """Drive or turn until the speed is steady, then stop.
+
+        Returns the stop. None, after driving back, if the speed did not become steady. Ends the
+        calibration if odometry shows no motion.
+        """
         twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
         before = self._rest()
@@ -318,12 +323,12 @@ class Calibration(Pattern[CalibrationParams]):
                 steady = self._now
             passed = self._now - begin
             is_over = way[-1] > self._farthest[axis] or passed > _LONGEST_DRIVE
-            lately = way[-1] - np.interp(self._now - _UNSEEN[0], track[:, 0], way)
-            if passed > _UNSEEN[0] and lately < _UNSEEN[1] * abs(speed) * _UNSEEN[0]:
-                told = _AXES[axis]
+            recent_way = way[-1] - np.interp(self._now - _UNSEEN_TIME, track[:, 0], way)
+            if passed > _UNSEEN_TIME and recent_way < _UNSEEN_SHARE * abs(speed) * _UNSEEN_TIME:
+                words = _AXES[axis]
                 raise _EndError(
-                    f"odometry shows no {told.way} when {abs(speed):.2f} {told.unit} are"
-                    f" commanded: {told.unseen}, or protection stops it"
+                    f"odometry shows no {words.way} when {abs(speed):.2f} {words.unit} are"
+                    f" commanded: {words.unseen}, or protection stops it"
                 )
         at = self._now
         yield from self._stand()
@@ -364,7 +369,7 @@ class Calibration(Pattern[CalibrationParams]):
             self._check_floor(points, self._relative(self._pose_at(self._now)))
 
     def _rest(self) -> tuple[Pose, Located | None]:
-        """Where the robot stands by odometry, and by its last scan."""
+        """The pose at rest by odometry, and by the last scan (None if it does not match)."""
         pose = self._relative(self._pose_at(self._now))
         if self._scan is None:
             return pose, None
@@ -386,7 +391,7 @@ class Calibration(Pattern[CalibrationParams]):
             scales.append((math.hypot(b.x - a.x, b.y - a.y), way))
 
     def _swing(self) -> Generator[Twist, Inputs, tuple[list[float], list[Array], Array]]:
-        """Turn to and fro at a changing rate; when scans arrived, their points, and odometry."""
+        """Turn to and fro at a changing rate; returns scan arrivals, their points, odometry."""
         begin, seen = self._now, self._scan
         arrivals: list[float] = []
         points: list[Array] = []
@@ -437,8 +442,8 @@ class Calibration(Pattern[CalibrationParams]):
         ages = np.array(self._ages) - self._offset
         measured["odometry_age"] = mean_of(ages.tolist(), "no odometry")
         if late.is_measured and self._scan is not None and self._scan.ages is not None:
-            # The pose of a scan is that of its newest ray, its delay the mean age of its rays. All
-            # ages are equal while their order is not known: then the pose is that of the mean ray.
+            # A matched pose belongs to the newest ray; the delay means the mean age of the rays.
+            # While the order of rays is unknown all ages are equal, and the pose is the mean ray's.
             ages_of_rays = self._scan.ages - self._scan.ages.min()
             late = late._replace(value=late.value + float(ages_of_rays.mean()))
         measured["scan_delay"] = late._replace(assumed=self._spec.latency)
@@ -449,9 +454,9 @@ class Calibration(Pattern[CalibrationParams]):
         }
 
     def _margin(self, *delays: Figure) -> Figure:
-        """The margin with which a base that responds later than assumed keeps the same gap.
+        """The margin that keeps the gap of a base that responds later than assumed.
 
-        Own surface and others move on for as long as the response exceeds REACTION_TIME.
+        The own surface and other objects move on for as long as the response exceeds REACTION_TIME.
         """
         barrier = self.context.platform.protection.get("barrier")
         if barrier is None:
@@ -467,9 +472,9 @@ class Calibration(Pattern[CalibrationParams]):
 
 
 def _way(track: Array, axis: str, sign: float) -> Array:
-    """(n,) rad turned, or m driven along the first heading, or to the left of it.
+    """(n,) travelled rad (angular), m along the first heading (linear) or to its left (lateral).
 
-    `track` (n, 4): times, x, y, yaw. `sign` -1.0 counts the other way.
+    `track`: (n, 4) times, x, y, yaw. `sign`: -1.0 for a drive in the negative direction.
     """
     _, x, y, turned = (track - track[0]).T
     yaw = float(track[0, 3])

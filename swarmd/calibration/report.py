@@ -1,4 +1,4 @@
-"""What a calibration found, as a table and as a platform file. No numpy."""
+"""The results of a calibration, as a table and as a platform file. No numpy."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ _DEVIATIONS = 2.0
 
 
 class Setting(NamedTuple):
-    """A value for a key of a platform file, such as `scan.latency`, and how it follows.
+    """A value for a key of a platform file, such as `scan.latency`; `text`: its derivation.
 
-    `is_safe`: it makes the robot no less careful than the value `assumed` by its present file.
+    `assumed`: the value in the present file. `is_safe`: `value` makes the robot at least as careful
+    as `assumed`.
     """
 
     key: str
@@ -28,9 +29,9 @@ class Setting(NamedTuple):
 
 
 def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
-    """The figures of a pattern's report; ValueError if it lacks one.
+    """The figures in a pattern's report; ValueError if a figure is missing.
 
-    Those of `lateral` only if it has any of them: the base moves sideways.
+    The figures of `lateral` are required only if any of them is present (the base moves sideways).
     """
     names = (*names_of(any(name.endswith(AXES[2]) for name in report)), "margin")
     missing = [name for name in names if not isinstance(report.get(name), str)]
@@ -47,10 +48,10 @@ def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:
 def settings(
     figures: Mapping[str, Figure], drove: Sequence[float], sweep: SweepFigure | None = None
 ) -> list[Setting]:
-    """The settings that follow, two deviations to the safe side.
+    """The settings that follow from figures, two standard deviations to the safe side.
 
-    `drove`: the fastest speeds that were commanded, in m/s and rad/s, in the order of AXES.
-    `sweep`: as measured; None if the present file gives it.
+    `drove`: the fastest commanded speeds in m/s and rad/s, in the order of AXES. `sweep`: the
+    measured sweep; None if the present file declares the sweep.
     """
     chosen = []
     for word, speed in zip(AXES, drove, strict=False):
@@ -81,9 +82,10 @@ def settings(
 
 
 def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
-    """The setting of a braking that must hold on each of these axes, from the weakest of them.
+    """The setting of a deceleration that must hold on each axis of `brakes`: the weakest.
 
-    None if nothing is measured, nor for a stronger braking that was not measured on each axis.
+    Empty if nothing was measured. A stronger deceleration than assumed is set only if each axis was
+    measured.
     """
     candidates = []
     for axis, brake in brakes.items():
@@ -103,7 +105,7 @@ def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
 def platform_file(
     robot: str, extends: str, day: str, figures: Mapping[str, Figure], chosen: list[Setting]
 ) -> str:
-    """A platform file that extends the present one; what is less careful is a comment."""
+    """A platform file that extends the present file; less careful settings are commented out."""
     lines = [
         f"description: {extends.rsplit('/', 1)[-1].removesuffix('.yaml')}, calibrated as {robot}",
         f"extends: {extends}",
@@ -122,7 +124,7 @@ def platform_file(
 
 
 def _nested(keys: list[tuple[list[str], Setting]], depth: int) -> list[str]:
-    """YAML lines of the settings; a section of comments alone is a comment, too."""
+    """YAML lines of the settings; a section with only comments is commented out, too."""
     lines: list[str] = []
     indent = "  " * depth
     for name in dict.fromkeys(path[0] for path, _ in keys):

@@ -1,8 +1,8 @@
-"""Where a scan was taken, by matching its points with those of a reference scan. Pure.
+"""Estimates the pose of a scan by matching its points to a reference scan. Pure.
 
-Iterative closest point with distances from points to lines (Chen and Medioni, IVC 1992; Censi,
-ICRA 2008). What stands around must bind each coordinate: along a bare corridor the place is
-unknown, in a round room the heading.
+Iterative closest point (ICP) with point-to-line distances (Chen and Medioni, IVC 1992; Censi, ICRA
+2008). The surroundings must constrain each coordinate: in a bare corridor the place along the
+corridor stays unknown, in a round room the heading.
 """
 
 from __future__ import annotations
@@ -16,18 +16,19 @@ import numpy as np
 from swarmd.core.values import Array, Pose, Scan
 
 _BINS = 360
-_REACH = 4  # neighbours to each side that a line is fitted to
-_NEIGHBOR = 0.3  # m, at most, to each of them
-_FEWEST = 5  # points of a line
-_FLAT = 0.1  # thickness over length of a line, squared, at most
-_GATES = (0.5, 0.35, 0.25, 0.18, 0.12, 0.1, 0.08, 0.08, 0.08, 0.08)  # m, of a match, by iteration
+_REACH = 4  # neighbours to each side of a point to which its line is fitted
+_NEIGHBOR = 0.3  # m; the greatest distance of such a neighbour
+_FEWEST = 5  # points of a line, at least
+_FLAT = 0.1  # (thickness / length of a line) squared, at most
+# m; the greatest distance of matched points in each iteration.
+_GATES = (0.5, 0.35, 0.25, 0.18, 0.12, 0.1, 0.08, 0.08, 0.08, 0.08)
 _LEAST_POINTS = 40
-_LEAST_SHARE = 0.5  # of the points of a scan that must match
-_LEAST_RELIEF = 0.15  # share of normals that bind a coordinate; what noise gives is below
+_LEAST_SHARE = 0.5  # share of the points of a scan that must match
+_LEAST_RELIEF = 0.15  # share of normals that must constrain a coordinate; noise gives less
 
 
 class Located(NamedTuple):
-    """The pose of a scan in the frame of the reference; which coordinates are bound by it."""
+    """The pose of a scan in the reference frame; `binds_...`: the coordinate is constrained."""
 
     pose: Pose
     binds_place: bool
@@ -35,7 +36,7 @@ class Located(NamedTuple):
 
 
 def points_of(scan: Scan, offset: tuple[float, float]) -> Array:
-    """(k, 2) returns in the base frame in m; `offset` of the sensor in it."""
+    """(k, 2) returns in the base frame in m; `offset`: of the sensor in the base frame, m."""
     is_return = (scan.ranges >= scan.range_min) & (scan.ranges <= scan.range_max)
     ranges, bearings = scan.ranges[is_return], scan.bearings[is_return]
     x, y = offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)
@@ -43,7 +44,7 @@ def points_of(scan: Scan, offset: tuple[float, float]) -> Array:
 
 
 class Reference:
-    """Points of what stands around, with the normals of the lines on which they lie."""
+    """The points of the surroundings, with the normals of the lines on which they lie."""
 
     def __init__(self, scans: Sequence[Array]) -> None:
         """`scans`: points (k, 2) in m of scans taken at one pose, which becomes the origin."""
@@ -64,7 +65,7 @@ class Reference:
             cos, sin = math.cos(yaw), math.sin(yaw)
             turned = points @ np.array(((cos, sin), (-sin, cos)))
             placed = turned + np.array((x, y))
-            # Squared distances less what is the same for all points of the reference.
+            # Squared distances, without the term that is equal for all points of the reference.
             nearest = (self._squares - 2.0 * placed @ self._points.T).argmin(axis=1)
             off = placed - self._points[nearest]
             is_match = (off * off).sum(axis=1) < gate * gate
@@ -77,7 +78,7 @@ class Reference:
             levers = turned[:, 0] * normals[:, 1] - turned[:, 1] * normals[:, 0]
             sides = np.column_stack((normals, levers))
             matrix = sides.T @ sides
-            # What nothing binds stays at the guess.
+            # The small diagonal keeps unconstrained coordinates at the guess.
             change = np.linalg.solve(matrix + 1e-6 * count * np.eye(3), sides.T @ errors)
             x, y, yaw = x - float(change[0]), y - float(change[1]), yaw - float(change[2])
         size = float(np.median(np.hypot(points[:, 0], points[:, 1])))
@@ -88,7 +89,7 @@ class Reference:
 
 
 def _middle(points: Array) -> Array:
-    """(n, 2) the median place in each bin of a bearing, in the order of bearings."""
+    """(n, 2) the median point of each bearing bin, in the order of bearings."""
     ranges, bearings = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
     bins = ((bearings + np.pi) * (_BINS / (2.0 * np.pi))).astype(np.intp) % _BINS
     middle = []
@@ -100,7 +101,7 @@ def _middle(points: Array) -> Array:
 
 
 def _normal(places: Array, i: int) -> Array | None:
-    """The unit normal of the line through the neighbours of a place; None if there is no line."""
+    """The unit normal of the line through the neighbours of place `i`; None without a line."""
     near = places.take(range(i - _REACH, i + _REACH + 1), axis=0, mode="wrap")
     near = near[np.hypot(*(near - places[i]).T) <= _NEIGHBOR]
     if len(near) < _FEWEST:

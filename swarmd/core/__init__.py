@@ -1,1 +1,1 @@
-"""What flows everywhere: values, messages, codec, keys, errors, clock, threads, processes."""
+"""The base layer of all packages: values, messages, codec, keys, errors, clock, processes."""

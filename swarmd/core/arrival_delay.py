@@ -1,21 +1,26 @@
-"""How late stamped messages arrive from another clock, without a common time. Pure."""
+"""Measures the arrival delay of messages that another clock stamped, without a common time. Pure.
+
+Each difference of arrival time and stamp is an unknown clock offset plus the delay of the message.
+The least difference so far belongs to the fastest message; the excess of any other message over it
+is that message's extra delay. The estimate rises slowly, so that clock drift is forgotten.
+"""
 
 from __future__ import annotations
 
 import math
 
-# Beyond what quartz (100 ppm) and a clock that is slewed (500 ppm) drift apart; so fast, too, is a
-# delay that all messages share forgotten.
+# Above the drift of quartz (100 ppm) and of a slewed clock (500 ppm). A delay that all messages
+# share is forgotten at this rate, too.
 _MAX_DRIFT = 1e-3
-_MIN_COUNT = 5  # messages before the fastest of them tells anything
-_SET_BACK = 1.0  # s; a stamp that is older than the last by more has a clock that was set
+_MIN_COUNT = 5  # messages before the estimate is used
+_SET_BACK = 1.0  # s; a stamp this much older than the last stamp shows that the clock was set
 
 
 class ArrivalDelay:
-    """How much later each message of one stream arrives than its fastest message.
+    """Measures the extra delay of each message of a stream over the fastest message.
 
-    The delay of the fastest message itself is not seen: the caller adds a bound for it. A stamp
-    that is set back by more than 1 s starts the measurement anew.
+    The delay of the fastest message itself cannot be measured: the caller adds a bound for it. A
+    stamp that is set back by more than 1 s restarts the measurement.
     """
 
     def __init__(self) -> None:
@@ -24,9 +29,9 @@ class ArrivalDelay:
         self._lag = math.inf  # the lowest difference of arrival and stamp
 
     def take(self, stamp: float, now: float) -> float | None:
-        """How much later than the fastest, in s, a message with `stamp` arrived at `now`.
+        """The extra delay in s, over the fastest message, of a message that arrived at `now`.
 
-        None: too few have arrived, or its stamp is not newer than that of the last one.
+        None if fewer than 5 messages have arrived, or if `stamp` is not newer than the last stamp.
         """
         if not math.isfinite(stamp):
             return None

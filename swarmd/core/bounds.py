@@ -1,4 +1,4 @@
-"""The types of fields that come from the network or from files, and tables, with their bounds.
+"""Bounded types for fields that come from the network or from files, and a bounded table.
 
 Every float is bounded, since bounds also refuse NaN and infinity.
 """
@@ -49,7 +49,7 @@ V = TypeVar("V")
 
 
 def keep_newest(table: dict[K, V], key: K, value: V, limit: int) -> None:
-    """Set an entry as the newest one, and drop the oldest ones beyond the limit."""
+    """Set an entry as the newest entry of `table`; drop the oldest entries beyond `limit`."""
     table.pop(key, None)
     table[key] = value
     while len(table) > limit:

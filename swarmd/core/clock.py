@@ -27,9 +27,10 @@ def boottime() -> float:
 
 
 class ClockSample(NamedTuple):
-    """An exchange with a peer: sent and returned on the own clock, answered on the peer's, in s.
+    """A request and answer between this robot and `peer`, by which their clocks are compared.
 
-    `clock` identifies the peer's clock as `clock_id` does.
+    `sent` and `returned` are in s on the own clock, `answered` is in s on the peer's clock. `clock`
+    identifies the peer's clock as `clock_id` does.
     """
 
     peer: str
@@ -43,7 +44,7 @@ class ClockSample(NamedTuple):
 def clock_id() -> str:
     """12 hex digits that name the clock of `boottime`.
 
-    Processes with one id read the same clock; a reboot makes another, and so does a time namespace.
+    Processes with equal ids read the same clock. A reboot or a time namespace gives another id.
     """
     boot = namespace = ""
     with suppress(OSError):

@@ -1,6 +1,6 @@
 """Bytes on the wire: one version byte, then MessagePack, within a size limit.
 
-Of another version only a stable subset is read: the structs named `..Header` in `messages.py`.
+From payloads of another version only a stable subset is read: `..Header` structs of messages.py.
 
 Bytes from the network are decoded into typed structs, whose bounds also refuse NaN and infinity.
 Decoding raises nothing but `CodecError`. No numpy here, since swarmctl imports this module.
@@ -39,7 +39,7 @@ def as_json(payload: bytes) -> bytes:
 
 
 def version_of(payload: bytes) -> int | None:
-    """The version byte of a payload; None if it is empty."""
+    """The version byte of a payload; None for an empty payload."""
     return payload[0] if payload else None
 
 
@@ -99,7 +99,7 @@ def decode_value(payload: bytes) -> Any:
 
 
 def _is_plain(value: Any) -> bool:
-    """True without extension types, timestamps among them: no pattern host could be sent them."""
+    """True without extension types (timestamps among them), which no pattern host can receive."""
     if type(value) in _PLAIN:
         return True
     if isinstance(value, dict):

@@ -1,9 +1,9 @@
-"""What a kernel's file takes from Cython, for CPython: types, decorators, and functions of C.
+"""Stand-ins for the names that a kernel takes from Cython, for use under CPython.
 
-No installation of swarmd needs Cython, which has a shadow of its own. In this one the attributes of
-an extension type begin at zero and no others exist, and functions of C give NaN where those of
-Python raise. A kernel must not rely on the rest of C: Python raises ZeroDivisionError, and there a
-negative index counts from the end.
+Cython's own pure-Python stand-in (`Cython.Shadow`) would make Cython a dependency of each
+installation. As in C, the attributes of an extension type begin at zero, no undeclared attribute
+exists, and C functions return NaN where Python functions raise. A kernel must not rely on further
+behaviour of C: under CPython a division by zero raises, and a negative index counts from the end.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ class _Type:
     """A type of C."""
 
     def __init__(self, zero: builtins.float | None, length: builtins.int = 0) -> None:
-        """`zero`: the value with which an attribute begins; `length` of an array, else 0."""
+        """`zero`: the first value of an attribute. `length`: of an array; 0 for any other type."""
         self._zero, self._length = zero, length
 
     def __getitem__(self, shape: Any) -> _Type:
-        """An array of this length; for slices a view of memory."""
+        """The type of an array of the length `shape`; slices give the type of a memory view."""
         return _Type(None) if isinstance(shape, slice | tuple) else _Type(self._zero, shape)
 
     def begin(self) -> Any:
-        """The value with which an attribute begins."""
+        """The first value of an attribute of this type."""
         return [self._zero] * self._length if self._length else self._zero
 
 
@@ -69,7 +69,7 @@ class _Const:
 
 
 class _Declared:
-    """An attribute of an extension type that Python may read."""
+    """A declared attribute of an extension type."""
 
     def __init__(self, kind: Any) -> None:
         self.kind = kind
@@ -82,12 +82,12 @@ const = _Const()
 
 
 def declare(kind: Any, value: Any = None, *, visibility: str = "private") -> Any:
-    """`value`; without one, an attribute of an extension type."""
+    """`value`; without `value`, the declaration of an attribute of an extension type."""
     return _Declared(kind) if value is None else value
 
 
 def cast(kind: Any, value: builtins.float) -> builtins.int:
-    """The number without its fraction, as C casts to a type of whole numbers."""
+    """The number truncated towards zero, as C casts a double to an integer type."""
     return builtins.int(value)
 
 
@@ -108,12 +108,12 @@ boundscheck = exceptval
 
 
 def auto_pickle(value: bool) -> Callable[[type], Any]:
-    """No class of Python needs it."""
+    """A decorator without effect: Python classes can be pickled."""
     return lambda kind: kind
 
 
 def cclass(kind: type) -> Any:
-    """The extension type: a class with its declared attributes alone, each at its zero."""
+    """An extension type: a class with only the declared attributes, each with its first value."""
     declared = inspect.get_annotations(kind, eval_str=True)
     attributes = vars(kind).items()
     declared |= {name: value.kind for name, value in attributes if isinstance(value, _Declared)}
@@ -168,7 +168,7 @@ def remainder(value: builtins.float, divisor: builtins.float) -> builtins.float:
 
 
 def hypot(x: builtins.float, y: builtins.float) -> builtins.float:
-    """As that of C, which `abs` of a complex number calls; `math.hypot` rounds otherwise."""
+    """C's hypot, which `abs` of a complex number calls; `math.hypot` rounds differently."""
     try:
         return abs(complex(x, y))
     except OverflowError:
@@ -176,5 +176,5 @@ def hypot(x: builtins.float, y: builtins.float) -> builtins.float:
 
 
 def rint(value: builtins.float) -> builtins.float:
-    """The nearest whole number, the even one of two."""
+    """The nearest whole number; halfway, the even number."""
     return builtins.float(round(value)) if isfinite(value) else value

@@ -1,4 +1,4 @@
-"""The one tree of errors.
+"""The exceptions of the project, as one tree.
 
 ::
 
@@ -13,7 +13,7 @@
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
     ├── NetworkError     no session, no peers, no answer
     │   └── IdHeldError  the robot's id belongs to another daemon of the swarm
-    └── RequestError     a request or a look of an operator that failed as a whole
+    └── RequestError     an operator's request or query of all robots failed as a whole
 
 Every message names what is wrong, where, what was expected and what to do, in one line.
 
@@ -80,9 +80,10 @@ class IdHeldError(NetworkError):
 
 
 class RequestError(SwarmError):
-    """A request or a look that failed as a whole; what single robots answer is an `Outcome`.
+    """An operator's request, or query of all robots, that failed as a whole.
 
-    `exit_code`: that of swarmctl, see `swarmd.network.operator.exit_codes`.
+    The answers of single robots are in an `Outcome`. `exit_code`: of swarmctl, see
+    `swarmd.network.operator.exit_codes`.
     """
 
     def __init__(self, text: str, exit_code: int) -> None:
@@ -111,7 +112,10 @@ _MAX_HINTS = 4
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
-    """One line for an unknown name, with those that it is a word of, the nearest one, or all."""
+    """One line for an unknown name, with a suggestion.
+
+    Suggests the known names that contain `name` as a word, else the most similar name, else all.
+    """
     names = sorted(known)
     having = [known_name for known_name in names if name in known_name.split("_")]
     if 0 < len(having) <= _MAX_HINTS:
@@ -123,14 +127,14 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The known name that is most like an unknown one; empty if none is."""
+    """The known name that is most similar to `name`; empty if none is similar."""
     from difflib import get_close_matches  # 1 ms of each start of swarmctl
 
     return next(iter(get_close_matches(name, sorted(known), n=1, cutoff=0.6)), "")
 
 
 def named(value: object) -> str:
-    """A value's type as a message names it: `None`, `a tuple`, `an int`."""
+    """The type of a value in words, for messages: `None`, `a tuple`, `an int`."""
     kind = type(value).__name__
     if value is None:
         return "None"

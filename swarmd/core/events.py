@@ -1,8 +1,9 @@
-"""Everything that can happen to a robot: one tagged union of bounded structs, `Input`.
+"""The inputs of a robot: one tagged union of bounded structs, `Input`.
 
-`Robot.step(input, now)` is the only door of a robot. A shell (daemon, lockstep, replay, test
-harness) makes inputs; a recording has the bytes of each with its time. A new kind of input is a
-struct here, in the union, and a row of the table in `robot/robot.py`.
+Everything that happens to a robot is an input, and `Robot.step(input, now)` takes all inputs. A
+shell (daemon, lockstep simulator, replay, test harness) makes inputs. A recording contains the
+bytes and the time of each input. A new kind of input needs a struct here, a place in the union, and
+a row of the table in `robot/robot.py`.
 """
 
 from __future__ import annotations
@@ -87,8 +88,8 @@ class DetectionsInput(Struct, frozen=True, array_like=True, tag="detections"):
 class HazardsInput(Struct, frozen=True, array_like=True, tag="hazards"):
     """All hazards that the base senses now.
 
-    A base whose driver never hands them over has none, or does not tell. A driver that no longer
-    hears of them while its base is connected tells NOT_HEARD.
+    Without such an input the base has no hazards, or cannot sense them. A driver whose source of
+    hazards falls silent while the base is connected reports the hazard NOT_HEARD.
     """
 
     hazards: Annotated[tuple[Hazard, ...], Meta(max_length=1000)]
@@ -109,7 +110,7 @@ class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
 class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
     """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`.
 
-    `is_program`: the sender is a Zenoh program, which has no body and no place.
+    `is_program`: the sender is a Zenoh program, not a robot.
     """
 
     sender: Name
@@ -119,27 +120,30 @@ class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
 
 
 class PeersInput(Struct, frozen=True, array_like=True, tag="peers"):
-    """The bodies that the other robots tell: of all that were heard and are not forgotten."""
+    """The bodies that all other robots report; None for a robot without a report yet.
+
+    Contains each robot that was heard since the start of the daemon and not forgotten.
+    """
 
     bodies: Annotated[dict[str, Body | None], Meta(max_length=MAX_ROBOTS)]
 
 
 class PlaceInput(Struct, frozen=True, array_like=True, tag="place"):
-    """The place that a peer tells of itself in a shared frame."""
+    """The own place that a peer reports in a shared frame."""
 
     place: PeerPlace
 
 
 class LatchesInput(Struct, frozen=True, array_like=True, tag="latches"):
-    """The latches that a peer holds, by id; those of scope `swarm` hold this robot, too."""
+    """The latches that a peer holds, by id; a latch of scope `swarm` holds this robot, too."""
 
     latches: Annotated[dict[str, Latch], Meta(max_length=MAX_ROBOTS)]
 
 
 class GoalInput(Struct, frozen=True, array_like=True, tag="goal"):
-    """A peer holds `goal`, set `age` s ago (None: the peer does not know).
+    """A goal that a peer holds, set `age` s ago; None: the peer does not know the age.
 
-    `may_join`: the goals of the other peers are known, too, so that the robot may join a run.
+    `may_join`: the goals of all other peers are known, too, so that the robot may join a run.
     """
 
     goal: Goal
@@ -148,14 +152,14 @@ class GoalInput(Struct, frozen=True, array_like=True, tag="goal"):
 
 
 class LeaseInput(Struct, frozen=True, array_like=True, tag="lease"):
-    """The operator of the goal with the id `goal` is there; see `RunLease`."""
+    """A message of the operator of the goal with the id `goal` was heard; see `RunLease`."""
 
     goal: Name
     count: Count
 
 
 class DuplicateInput(Struct, frozen=True, array_like=True, tag="duplicate"):
-    """The other instance `holder` has this robot's id; None: it has left."""
+    """Another daemon, the instance `holder`, uses this robot's id; None: that daemon has left."""
 
     holder: Line | None
 
@@ -176,11 +180,11 @@ class RequestInput(Struct, frozen=True, array_like=True, tag="request"):
 
 
 class CodeInput(Struct, frozen=True, array_like=True, tag="code"):
-    """The code of patterns was replaced or removed: the next run has a fresh host."""
+    """The code of a pattern was replaced or removed: the next run uses a fresh host."""
 
 
 class ProvisionalInput(Struct, frozen=True, array_like=True, tag="provisional"):
-    """The generations, of the runs and loads at present, whose code is provisional."""
+    """The generations of the present run and load whose code is provisional."""
 
     generations: Annotated[tuple[Generation, ...], Meta(max_length=1000)]
 
@@ -189,26 +193,26 @@ class ProvisionalInput(Struct, frozen=True, array_like=True, tag="provisional"):
 
 
 class ForgetInput(Struct, frozen=True, array_like=True, tag="forget"):
-    """Goals by digest, in hex, whose issuers are not operators any more."""
+    """The digests (hex) of the goals whose issuers are no longer operators."""
 
     digests: Annotated[tuple[Word, ...], Meta(max_length=1000)]
 
 
 class NetworkInput(Struct, frozen=True, array_like=True, tag="network"):
-    """The daemon speaks on another network; `text` describes the change. The run ends."""
+    """The daemon has changed to another network (`text` describes the change). The run ends."""
 
     text: Line
 
 
 class RosterInput(Struct, frozen=True, array_like=True, tag="roster"):
-    """The daemon takes a roster; `is_revoked`: the roster lacks this robot. The run ends."""
+    """The daemon has taken a roster; `is_revoked`: the roster lacks this robot. The run ends."""
 
     text: Line
     is_revoked: bool
 
 
 class LeaveInput(Struct, frozen=True, array_like=True, tag="leave"):
-    """The daemon leaves: the run ends."""
+    """The daemon ends in order: the run ends."""
 
 
 class NoteInput(Struct, frozen=True, array_like=True, tag="note"):
@@ -218,7 +222,7 @@ class NoteInput(Struct, frozen=True, array_like=True, tag="note"):
 
 
 class TickInput(Struct, frozen=True, array_like=True, tag="tick"):
-    """Time has passed: 20 times a second, at rest 10 times, and at `Robot.wake_at`."""
+    """A tick of the shell: at 20 Hz, at rest at 10 Hz, and at `Robot.wake_at`."""
 
 
 SensorInput = (
@@ -265,7 +269,7 @@ def _encoded(value: Any) -> Any:
 
 
 def _decoded(kind: Any, value: Any) -> Array:
-    return np.frombuffer(value).copy()  # the kernels take no read-only arrays
+    return np.frombuffer(value).copy()  # the kernels refuse read-only arrays
 
 
 _encoder = msgspec.msgpack.Encoder(enc_hook=_encoded)

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, folders that outlive a power cut, and names as text."""
+"""Writes files whole or not at all, also across a power cut; reads paths from text."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ def as_text(path: str | Path) -> str:
 
 
 def user_path(text: str) -> Path:
-    """The path of a text, in which `~` is a home; that of an unknown user stays as it is."""
+    """The path of a text with `~` expanded; the `~name` of an unknown user is not expanded."""
     return Path(os.path.expanduser(text))  # Path.expanduser raises RuntimeError
 
 
 def cache_folder() -> Path:
-    """The user's folder of what can be made again; RuntimeError without a home."""
+    """The user's folder for cached files; RuntimeError without a home."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "swarmd"
 
 
 def partial_path(path: Path) -> Path:
-    """Where a file is written, until it is whole and gets its name."""
+    """The temporary path at which a file is written before it gets its name."""
     return path.with_name(f".{path.name}.partial")
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """The path to write to in the block; then the file gets its name, after an error it is removed.
+    """A temporary path to write to in the block.
 
-    After a power cut the file may be empty, unless the caller has written it to the disk (fsync).
+    After the block the file gets its name; after an exception it is removed. After a power cut the
+    file may be empty, unless the caller has called fsync.
     """
     partial = partial_path(path)
     try:
@@ -54,12 +55,12 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
-    """Write a file to the disk: after a power cut it has its old or its new content. OSError.
+    """Write a file to disk: after a power cut the file has its old or its new content. OSError.
 
-    `mode`: the permissions of the file, less those that the umask of the process removes.
+    `mode`: the permissions of the file, reduced by the umask of the process.
     """
     with whole_file(path) as partial:
-        partial.unlink(missing_ok=True)  # of a write that was cut off, with its mode
+        partial.unlink(missing_ok=True)  # a leftover of an interrupted write may have another mode
         handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
         with open(handle, "wb") as file:
             file.write(content)
@@ -69,7 +70,7 @@ def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the entries of a folder to the disk, so that a new name outlives a power cut."""
+    """Write the entries of a folder to disk (fsync), so that a new name outlives a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
@@ -79,7 +80,7 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def open_folder(path: str | Path, within: int | None = None) -> Iterator[int]:
-    """The descriptor of a folder, below the folder `within`. OSError if the path is a link."""
+    """The descriptor of a folder, relative to the folder `within`. OSError if it is a link."""
     flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
     handle = os.open(path, flags, dir_fd=within)
     try:
@@ -89,9 +90,10 @@ def open_folder(path: str | Path, within: int | None = None) -> Iterator[int]:
 
 
 def remove_whole(path: Path) -> None:
-    """Remove a folder with all that is in it, or the link at its place; errors are passed over.
+    """Remove a folder with its content, or the link in its place; errors are ignored.
 
-    The folder first becomes that of this process: its owner could add a file to it meanwhile.
+    First the owner of the folder becomes the user of this process: another owner could add files
+    during the removal.
     """
     with suppress(OSError):
         if path.is_symlink():
@@ -108,9 +110,9 @@ def remove_whole(path: Path) -> None:
 
 
 def write_fault(folder: Path) -> str:
-    """Why files cannot be written to a folder, or the folder cannot be made; empty if they can.
+    """Why no file can be written to a folder (which is made if it is missing); empty if one can.
 
-    Writes a block and removes it: modes are not enough, since the disk may be full or read-only.
+    Writes and removes a file of one block: permissions do not show a full or read-only disk.
     """
     from tempfile import TemporaryFile  # 10 ms of each start of swarmctl
 

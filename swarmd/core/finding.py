@@ -8,7 +8,7 @@ from msgspec import Struct
 
 
 class Level(StrEnum):
-    """How much a finding matters; `unknown`: it could not be found out."""
+    """How much a finding matters; `unknown`: it could not be measured."""
 
     OK = "ok"
     UNKNOWN = "unknown"
@@ -17,10 +17,10 @@ class Level(StrEnum):
 
 
 class Finding(Struct, frozen=True):
-    """`text` about `subject`; `remedy`: the next step where the subject is not well.
+    """One result of a check: `text` about `subject`; `remedy`: the next step if not `is_well`.
 
     `is_measured` False: nothing could be measured, so that neither health nor a fault is known.
-    `is_minor`: not well, and a warning only.
+    `is_minor`: if not well, the finding is a warning and no fault.
     """
 
     subject: str
@@ -32,14 +32,14 @@ class Finding(Struct, frozen=True):
 
     @property
     def level(self) -> Level:
-        """How much it matters."""
+        """The level: unknown if not measured, else ok, warning or fault."""
         if not self.is_well:
             return Level.WARNING if self.is_minor else Level.FAULT
         return Level.OK if self.is_measured else Level.UNKNOWN
 
 
 def warning(subject: str, text: str, remedy: str, *, is_due: bool = True) -> Finding:
-    """A warning; well, and without a remedy, unless it `is_due`."""
+    """A minor finding: not well, with `remedy`, if it `is_due`; else well, without a remedy."""
     return Finding(subject, not is_due, text, remedy if is_due else "", is_minor=is_due)
 
 

@@ -1,7 +1,7 @@
-"""Processes of Python that share their imports: forks of a server that has imported them.
+"""Starts Python processes that share their imports, as forks of a server with these imports.
 
-The server is that of `multiprocessing`: a process without threads, which ends with this one. Seven
-daemons are ready after a third of the time that they take one by one with imports of their own.
+The server is the fork server of `multiprocessing`: a process without threads, which ends with this
+process. Seven daemons are ready in a third of the time that they take with imports of their own.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from multiprocessing.util import get_temp_dir
 from pathlib import Path
 from types import ModuleType
 
-# Of the server. Safe path: a random.py where this is called is not to shadow a module. A BLAS with
-# threads would not outlive a fork.
+# Environment of the server. Safe path: a random.py in the current folder must not shadow a module.
+# The threads of a BLAS library would not survive a fork.
 _ENVIRON = {"PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
 SERVER_PATH = tuple(sys.path)
 """In a fork: the import path of the server, without the folder of the program that started it."""
@@ -42,13 +42,14 @@ class ForkedProcess:
 
     @property
     def returncode(self) -> int | None:
-        """The exit code, less than 0 for a signal; None while it runs."""
+        """The exit code, negative for a signal; None while the process runs."""
         return self.poll()
 
     def poll(self) -> int | None:
-        """The exit code; None while it runs.
+        """The exit code; None while the process runs.
 
-        If the server is gone, multiprocessing gives 255; the kernel has killed the process then.
+        After the end of the server multiprocessing returns 255: the kernel has then killed the
+        process, too.
         """
         code = self._process.exitcode
         return -signal.SIGKILL if code == _SERVER_IS_GONE else code
@@ -62,26 +63,26 @@ class ForkedProcess:
         return code
 
     def send_signal(self, number: int) -> None:
-        """Send a signal, unless it has ended: the server may know that first."""
+        """Send a signal, unless the process has ended, which the server may notice first."""
         if self.poll() is None:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
     def terminate(self) -> None:
-        """Ask it to end."""
+        """Send SIGTERM."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """End it at once."""
+        """Send SIGKILL."""
         self.send_signal(signal.SIGKILL)
 
 
 def start_server(modules: Iterable[str]) -> None:
-    """Start the server, which imports these modules; it is not waited for.
+    """Start the server, which imports `modules`; returns without waiting for the imports.
 
     The server and its forks begin with SIGINT blocked. They belong to the process group of this
-    process until a fork has a session of its own, and a Ctrl-C of the terminal reaches the whole
-    group: an import of the server that it interrupts prints a traceback.
+    process until a fork makes a session of its own. A Ctrl-C in the terminal reaches the whole
+    group, and would interrupt an import of the server with a traceback.
     """
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     resource_tracker.ensure_running()  # before SIGINT is blocked: its start unblocks SIGINT
@@ -90,7 +91,7 @@ def start_server(modules: Iterable[str]) -> None:
         with _environment(_ENVIRON):
             forkserver.ensure_running()
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # a SIGINT of meanwhile arrives here
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # delivers a SIGINT that was blocked
 
 
 def remove_folder() -> None:
@@ -101,21 +102,22 @@ def remove_folder() -> None:
 def fork_main(
     name: str, module: str, arguments: Iterable[str], *, stdout: Path | None, stderr: Path
 ) -> ForkedProcess:
-    """Run `main()` of a module in a fork of the server, which was started.
+    """Run `main()` of a module in a fork of the started server.
 
-    `name` is what `ps` shows and `pgrep -x` finds; its command line is that of the server.
-    The process has a session of its own, and the folder and the environment of this process; what
-    the imported modules read of the environment was read by the server. It gets `arguments` and
-    `--die-with-parent` with the id of the server, appends to the files `stdout` (None: nowhere) and
-    `stderr`, and reads nothing.
+    `ps` and `pgrep -x` show the process as `name`, with the command line of the server. The process
+    has a session of its own, and the current folder and environment of this process. Imported
+    modules may have read the environment of the server instead. The process gets `arguments`, then
+    `--die-with-parent` with the id of the server. Its standard input is empty; its output is
+    appended to the files `stdout` (None: dropped) and `stderr`.
     """
     out, err = (os.path.abspath(path or os.devnull) for path in (stdout, stderr))
     for path in (out, err):
-        open(path, "a").close()  # it is there when this returns
+        open(path, "a").close()  # the file exists once this function returns
     words = (name, module, tuple(arguments), out, err, os.getcwd(), dict(os.environ))
     process = multiprocessing.get_context("forkserver").Process(target=_run, args=words)
     main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")  # else the fork runs the caller's again
+    # Keeps multiprocessing from running the caller's main module again in the fork.
+    sys.modules["__main__"] = ModuleType("__main__")
     try:
         process.start()
     finally:
@@ -132,13 +134,13 @@ def _run(
     folder: str,
     environ: dict[str, str],
 ) -> None:
-    # The server ends once this pipe has no writer any more: the first process alone is one.
+    # The server ends once this pipe has no writer: only the first process must keep it open.
     os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # discards a SIGINT from before the session
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    Path("/proc/self/comm").write_text(name)  # of which the kernel takes 15 characters
+    Path("/proc/self/comm").write_text(name)  # the kernel keeps 15 characters
     os.chdir(folder)
     for number, path in enumerate((os.devnull, out, err)):
         flags = os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_APPEND
@@ -148,13 +150,13 @@ def _run(
     os.environ.clear()
     os.environ.update(environ)
     sys.argv = [module, *arguments, "--die-with-parent", str(os.getppid())]
-    gc.freeze()  # a collection writes to pages that are shared
+    gc.freeze()  # a garbage collection would write to shared pages, and so copy them
     import_module(module).main()
 
 
 @contextmanager
 def _environment(changes: Mapping[str, str]) -> Iterator[None]:
-    """Add variables to those of this process, for what it starts meanwhile."""
+    """Set environment variables within the block, for processes that are started there."""
     before = {name: os.environ.get(name) for name in changes}
     os.environ.update(changes)
     try:

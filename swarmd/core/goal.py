@@ -1,7 +1,7 @@
-"""The goal of a swarm: which robots are to run which pattern. One record, without a coordinator.
+"""The goal of a swarm: which robots are to run which pattern. A record that spreads by gossip.
 
-A goal is signed by its operator where keys are in force. The signature, and the encoding in which a
-goal came, are no part of its order and digest: one content is one goal.
+In a secured swarm the operator signs the goal. Order and digest of a goal depend on its content
+only, neither on the signature nor on the encoding in which the goal was received.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ Validity = Annotated[float, Meta(gt=0.0, le=1e7)]
 
 
 class Goal(Record, frozen=True, kw_only=True):
-    """What robots are to do.
+    """The run that an operator wants of the targeted robots.
 
     - `id`: of the request that set the goal.
-    - `pattern` None: the robots stand.
-    - `seconds` and `conditions` end a run, as those of `RunRequest`.
-    - `on_join`: what a robot does that learns the goal later. `offer` shows the goal, `run` runs
-      the pattern while the goal is younger than `valid` seconds.
-    - `lease`: seconds without its operator after which the run ends.
-    - `undoes`: the id of the goal that this goal takes back, which no robot carries out any more.
+    - `pattern`: None: the robots stand.
+    - `seconds`, `conditions`: end a run, as `seconds` and `until` of `RunRequest`.
+    - `on_join`: the action of a robot that receives the goal from a peer. `offer` shows the goal;
+      `run` runs the pattern while the goal is younger than `valid` seconds.
+    - `lease`: seconds without a message of the operator after which the run ends.
+    - `undoes`: the id of the goal that this goal revokes; no robot carries that goal out any more.
     - `signature`: of the bytes of the goal without the signature.
     """
 
@@ -53,27 +53,29 @@ class Goal(Record, frozen=True, kw_only=True):
 
     @property
     def text(self) -> str:
-        """Such as `goal 7 of bob: flocking`."""
+        """The goal in words, such as `goal 7 of bob: flocking`."""
         return f"goal {self.generation} of {self.issuer}: {self.pattern or 'stand'}"
 
 
 class GoalState(StrEnum):
-    """What a robot does about its own goal."""
+    """The state of a robot's own goal."""
 
     LOADING = "loading"
     RUNNING = "running"
     STANDING = "standing"  # the goal has no pattern
-    OFFERED = "offered"  # found and not run; `resume` takes it
-    ENDED = "ended"  # its run has ended, or did not begin; `resume` takes it again
+    OFFERED = "offered"  # received from a peer and not run; `resume` runs the goal
+    ENDED = "ended"  # the run has ended or did not begin; `resume` runs the goal again
 
 
 class GoalRecord(Struct, frozen=True, kw_only=True):
-    """What a robot keeps on disk: its goals, why the run of its own ended, and its labels.
+    """The record of a robot on disk: its goals, the end of its run, and its labels.
 
-    `ended` empty: it ran, or was offered. `may_join`: no stop or reset came since. `before`: the
-    goal that the held one replaced. `stood`: when it was stopped, emergency-stopped or reset
-    last, in s on the clock `clock`. `ran`: the own goal was loading or running, and nothing
-    ended that since. `labels` None: those of the swarm file.
+    - `held`, `own`, `before`: as in `GoalStatus`.
+    - `ended`: why the run of the own goal ended; empty if it did not end.
+    - `may_join`: neither a stop nor a reset came after the own goal.
+    - `stood`: when the robot was last stopped, emergency-stopped or reset, in s on `clock`.
+    - `ran`: the own goal was loading or running, and nothing has ended that since.
+    - `labels`: None: the labels of the swarm file.
     """
 
     held: Goal | None = None
@@ -149,14 +151,14 @@ def decode_goal(content: bytes) -> Goal:
 
 
 def digest_of(goal: Goal | None) -> bytes:
-    """What a beacon shows; empty without a goal."""
+    """The digest of a goal, for beacons; empty without a goal."""
     return b"" if goal is None else record.digest_of(goal.generation, signed_part(goal))
 
 
 class HeldGoal(NamedTuple):
     """A goal with its signed bytes (`content`) and digest.
 
-    `issued`: s on the own clock; None: age unknown.
+    `issued`: when the goal was set, in s on the own clock; None if unknown.
     """
 
     goal: Goal
@@ -172,9 +174,9 @@ class HeldGoal(NamedTuple):
 
     @property
     def order(self) -> tuple[int, str, bytes]:
-        """By which goals are ordered, also two of one generation and issuer."""
+        """The sort key of goals: generation, issuer and signed bytes."""
         return *self.goal.order, self.content
 
     def age(self, now: float) -> float | None:
-        """Seconds since it was set, if they are known; at most MAX_SECONDS, if forged."""
+        """Seconds since the goal was set, at most MAX_SECONDS; None if unknown."""
         return None if self.issued is None else min(max(now - self.issued, 0.0), MAX_SECONDS)

@@ -8,7 +8,7 @@ from msgspec import Struct
 
 
 class HazardKind(StrEnum):
-    """The kinds of hazard; `robot/hazard_holds.py` has how each ends."""
+    """The kinds of hazard; `robot/hazard_holds.py` has the hold of each kind and its end."""
 
     BUMP = "bump"  # the bumper is pressed
     CLIFF = "cliff"  # no floor below a sensor
@@ -23,9 +23,9 @@ ENDS_RUN = frozenset({HazardKind.WHEEL_DROP, HazardKind.LIFTED})
 
 
 class Hazard(Struct, frozen=True, array_like=True):
-    """A present hazard. `place` in words of the base, such as `front left`; empty if not known.
+    """A present hazard. `place`: where on the base, such as `front left`; empty if unknown.
 
-    Of NOT_HEARD `place` is what is silent, such as a topic.
+    For NOT_HEARD, `place` names the silent source, such as a topic.
     """
 
     kind: HazardKind
@@ -33,5 +33,5 @@ class Hazard(Struct, frozen=True, array_like=True):
 
     @property
     def text(self) -> str:
-        """Such as `bump front left`."""
+        """The hazard in words, such as `bump front left`."""
         return f"{self.kind.replace('_', ' ')} {self.place}".rstrip()

@@ -70,7 +70,7 @@ class KillHost(Struct, frozen=True):
 
 
 class StartTrial(Struct, frozen=True, eq=False):
-    """Load a pattern in a new process beside the host, to learn whether it can be loaded.
+    """Load a pattern in a new process beside the host, to test whether the code can be loaded.
 
     `load.generation` numbers the trial. The pattern is not stepped, and its process ends with the
     trial.
@@ -86,9 +86,10 @@ class CancelTrial(Struct, frozen=True):
 class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
     """The pattern is loaded and can be stepped.
 
-    `rate`: steps per second. `touches`: the zone in which it asks to touch obstacles. `took`:
-    seconds that loading took. `note`: speeds of the request that the base cannot reach.
-    `scan_delay`: s beyond the platform's latency with which it goes on with late scans.
+    `rate`: steps per second. `touches`: the zone in which the pattern asks to touch obstacles.
+    `took`: seconds that loading took. `note`: requested speeds that the base cannot reach.
+    `scan_delay`: s; the pattern continues with scans up to this much later than the platform's
+    latency.
     """
 
     generation: int
@@ -114,9 +115,9 @@ class LoadRefused(Struct, frozen=True, array_like=True, tag="refused"):
 
 
 class Stepped(Struct, frozen=True, eq=False, array_like=True, tag="stepped"):
-    """Outputs of one step. `scan_seq`: the scan that it used, -1 for none.
+    """Outputs of one step. `scan_seq`: the scan that the step used, -1 without a scan.
 
-    `dropped`: received messages left out because their value has not the channel's type.
+    `dropped`: count of received messages left out because their value lacks the channel's type.
     """
 
     generation: int
@@ -126,9 +127,9 @@ class Stepped(Struct, frozen=True, eq=False, array_like=True, tag="stepped"):
 
 
 class ParamsSet(Struct, frozen=True, eq=False, array_like=True, tag="params"):
-    """Answer to SetParams: all parameters now in force; none if it was refused.
+    """Answer to SetParams: all parameters now in force; empty if the change was refused.
 
-    `text`: why it was refused, or a note for the operator.
+    `text`: the reason of the refusal, or a note for the operator.
     """
 
     generation: int
@@ -168,7 +169,7 @@ HostEvent = SentEvent | HostDied | TrialDone
 
 
 def refusal_of(error: Exception) -> Refusal:
-    """The code with which a robot refuses to load a pattern because of this error."""
+    """The refusal code for an error in the load of a pattern."""
     if isinstance(error, ParameterError):
         return Refusal.INVALID_PARAMETER
     if isinstance(error, UnknownPatternError):

@@ -4,18 +4,18 @@ A kernel's file is the only source of its arithmetic. `setup.py` compiles the ke
 LIBRARIES into one library beside them. Kernels that call each other's functions of C are in one
 row: a call with nine arrays takes 8 us from one library to another.
 
-CPython runs the files where there is no library, where the environment has SWARMD_COMPILED=0, and
-where a library was compiled from other sources than these: the code around a library may call what
-is not in there. All libraries import `_views.abi3.so`, which holds Cython's code for views of
-memory. Where that is absent or was compiled by another version of Cython, CPython runs the files,
-too. setup.py runs this file alone, so no other module of swarmd is imported here.
+CPython interprets the files in four cases: there is no library; the environment has
+SWARMD_COMPILED=0; a library was compiled from other sources than the present files, so that callers
+might use functions that the library lacks; `_views.abi3.so` is absent or was compiled by another
+version of Cython. All libraries import `_views.abi3.so`, which contains Cython's code for memory
+views. setup.py runs this file alone, so this file imports no other module of swarmd.
 
-There are several libraries and not one: the compiler works on all of them at once, and a call
-between two costs 50 ns and more, an estimated 2 % of all time with 100 robots. Python classes that
-were compiled as they stood gained nothing; fields of C, buffers of doubles and fewer calls gain.
-Measured per event of the corpus: a numpy twin of the barrier 1.01 ms, interpreted 0.71 ms, compiled
-0.07 ms. Seven robots in lockstep took 1.1 to 1.35 times the time of numpy twins when interpreted.
-numba was refused: it adds 117 MB to a daemon.
+Several libraries compile in parallel, unlike a single library. A call between two libraries costs
+50 ns and more, an estimated 2 % of all time with 100 robots. Python classes compiled without
+changes gained nothing; C fields, buffers of doubles and fewer calls gain. Measured per event of the
+corpus: a numpy twin of the barrier 1.01 ms, interpreted 0.71 ms, compiled 0.07 ms. Seven robots in
+lockstep took 1.1 to 1.35 times the time of numpy twins when interpreted. numba was refused: it adds
+117 MB to a daemon.
 """
 
 from __future__ import annotations
@@ -93,16 +93,16 @@ _STALE = "older than its source (run make kernels)"
 
 
 def load_kernel(name: str) -> Any:
-    """The kernel whose file is the module of this name: its library, or else the module.
+    """The kernel of the module `name`: the compiled library, else the interpreted module.
 
-    One line in the log tells of a library that is older than its sources. To import the module by
-    its name always gives the interpreted one.
+    Logs a line for a library that is older than its sources. An import of the module by name always
+    gives the interpreted module.
     """
     return _compiled(name) or import_module(name)
 
 
 def describe_kernels() -> str:
-    """`compiled`, or `interpreted` and why; it imports no kernel."""
+    """`compiled`, or `interpreted` and the reason; imports no kernel."""
     if not _is_wanted():
         return "interpreted (SWARMD_COMPILED=0)"
     faults = {library: fault for library in LIBRARIES if (fault := _fault_of(library))}
@@ -125,7 +125,7 @@ def digest_of(sources: list[bytes]) -> str:
 
 
 def _compiled(name: str) -> Any:
-    """The library of a kernel; None where the file is to be interpreted."""
+    """The imported library of a kernel; None if the file must be interpreted."""
     library = next((library for library, names in LIBRARIES.items() if name in names), None)
     if library is None or not _is_wanted() or _fault_of(library):
         return None
@@ -141,7 +141,7 @@ def _is_wanted() -> bool:
 
 @cache
 def _fault_of(name: str) -> str:
-    """Why a library cannot be used, empty if it can. The library is opened and not imported."""
+    """Why a library cannot be used; empty if it can. Opens the library without importing it."""
     path, library = _file(name), _opened(name)
     views = _opened(VIEWS)
     if path is None or library is None or views is None:
@@ -182,10 +182,10 @@ def _short(library: str) -> str:
 
 
 def _file(name: str) -> Path | None:
-    """The file of a library; None if it was not built or is not whole.
+    """The file of a library; None if the file is absent or incomplete.
 
-    To load a file that was cut off may end the process with SIGBUS. An ELF file ends with its table
-    of sections; its header says where the table is.
+    To load a truncated file may end the process with SIGBUS. An ELF file ends with its section
+    table, whose place is in the header.
     """
     spec = find_spec(name)
     if spec is None or spec.origin is None or not spec.origin.endswith(".so"):

@@ -1,4 +1,4 @@
-"""The names of the keys of a robot: what it publishes, answers and hands over. See `keys.py`.
+"""The names of a robot's Zenoh keys: published values, answered verbs, shared records (`keys.py`).
 
 A daemon publishes and answers no other names: `ZenohBus` makes its publishers from `PUBLISHED` and
 refuses a query handler without a row. `docs/zenoh.md` is made from these tables.
@@ -26,7 +26,7 @@ from swarmd.core.verbs import VERBS, LogBatch
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """What robots publish on `state/<name>`, only while a session subscribes.
+    """A value that robots publish on `state/<name>`, only while a session subscribes.
 
     `rate`: when and how often. `text`: the content in a few words.
     """

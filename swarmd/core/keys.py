@@ -1,10 +1,10 @@
 """Key expressions: `swarm/<swarm>/<robot>/<plane>/<name>`, built and parsed only here.
 
-A key of the planes `control`, `shared` and `message` has one more chunk. On `control` and `shared`
-it is the asker: in a secured swarm the name of an identity, and links let pass no other one
-(`network/access.py`). On `message` the name is a pattern and the last chunk its channel; the second
-chunk is the sender, a robot or a Zenoh program. `swarm/<swarm>/<name>` is the liveliness token of a
-robot or program.
+A key of the planes `control`, `shared` and `message` has one more chunk at its end. On `control`
+and `shared` this chunk is the asker. In a secured swarm it is the name of the link's identity; a
+link drops any other asker (`network/access.py`). On `message` the chunk `<name>` is a pattern, the
+last chunk is its channel, and `<robot>` is the sender: a robot or a Zenoh program.
+`swarm/<swarm>/<name>` is the liveliness token of a robot or program.
 
 Ids are `[a-z0-9][a-z0-9_-]{0,62}`, so that no name can widen a key expression. A sample whose key
 is not a concrete key of this form is dropped, since wildcard puts reach subscribers unchanged.
@@ -35,7 +35,7 @@ _PLANES = frozenset({STATE, MULTICAST, UNICAST}) | _SIX_CHUNKS
 
 
 class Key(NamedTuple):
-    """A parsed key. `robot`: on plane `message` the sender, which may be a program.
+    """A parsed key. `robot`: on plane `message` the sender, which may be a Zenoh program.
 
     `last`: the asker on the planes `control` and `shared`, the channel on `message`, else empty.
     """
@@ -48,7 +48,7 @@ class Key(NamedTuple):
 
 
 def check_id(value: str, what: str) -> str:
-    """The id itself. Raises ConfigError naming `what`, such as 'robot id', if it is not valid."""
+    """Return a valid id unchanged; ConfigError, which names `what` ('robot id'), otherwise."""
     if _ID.fullmatch(value):
         return value
     raise ConfigError(
@@ -77,7 +77,7 @@ def token(swarm: str, name: str) -> str:
 
 
 def named_by(key: str) -> str | None:
-    """The robot or program of a liveliness token; None for a foreign or malformed one."""
+    """The robot or program of a liveliness token; None for a foreign or malformed token."""
     chunks = key.split("/")
     if len(chunks) != 3 or chunks[0] != ROOT or not all(map(is_id, chunks[1:])):
         return None

@@ -1,6 +1,7 @@
-"""The last lines of a daemon's log and of what its pattern printed, for operators that ask. Pure.
+"""Keeps the last lines of a daemon's log and of its pattern's output, for `swarmctl logs`. Pure.
 
-Bounded in lines, in their length and in their rate, so that a flood costs little and hides little.
+The count, the length and the rate of lines are bounded for each source: a flood of one source costs
+little memory, and leaves room for lines of all other sources.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.verbs import LOG_PAGE, MAX_LOG_LINE, LogRecord, LogsQuery
 
 CAPACITY = 1000
-RATE, BURST = 50.0, 200.0  # lines a second and at once, of each source
+RATE, BURST = 50.0, 200.0  # lines per second, and in one burst, of each source
 MAX_SOURCES = 64
 
 
@@ -30,7 +31,7 @@ class LogRing:
         """Lines that came too fast to be kept."""
 
     def add(self, now: float, level: int, source: str, text: str) -> None:
-        """Keep a record, cut to MAX_LOG_LINE and in one line, if its rate allows it."""
+        """Keep a record, as one line of at most MAX_LOG_LINE, if the rate of its source permits."""
         with self._lock:
             if source not in self._budgets and len(self._budgets) >= MAX_SOURCES:
                 self._budgets.clear()
@@ -43,7 +44,7 @@ class LogRing:
             self._records.append(LogRecord(self.last, now, level, source[:64], line))
 
     def since(self, seq: int) -> list[LogRecord]:
-        """The records after the one numbered `seq`, at most LOG_PAGE: the latest ones."""
+        """The records with a greater number than `seq`; of more than LOG_PAGE the latest."""
         with self._lock:
             records = [record for record in self._records if record.seq > seq]
         return records[-LOG_PAGE:]
@@ -56,7 +57,7 @@ class LogRing:
 
 
 def matching(records: Iterable[LogRecord], level: int, grep: str) -> Iterable[LogRecord]:
-    """The records of at least a level that hold a text, in any case."""
+    """The records of at least `level` that contain `grep`, ignoring case."""
     wanted = grep.casefold()
     return (
         record for record in records if record.level >= level and wanted in record.text.casefold()

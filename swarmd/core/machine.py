@@ -20,7 +20,7 @@ _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised
 
 
 def measure_machine(folders: Iterable[tuple[str, Path]]) -> MachineFacts:
-    """The facts; `folders`: purposes and folders that are written to. May wait for a disk."""
+    """Measure the machine. `folders`: (purpose, folder) of its disks. May wait for a disk."""
     memory = _memory()
     return MachineFacts(
         host=socket.gethostname()[:64],
@@ -36,8 +36,8 @@ def measure_machine(folders: Iterable[tuple[str, Path]]) -> MachineFacts:
 
 
 def is_clock_synced() -> bool | None:
-    """Whether the kernel holds the wall clock for synchronised (adjtimex); None: not known."""
-    buffer = ctypes.create_string_buffer(_ADJTIMEX_BYTES)  # modes 0: asks and sets nothing
+    """Whether the kernel considers the wall clock synchronised (adjtimex); None if unknown."""
+    buffer = ctypes.create_string_buffer(_ADJTIMEX_BYTES)  # modes 0: reads and sets nothing
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(buffer)
     except (OSError, AttributeError):

@@ -24,7 +24,7 @@ class SenderLimits:
         self._bytes = TokenBucket(BYTE_RATE, BYTE_BURST)
 
     def passes(self, channel: str, size: int, now: float) -> bool:
-        """True if a message of `size` bytes may pass at `now` (s), which takes its share."""
+        """True if a message of `size` bytes may pass at `now` (s); if so, spends its budget."""
         bucket = self._channels.get(channel)
         if bucket is None:
             if len(self._channels) >= MAX_CHANNELS:

@@ -65,16 +65,16 @@ class Reason(StrEnum):
     NETWORK_CHANGED = "network_changed"
     ROSTER_CHANGED = "roster_changed"
     SUPERSEDED = "superseded"  # by a greater goal
-    LEASE_ENDED = "lease_ended"  # the operator of the run was not heard for its lease
-    # holds: they zero the command; a hold that lasts ends the run
+    LEASE_ENDED = "lease_ended"  # the operator was not heard for the run lease
+    # holds: each makes the command zero; a hold that lasts ends the run
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"
     STALE_SCAN = "stale_scan"
     SCAN_CONFLICT = "two_scan_sources"
     BASE_CONFLICT = "two_bases"
-    HAZARD = "hazard"  # the base reports one, or tells nothing of them: core/hazard.py
+    HAZARD = "hazard"  # the base reports a hazard, or its source of hazards is silent
     FROZEN_SCAN = "frozen_scan"
-    FROZEN_STAMP = "frozen_stamp"  # of scans that differ
+    FROZEN_STAMP = "frozen_stamp"  # scans differ, and their stamps do not
     CLOCK_SET = "clock_set"  # stamps jumped, so that scans are rejected or seem late
     LATE_SCAN = "late_scan"
     STALE_ODOMETRY = "stale_odometry"
@@ -99,13 +99,13 @@ class Refusal(StrEnum):
     """Why a robot refuses a request, or fails to carry it out."""
 
     INVALID_REQUEST = "invalid_request"  # a field is missing, of a wrong type or out of bounds
-    STALE_EPOCH = "stale_epoch"  # the robot has changed since the operator looked at it
+    STALE_EPOCH = "stale_epoch"  # the robot has changed since the epoch that the operator saw
     ESTOPPED = "estopped"
     FAULTED = "faulted"
     BUSY = "busy"  # an earlier request is still under way
     OVERTAKEN = "overtaken"  # a stop, a fault, a greater goal or another change came first
     TOO_LATE = "too_late"  # the time at which the run was to start is over
-    NO_GOAL = "no_goal"  # there is no goal that could be resumed
+    NO_GOAL = "no_goal"  # the robot has no goal to resume
     INVALID_GOAL = "invalid_goal"  # for other robots, of another run, or not signed by its issuer
     NOT_RUNNING = "not_running"
     DUPLICATE_ID = "duplicate_id"
@@ -120,13 +120,13 @@ class Refusal(StrEnum):
     NOT_WRITTEN = "not_written"  # the disk is full or read-only
     INVALID_ROSTER = "invalid_roster"  # of another swarm, older, or not signed by its authority
     OTHER_VERSION = "other_version"  # the request is of another wire version
-    NOT_SIGNED = "not_signed"  # by an operator of the roster
-    NAME_TAKEN = "name_taken"  # the robot has a pattern of that name by other means
-    CHANGED_CODE = "changed_code"  # the file of a pushed pattern is not what was pushed
+    NOT_SIGNED = "not_signed"  # the code is not signed by an operator of the roster
+    NAME_TAKEN = "name_taken"  # the robot has a pattern of that name that was not pushed
+    CHANGED_CODE = "changed_code"  # the file of a pushed pattern differs from the pushed code
 
 
 class Epoch(Struct, frozen=True):
-    """The state of a robot that an operator saw: which instance, and how many changes it had."""
+    """The state of a robot as an operator saw it: the instance, and the count of its changes."""
 
     instance: Name
     revision: Count
@@ -146,9 +146,10 @@ class ReplyHeader(Struct, frozen=True, kw_only=True):
 
 
 class Reply(Struct, frozen=True, kw_only=True):
-    """A robot's answer to a request: its ack. `refusal` is set unless `code` is applied.
+    """A robot's answer (acknowledgement) to a request. `refusal` is set unless `code` is applied.
 
-    `is_moving`, of a stop: zero was commanded, and odometry does not show yet that the base rests.
+    `is_moving`: in the answer to a stop, zero was commanded, and odometry does not yet show the
+    base at rest.
     """
 
     id: Name
@@ -163,8 +164,8 @@ class Reply(Struct, frozen=True, kw_only=True):
 class LimitingObstacle(Struct, frozen=True, gc=False):
     """One obstacle that constrains the command.
 
-    `bearing` in rad from the axle, `gap` in m to the footprint, `cap` in m/s: the highest speed
-    of the outline towards the obstacle.
+    `bearing` in rad from the axle. `gap` in m to the footprint. `cap` in m/s: the limit of the
+    outline's speed towards the obstacle.
     """
 
     bearing: Annotated[float, Meta(ge=-7.0, le=7.0)]
@@ -175,9 +176,10 @@ class LimitingObstacle(Struct, frozen=True, gc=False):
 class DecisionSummary(Struct, frozen=True, kw_only=True):
     """The arbiter's latest decision.
 
-    `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: it
-    judged a way around an obstacle and not the requested command. `duty`: the share of ticks
-    since `run` in which protection was active. `speed_share`: below 1 after a violated assumption.
+    `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: the
+    judged command came from recovery, which leads around an obstacle, not from the pattern. `duty`:
+    the share of ticks since `run` in which protection was active. `speed_share`: the factor of the
+    speed limits, below 1 after a violated assumption.
     `avoiding`: what avoidance does, such as `avoiding tb3-04` or `passes an opening`; else empty.
     """
 
@@ -200,7 +202,7 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
 
 
 class RecordingSummary(Struct, frozen=True, kw_only=True):
-    """The recording that a robot writes: the file, bytes of this recording, entries it dropped."""
+    """The present recording of a robot: file, size in bytes, and count of dropped entries."""
 
     file: Line
     size: Count
@@ -210,8 +212,8 @@ class RecordingSummary(Struct, frozen=True, kw_only=True):
 class DelayFigure(Struct, frozen=True, kw_only=True):
     """How late scans arrive, by one method: the mean age of their rays on arrival, in s.
 
-    `delay` None: not known, for the reason in `text`. `spread`: its standard deviation, of single
-    scans (`stamps`) or of the figure (`turns`). `age`: since the last of its `samples`.
+    `delay` None: unknown, for the reason in `text`. `spread`: the standard deviation of single
+    scans (method `stamps`) or of the estimate (method `turns`). `age`: s since the last sample.
     """
 
     method: Word
@@ -223,7 +225,7 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
 
     @property
     def line(self) -> str:
-        """The figure with its spread, samples and age, or why there is none."""
+        """The delay with spread, samples and age in one line, or why the delay is unknown."""
         if self.delay is None:
             return f"by {self.method}: not known: {self.text}"
         return (
@@ -233,10 +235,10 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
 
 
 class SweepFigure(Struct, frozen=True, kw_only=True):
-    """How a sensor measures its rays, found out in `samples` pairs of scans while it turned.
+    """The order in which a sensor measures its rays, measured in `samples` pairs of scans.
 
-    `direction`: ccw or cw, from bearing `start_deg` on, one turn in `duration` s; "at once" for all
-    rays of one instant; empty: not known, for the reason in `text`.
+    `direction`: ccw or cw, from the bearing `start_deg` on, with one turn in `duration` s. "at
+    once": all rays have the same time. Empty: unknown, for the reason in `text`.
     """
 
     direction: Word = ""
@@ -247,7 +249,7 @@ class SweepFigure(Struct, frozen=True, kw_only=True):
 
     @property
     def line(self) -> str:
-        """The sweep with its samples, or why it is not known."""
+        """The sweep with its samples in one line, or why the sweep is unknown."""
         pairs = f"measured in {self.samples} pairs of scans"
         if not self.direction:
             return f"direction not known: {self.text}; returns are not de-skewed"
@@ -260,8 +262,8 @@ class SweepFigure(Struct, frozen=True, kw_only=True):
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
-    `added`: what protection counts beyond `declared`. Beyond `bound` it holds the robot. `sweep`:
-    None if the platform gives it.
+    `added`: the delay beyond `declared` that protection counts. A delay beyond `bound` holds the
+    robot. `sweep`: None if the platform declares the sweep.
     """
 
     declared: Seconds
@@ -272,10 +274,10 @@ class ScanDelaySummary(Struct, frozen=True, kw_only=True):
 
 
 class NarrowestPassage(Struct, frozen=True):
-    """The widths in m that protection lets a robot through, alone, and of two that meet.
+    """The least widths in m through which protection lets a robot drive.
 
-    `door`: between two posts; `corridor`: of some length; `meeting`: a corridor in which two such
-    robots can pass each other.
+    `door`: between two posts. `corridor`: between two long walls. `meeting`: a corridor in which
+    two such robots can pass each other.
     """
 
     door: Metres
@@ -284,16 +286,16 @@ class NarrowestPassage(Struct, frozen=True):
 
 
 class ProcessUsage(Struct, frozen=True, kw_only=True):
-    """Of a process: `cpu`, the share of one core over the last second, and `memory` in bytes."""
+    """Usage of a process: `cpu`, the share of a core over the last second; `memory` in bytes."""
 
     cpu: Annotated[float, Meta(ge=0.0, le=1e4)]
     memory: Count
 
 
 class Sandbox(Struct, frozen=True, kw_only=True):
-    """What the kernel denies a pattern host: of `files`, `network` and `processes`.
+    """The accesses that the kernel denies a pattern host: of `files`, `network`, `processes`.
 
-    `missing`: what it does not deny, with the reason; empty if it denies all.
+    `missing`: the accesses that are not denied, with the reason; empty if all are denied.
     """
 
     denied: tuple[Word, ...] = ()
@@ -303,10 +305,10 @@ class Sandbox(Struct, frozen=True, kw_only=True):
 class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
-    `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage` of the daemon,
-    `pattern_usage` of its pattern host; None in the first second. `storage`: why latches would be
-    lost by a restart; empty if they would not. `sandbox` of the pattern host: None until the first
-    one has started.
+    `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage`: of the daemon.
+    `pattern_usage`: of its pattern host. Both are None in the first second. `storage`: why a
+    restart would lose latches; empty if it would not. `sandbox`: of the pattern host; None until
+    the first host has started.
     """
 
     scan_rate: Rate = 0.0
@@ -339,10 +341,11 @@ class LoggedEvent(Struct, frozen=True, kw_only=True):
 
 
 class Body(Struct, frozen=True, kw_only=True):
-    """What a robot tells of its body: m/s, m around the axle, and heights above the floor in m.
+    """The body of a robot, as the robot reports it to peers.
 
-    `surface_speed`: of its fastest surface near an obstacle. `scan_plane`: of its sensor. A level
-    plane between `lowest` and `highest` meets it. None: its platform does not say.
+    `surface_speed` in m/s: of its fastest surface near an obstacle. `radius` in m around the axle.
+    Heights in m above the floor: `scan_plane` of its range sensor; a horizontal plane between
+    `lowest` and `highest` meets the body. None: the platform does not declare the height.
     """
 
     platform: Word
@@ -354,9 +357,10 @@ class Body(Struct, frozen=True, kw_only=True):
 
 
 class PeerFinding(Struct, frozen=True, kw_only=True):
-    """What stands between a robot and the peer `robot`: one line, and whether it holds the robot.
+    """A property of the peer `robot` for which protection of the own robot is not made.
 
-    `kind`: unseen, faster, or unknown if the peer does not tell enough of its body.
+    `kind`: unseen (the lidar misses the peer), faster (than assumed), or unknown (the peer does not
+    report enough of its body). `text`: in one line. `holds`: the finding holds the own robot.
     """
 
     robot: Name
@@ -373,7 +377,7 @@ class Param(Struct, frozen=True, kw_only=True):
 
 
 class KeySummary(Struct, frozen=True, kw_only=True):
-    """The roster that a daemon has, and when its certificate ends, in s since 1970 (UTC)."""
+    """The generation of a daemon's roster, and the end of its certificate in s since 1970 (UTC)."""
 
     generation: Count
     expires: Count
@@ -434,11 +438,11 @@ class Status(Struct, frozen=True, kw_only=True):
 
 
 class Motion(Struct, frozen=True, array_like=True):
-    """How a robot moves, for viewers: ten times a second, only while one of them looks.
+    """Pose and commands of a robot, for viewers: at 10 Hz, only while a viewer subscribes.
 
-    `x`, `y` in m and `yaw` in rad by odometry, in a frame of the robot's own; `at` in s on its
-    clock. Twists are linear, angular, lateral in m/s and rad/s. `gap` in m, None without a return.
-    `rows`: the obstacles that limit it.
+    `x`, `y` in m and `yaw` in rad: by odometry, in the robot's odometry frame. `at`: s on the
+    robot's clock. Twists are linear, angular, lateral in m/s and rad/s. `gap`: m, None without a
+    return. `rows`: the obstacles that constrain the command.
     """
 
     robot: Name
@@ -457,7 +461,7 @@ class ShownPose(Struct, frozen=True, kw_only=True):
     """The pose of a robot in a frame that robots share: `x`, `y` in m and `yaw` in rad.
 
     `at` in s on the clock of the robot, `age` in s since the pose was measured. `error` in m and
-    `yaw_error` in rad: its bounds. `frame`: the name of the frame.
+    `yaw_error` in rad: bounds of the errors of the pose. `frame`: the name of the frame.
     """
 
     robot: Name
@@ -487,7 +491,7 @@ class ShownDecision(Struct, frozen=True, kw_only=True):
 class ShownMessage(Struct, frozen=True, kw_only=True):
     """A message that the pattern of a robot sent. `at` in s on the clock of the robot.
 
-    `value`: what the pattern gave, made of the types of MessagePack.
+    `value`: the value that the pattern sent, made of MessagePack's types.
     """
 
     robot: Name
@@ -500,7 +504,7 @@ class ScanWire(Struct, frozen=True, array_like=True):
     """One scan. `ranges` in m as little-endian float32; `stamp` in s on the clock of the sensor.
 
     `bearings` in rad and `ages` in s of the rays: (first, step) if regular, else little-endian
-    float32. `ages` None: the sensor does not tell them, and those of the platform's sweep hold.
+    float32. `ages` None: the sensor does not report ages; they follow from the platform's sweep.
     """
 
     seq: Count
@@ -511,7 +515,7 @@ class ScanWire(Struct, frozen=True, array_like=True):
 
 
 class ShownTrack(Struct, frozen=True, array_like=True, gc=False):
-    """A track of avoidance: its middle, velocity and radius in the base frame in m and m/s."""
+    """A track of avoidance: centre, velocity and radius in the base frame, in m and m/s."""
 
     x: Metres
     y: Metres
@@ -521,7 +525,7 @@ class ShownTrack(Struct, frozen=True, array_like=True, gc=False):
 
 
 class Tracks(Struct, frozen=True, array_like=True):
-    """The nearest tracks of a robot that avoids, for viewers: with a scan, only while watched."""
+    """The nearest tracks of an avoiding robot, for viewers: with each scan, while subscribed."""
 
     robot: Name
     tracks: Annotated[tuple[ShownTrack, ...], Meta(max_length=MAX_TRACKS)] = ()
@@ -542,7 +546,7 @@ class StatusHeader(Struct, frozen=True, kw_only=True):
 
 
 class Presence(StrEnum):
-    """Whether a member is there: alive, left in order, or vanished (failed)."""
+    """The presence of a member: alive, left (ended in order), or failed (vanished)."""
 
     ALIVE = "alive"
     LEFT = "left"
@@ -560,9 +564,9 @@ class Member(Struct, frozen=True, kw_only=True):
 
 
 class PeerView(Struct, frozen=True, kw_only=True):
-    """A daemon's answer to `members`: itself, and every other robot that it knows.
+    """A daemon's answer to `members`: its own status, and every other robot that it knows.
 
-    Alive members come without their status, since they answer for themselves.
+    Alive members come without a status, since each of them answers the same query.
     """
 
     robot: Name

@@ -1,6 +1,7 @@
 """Names as users write them: ranges such as `tb3-[01-40]` and `r[1-3,7]`, globs, and commas. Pure.
 
-Keys, rosters and the targets of verbs are read here, so that a word means the same everywhere.
+`swarmctl keys`, rosters and the targets of verbs use these functions, so that a word means the same
+everywhere.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ _EXAMPLE = "tb3-[01-40]"
 
 
 def expand_names(text: str) -> tuple[str, ...]:
-    """The names in `text`, in its order. ConfigError for a wrong range, name, or a name twice.
+    """The names in `text`, in order. ConfigError for a wrong range or name, or a repeated name.
 
-    The width of a range's first number is the least width of all: `[01-40]` gives 01, 02, ... 40.
+    Numbers are padded to the width of the first number of a range: `[01-40]` gives 01, 02, ... 40.
     """
     return tuple(check_id(name, f"a name of {text!r}") for name in _words(text))
 
 
 def expand_globs(text: str) -> tuple[str, ...]:
-    """As `expand_names`; `*` and `?` in a name stand for any characters, and for any one."""
+    """As `expand_names`, also with globs: `*` is any number of characters, `?` a single one."""
     words = _words(text)
     for word in words:
         if not _GLOB.fullmatch(word):
@@ -42,7 +43,7 @@ def expand_globs(text: str) -> tuple[str, ...]:
 
 
 def select_names(words: tuple[str, ...], known: tuple[str, ...]) -> tuple[str, ...]:
-    """The names that words, ranges and globs give, all of them without words. ConfigError."""
+    """The `known` names that words, ranges and globs select; all without words. ConfigError."""
     chosen: dict[str, None] = {} if words else dict.fromkeys(known)
     for glob in (glob for word in words for glob in expand_globs(word)):
         matching = [name for name in known if fnmatchcase(name, glob)]
@@ -53,7 +54,7 @@ def select_names(words: tuple[str, ...], known: tuple[str, ...]) -> tuple[str, .
 
 
 def check_distinct(*groups: Iterable[str]) -> None:
-    """ConfigError if a name is in two groups: it has one role."""
+    """ConfigError if a name is in two groups: each name has one role."""
     seen: set[str] = set()
     for group in groups:
         for name in group:
@@ -84,7 +85,7 @@ def _expanded(word: str, text: str) -> Iterator[str]:
 
 
 def _numbers(inside: str, text: str) -> Iterator[str]:
-    if len(inside) > 1 and inside.isdecimal():  # as of a glob of a shell, where it means 2 or 3
+    if len(inside) > 1 and inside.isdecimal():  # `[23]` in a shell's glob means 2 or 3
         raise ConfigError(
             f"{text!r} has [{inside}], the number {inside} alone; leave the brackets out, or write"
             f" [{','.join(inside)}] for {' and '.join(inside)}"

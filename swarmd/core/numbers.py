@@ -1,4 +1,4 @@
-"""Numbers in texts, by the core schema of YAML 1.2: files and options read them alike."""
+"""Reads numbers from text by the core schema of YAML 1.2, for files and options alike."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|min|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, None: 1.0}
 _BASES = {"0o": 8, "0x": 16}
 _MAX_BITS = 14000  # str() refuses more than 4300 digits
-_MAX_EXACT = 2**53  # JSON's readers keep integers up to here
+_MAX_EXACT = 2**53  # readers of JSON keep integers exact up to here
 
 
 def read_number(text: str) -> int | float | None:
-    """The number that the text shows: `010` is 10, `0x10` is 16, `.inf` is infinite.
+    """The number in the text: `010` is 10, `0x10` is 16, `.inf` is infinite.
 
-    None for any other text, such as `1_000`, `1:30` and a number that no float holds.
+    None for any other text, such as `1_000`, `1:30`, and for numbers beyond the range of a float.
     """
     try:
         if INTEGER.match(text):
@@ -35,9 +35,9 @@ def read_number(text: str) -> int | float | None:
 
 
 def exact_number(text: str) -> int | float | str:
-    """The number whose shortest form the text is, else the text: `7` and `0.5`, not `010`, `1e3`.
+    """The number if the text is its shortest form (`7`, `0.5`), else the text (`010`, `1e3`).
 
-    A reader that knows the type converts either way without loss: `1e3` may be a name.
+    Either can be converted later without loss, once the type is known: `1e3` may be a name.
     """
     number = read_number(text)
     is_exact = number is not None and str(number) == text and abs(number) <= _MAX_EXACT
@@ -45,7 +45,7 @@ def exact_number(text: str) -> int | float | str:
 
 
 def finite_number(text: str) -> float:
-    """The number that the text shows, NaN if it shows no finite one."""
+    """The number in the text; NaN if the text is no finite number."""
     number = read_number(text)
     try:
         value = math.nan if number is None else float(number)

@@ -1,8 +1,8 @@
-"""The patterns that operators push to a swarm: manifests, their order, and the table of them.
+"""Manifests of the patterns that operators push to a swarm: their order, and their table. Pure.
 
-A manifest names code by its SHA-256 and the robots that are to have it. Every robot keeps the table
-of all manifests, also of those for other robots, and merges the tables of its peers into it: two
-robots that know the same manifests have the same table, in any order of arrival. Pure.
+A manifest names code by its SHA-256, and the robots that must have this code. Every robot keeps a
+table of all manifests, also of manifests for other robots, and merges the tables of its peers into
+this table. Two robots that know the same manifests have the same table, in any order of arrival.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 class PatternManifest(Record, frozen=True, kw_only=True):
     """One push, or the removal, of a pushed pattern.
 
-    `version` is for people. `digest`: the SHA-256 of the code, `size`
-    its bytes. `value`: `module:Class` of a wheel. `replaces`: it may take the place of a pattern
-    of that name which the robot has by other means.
+    `version`: only for display. `digest`: the SHA-256 of the code. `size`: of the code in bytes.
+    `value`: `module:Class` of a wheel. `replaces`: the pushed pattern may replace a pattern of the
+    same name from a package or from `plugin_dir`.
     """
 
     swarm: Id
@@ -49,12 +49,12 @@ class PatternManifest(Record, frozen=True, kw_only=True):
 
     @property
     def label(self) -> str:
-        """Such as `flock 2 (ab12cd34)`."""
+        """Name, version and start of the digest, such as `flock 2 (ab12cd34)`."""
         return f"{self.name} {self.version} ({self.digest.hex()[:8]})".replace("  ", " ")
 
 
 class Signed(Struct, frozen=True, array_like=True):
-    """A manifest as its bytes, and its issuer's signature of them; empty without keys."""
+    """The bytes of a manifest, and the issuer's signature of them; empty without keys."""
 
     content: Annotated[bytes, Meta(max_length=MAX_MANIFEST)]
     signature: Annotated[bytes, Meta(max_length=64)] = b""
@@ -70,7 +70,7 @@ class Entry:
 
     @property
     def order(self) -> tuple[int, str, bytes]:
-        """By which manifests are ordered; the greater one holds."""
+        """The sort key of manifests; the greater manifest counts."""
         return *self.manifest.order, self.content
 
     @property
@@ -79,7 +79,7 @@ class Entry:
         return self.manifest.kind == "removed"
 
     def covers(self, lesser: Entry) -> bool:
-        """True if a lesser entry counts on no robot because of this one."""
+        """True if no robot needs the lesser entry any more because of this entry."""
         mine, its = self.manifest, lesser.manifest
         return mine.name == its.name and (not mine.targets or mine.targets == its.targets)
 
@@ -131,7 +131,7 @@ def read_table(manifests: Manifests) -> Table:
 
 
 def merged(table: Iterable[Entry], others: Iterable[Entry]) -> Table:
-    """The table of two, without entries that a greater one for the same robots covers."""
+    """The union of two tables, without entries that a greater entry covers."""
     kept: list[Entry] = []
     for entry in sorted({*table, *others}, key=lambda entry: entry.order, reverse=True):
         if not any(greater.covers(entry) for greater in kept):
@@ -143,7 +143,7 @@ def merged(table: Iterable[Entry], others: Iterable[Entry]) -> Table:
 
 
 def wanted_by(robot: str, labels: Collection[str], table: Table) -> Mapping[str, Entry]:
-    """What a robot with these labels is to have, by name, removals included."""
+    """By name: the greatest entry that targets a robot with these labels, removals included."""
     entries: dict[str, Entry] = {}
     for entry in table:
         if entry.manifest.is_for(robot, labels):
@@ -157,7 +157,7 @@ def greatest_generation(table: Table) -> int:
 
 
 def digest_of(table: Table) -> bytes:
-    """What a beacon shows of a table: its greatest generation and a hash; empty without entries."""
+    """The digest of a table, for beacons: greatest generation and hash; empty without entries."""
     if not table:
         return b""
     content = _encoder.encode([entry.content for entry in table])

@@ -1,4 +1,4 @@
-"""This process: its end with its parent, its memory, OpenSSL, slices of the processor (Linux)."""
+"""Settings of the own process (Linux): end with the parent, memory limit, tracing, time slices."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ LOAD_GROWTH, STEP_GROWTH = 1 << 30, 1 << 28
 def die_with_parent(parent: int) -> None:
     """End this process at once when its parent ends, even by kill -9.
 
-    `parent` is the expected parent's id; if it has ended already, this process exits now. The
-    kernel sends the signal when the *thread* that spawned this process ends, so spawn from a
-    thread that stays. Without prctl(2), as on macOS, the process notices the end by its pipe.
+    `parent`: the id of the expected parent; if the parent has already ended, this process exits
+    now. The kernel sends the signal when the *thread* that spawned this process ends, so spawn from
+    a thread that stays. Without prctl(2), as on macOS, the process notices the end by its pipe.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "prctl") and libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
@@ -35,9 +35,9 @@ def die_with_parent(parent: int) -> None:
 
 
 def keep_from_tracing() -> None:
-    """Deny processes of this user to trace this process, and to read its memory and environment.
+    """Deny other processes of this user to trace this process, or read its memory or environment.
 
-    It leaves no core dump, either. A program that this process executes is open again.
+    The process then writes no core dump. exec of another program undoes this protection.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_DUMPABLE, 0, 0, 0, 0) != 0:
@@ -57,11 +57,11 @@ def how_it_ended(returncode: int | None) -> str:
 
 
 def limit_growth(growth: int, pid: int | None = None) -> None:
-    """Let a process grow by so many bytes from its present size; beyond it MemoryError.
+    """Limit the address space of a process to its present size plus `growth` bytes.
 
-    Without `pid` this process, for good: it cannot raise the limit again. With it the process `pid`
-    of this user, whose limit may be changed again. ProcessLookupError or FileNotFoundError if that
-    has ended.
+    Beyond the limit the process gets a MemoryError. Without `pid` the limit of this process is set,
+    which it cannot raise again. With `pid` the limit of that process of this user is set; a later
+    call may change it. ProcessLookupError or FileNotFoundError if that process has ended.
     """
     import resource  # not on Windows, where lockstep runs without workers
 
@@ -75,7 +75,7 @@ def limit_growth(growth: int, pid: int | None = None) -> None:
 
 
 def keep_limits() -> None:
-    """Let this process raise no limit but that of memory, for which there is `limit_growth`."""
+    """Fix all resource limits of this process except memory, which `limit_growth` sets."""
     import resource
 
     names = [name for name in dir(resource) if name.startswith("RLIMIT_")]
@@ -86,10 +86,10 @@ def keep_limits() -> None:
 
 @contextmanager
 def without_openssl() -> Iterator[None]:
-    """Hide OpenSSL (4 MB) from imports within: asyncio, hashlib, hmac and secrets work without.
+    """Hide OpenSSL (4 MB) from imports in the block: asyncio, hashlib, hmac, secrets need none.
 
-    Imports after the block find OpenSSL, such as `import ssl` where a robot has keys. A Python
-    without hash functions of its own hides nothing.
+    Imports after the block find OpenSSL, such as `import ssl` of a robot with keys. Hides nothing
+    if this Python has no built-in hash functions.
     """
     has_own = any(map(find_spec, ("_sha2", "_sha256")))  # of Python 3.12 and later, of 3.11
     hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()
@@ -107,12 +107,12 @@ SHORT_SLICE = 100_000
 
 
 def ask_for_slices(slice: int | None) -> None:
-    """Ask for slices of the processor of `slice` ns; None: usual ones. Children inherit them.
+    """Request scheduler time slices of `slice` ns; None: the default. Children inherit them.
 
-    A process with short slices gets the processor sooner when it wakes, and no larger share.
-    Without short slices the scheduler of Linux 6.6 and later lets a daemon that has just sent a
-    step wait for milliseconds until the daemon reads the answer, once each core has a process that
-    computes. A kernel before 6.12 keeps its own slices.
+    A process with short slices gets the processor sooner when it wakes, but no larger share.
+    Without short slices, and with a computing process on each core, the scheduler of Linux 6.6 and
+    later delays the daemon by milliseconds before it reads the answer to a step. A kernel before
+    6.12 ignores the request.
     """
     number = _SET_SCHEDULER.get(os.uname().machine)
     if number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:

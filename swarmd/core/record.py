@@ -1,7 +1,7 @@
-"""What goals and manifests of patterns share: issuer, targets, their order, and their digest.
+"""Records that spread among robots (goals, pattern manifests): issuer, targets, order and digest.
 
-The greater record holds everywhere, in any order of arrival, so that no coordinator is needed.
-Records are ordered by (generation, issuer), then by their signed bytes, and never by a signature.
+On every robot the greater record counts, in any order of arrival, so no coordinator is needed.
+Records are ordered by generation, issuer and signed bytes, never by the signature.
 """
 
 from __future__ import annotations
@@ -25,7 +25,10 @@ Target = Annotated[str, Meta(min_length=1, max_length=70)]
 
 
 class RecordKind(IntEnum):
-    """What spreads among robots: the place of its digest in a beacon; append only."""
+    """The kinds of data that spread among robots; the value is the index of the digest in a beacon.
+
+    Append only.
+    """
 
     LATCH = 0
     GOAL = 1
@@ -33,7 +36,7 @@ class RecordKind(IntEnum):
 
 
 class Record(Struct, frozen=True, kw_only=True):
-    """What spreads by its generation. `issuer`: the operator. `targets` empty: all robots."""
+    """The common fields of records. `issuer`: the operator. `targets` empty: all robots."""
 
     generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
     issuer: Name
@@ -41,7 +44,7 @@ class Record(Struct, frozen=True, kw_only=True):
 
     @property
     def order(self) -> tuple[int, str]:
-        """By which records are ordered, before their signed bytes; the greater one holds."""
+        """The first part of the sort key of records; signed bytes follow. The greater counts."""
         return self.generation, self.issuer
 
     def is_for(self, robot: str, labels: Collection[str]) -> bool:
@@ -55,7 +58,7 @@ class Record(Struct, frozen=True, kw_only=True):
 
 
 def digest_of(generation: int, content: bytes) -> bytes:
-    """What a beacon shows: the generation (4 bytes) and a hash of the signed bytes (2 bytes)."""
+    """The digest for beacons: the generation (4 bytes) and a hash of the signed bytes (2 bytes)."""
     hashed = hashlib.blake2b(content, digest_size=DIGEST_BYTES - 4).digest()
     return generation.to_bytes(4, "big") + hashed
 
@@ -66,6 +69,6 @@ def generation_of(digest: bytes) -> int:
 
 
 def may_replace(digest: bytes, own: bytes) -> bool:
-    """True if the record with this digest may be greater than the own one."""
+    """True if the record with this digest may be greater than the record with the digest `own`."""
     is_digest = len(digest) == DIGEST_BYTES and digest != own
     return is_digest and generation_of(digest) >= generation_of(own)

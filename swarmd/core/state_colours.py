@@ -19,5 +19,5 @@ _COLOURS: dict[str, Colour] = {
 
 
 def colour_of(state: str, *, is_held: bool) -> Colour:
-    """The colour of a robot; grey for a state that is not known."""
+    """The colour of a robot; grey for an unknown state."""
     return HELD if is_held else _COLOURS.get(state, UNKNOWN)

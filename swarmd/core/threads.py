@@ -1,4 +1,4 @@
-"""The only way from foreign threads to the loop."""
+"""Hands calls from foreign threads to the asyncio loop; no other code does."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ def hand_over(
     """Call `function(*args)` on the loop's thread; dropped if the loop has closed."""
     try:
         loop.call_soon_threadsafe(function, *args)
-    except RuntimeError:  # the loop closed while the network was still talking
+    except RuntimeError:  # the loop has closed, while a network thread still delivers
         return

@@ -1,12 +1,12 @@
-"""A limit on a rate that lets short bursts pass."""
+"""A token bucket: limits a rate and lets short bursts pass."""
 
 from __future__ import annotations
 
 
 class TokenBucket:
-    """Passes `rate` units a second in the long run and `burst` units at once. Pure; it begins full.
+    """Passes `rate` units a second on average, and up to `burst` units at once. Begins full. Pure.
 
-    Times are in s on one monotonic clock, handed in.
+    Times are in s on one monotonic clock and come with each call.
     """
 
     def __init__(self, rate: float, burst: float) -> None:
@@ -20,7 +20,7 @@ class TokenBucket:
         return self._tokens >= amount
 
     def take(self, amount: float, now: float) -> bool:
-        """Let `amount` units pass at `now`; False, and nothing is taken, if they do not fit."""
+        """Take `amount` units at `now`; False, and takes nothing, if too few are left."""
         is_allowed = self.holds(amount, now)
         if is_allowed:
             self._tokens -= amount

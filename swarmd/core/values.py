@@ -77,14 +77,17 @@ class Pose(Struct, frozen=True, array_like=True, gc=False):
 class Scan(Struct, frozen=True, eq=False):
     """Rays of one revolution, in directions of the base frame, measured from the sensor.
 
-    `ranges` and `bearings` are (n,) float64 arrays of the same length; n may vary from scan to
-    scan. A range is in m: +inf no return, -inf too close to measure, NaN unknown. `bearings` are
-    in rad, 0 ahead, counter-clockwise positive. `stamp` in s: when the oldest ray was measured, on
-    the sensor's own clock, which need not be that of other stamps. `ages` (n,) s: how much older
-    than the newest ray each ray is. None: the driver does not know (raw scan), or all are of one
-    instant (conditioned scan). `newest_age`: s that the newest ray of a conditioned scan was old on
-    arrival, by the platform's `latency`; None for a raw scan. While the order of the rays is not
-    known, both count from the mean ray: each age is that by which a ray may be older.
+    - `ranges`: (n,) float64 in m: +inf no return, -inf too close to measure, NaN unknown. n may
+      vary from scan to scan.
+    - `bearings`: (n,) float64 in rad, 0 ahead, counter-clockwise positive.
+    - `stamp`: s at which the oldest ray was measured, on the sensor's own clock.
+    - `ages`: (n,) s by which each ray is older than the newest ray. None: unknown (raw scan), or
+      all rays have the same time (conditioned scan).
+    - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
+      `latency`; None for a raw scan.
+
+    While the order of the rays is unknown, `ages` and `newest_age` count from the mean ray: an age
+    is the time by which a ray may be older than the mean ray.
     """
 
     seq: int
@@ -127,7 +130,7 @@ class Odometry(Struct, frozen=True, array_like=True, gc=False):
         )
 
     def jumps_from(self, last: Odometry) -> bool:
-        """True if no base gets here from the last reading: an estimator has moved the pose."""
+        """True if no base can move that far since `last`: an estimator has shifted the pose."""
         seconds = self.stamp - last.stamp
         here, there = self.pose, last.pose
         way = math.hypot(here.x - there.x, here.y - there.y)
@@ -136,11 +139,11 @@ class Odometry(Struct, frozen=True, array_like=True, gc=False):
 
 
 class SharedPose(Struct, frozen=True, array_like=True):
-    """A robot's own pose, that of the base's axle, in a frame that robots share.
+    """The pose of a robot's axle in a frame that robots share.
 
-    `frame` names it, in 1 to 63 printable characters: places in frames of one name are compared.
-    `stamp` in s on the clock of what measures. `error` in m and `yaw_error` in rad bound what is
-    wrong with the pose.
+    `frame`: the name of the frame, in 1 to 63 printable characters; frames of equal name are the
+    same frame. `stamp` in s on the clock of the localisation. `error` in m and `yaw_error` in rad
+    bound the errors of the pose.
     """
 
     stamp: float
@@ -151,7 +154,7 @@ class SharedPose(Struct, frozen=True, array_like=True):
 
     @property
     def is_valid(self) -> bool:
-        """True if the pose is finite and near, and the errors and the name have sense."""
+        """True if pose and errors are finite and within bounds, and the name is valid."""
         return (
             self.pose.is_finite
             and abs(self.stamp) < math.inf
@@ -172,9 +175,9 @@ MAX_TOLD_DISTANCE = 10_000.0
 
 
 class PeerPlace(Struct, frozen=True, array_like=True):
-    """Where the peer `robot` says that it is: `x`, `y` in m in the shared frame `frame`.
+    """The place that the peer `robot` reports: `x`, `y` in m in the shared frame `frame`.
 
-    `error` in m bounds the error; `age` in s since it was measured, on arrival.
+    `error` in m bounds the error of the place. `age`: s from its measurement to its arrival.
     """
 
     robot: str
@@ -186,11 +189,12 @@ class PeerPlace(Struct, frozen=True, array_like=True):
 
 
 class Neighbor(Struct, frozen=True, array_like=True, gc=False):
-    """A robot nearby, as far as it is sensed.
+    """A robot nearby that is heard or sensed.
 
-    `age` is the time in s since it was last heard, to within 0.5 s. `distance` in m, `bearing` and
-    `heading` in rad are relative to this robot; None means not sensed. Protection regards each that
-    is sensed; a pattern gets those `in_reach`, which the settings of neighbors decide.
+    `age`: s since the robot was last heard or sensed, to within 0.5 s. `distance` in m, `bearing`
+    and `heading` in rad are relative to the own robot; None: not sensed. `in_reach`: the settings
+    of neighbors count the robot as a neighbor. Patterns get neighbors in reach; protection uses
+    every sensed robot.
     """
 
     id: str
@@ -202,7 +206,7 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
 
     @property
     def is_valid(self) -> bool:
-        """True if a robot may be there: the id is bounded, and the numbers are finite and near."""
+        """True if the id is within its bounds, and the numbers are finite and within bounds."""
         angles = (self.bearing or 0.0) + (self.heading or 0.0)
         return (
             0 < len(self.id) <= MAX_WORD
@@ -213,9 +217,9 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
 
 
 class Detection(Struct, frozen=True, array_like=True, gc=False):
-    """An object that the robot recognises, such as a tag or a blob of a camera.
+    """An object that the robot recognises, such as a tag, or a blob in a camera image.
 
-    `kind` is its class, such as `box`, and `id` its own name; the id is empty if it has none.
+    `kind`: the class, such as `box`. `id`: the name of this object; empty without a name.
     `bearing` in rad and `distance` in m are from the axle; None: the distance is not measured.
     """
 
@@ -226,7 +230,7 @@ class Detection(Struct, frozen=True, array_like=True, gc=False):
 
     @property
     def is_valid(self) -> bool:
-        """True if its numbers are finite and its words within their bounds."""
+        """True if the numbers are finite and the words within their bounds."""
         distance = 0.0 if self.distance is None else self.distance
         has_words = 0 < len(self.kind) <= MAX_WORD and len(self.id) <= MAX_WORD
         return has_words and abs(self.bearing) < math.inf and 0.0 <= distance < math.inf
@@ -271,10 +275,10 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """How a rotating sensor measures its rays one after the other.
+    """The sweep of a rotating sensor, which measures one ray after another.
 
-    It begins at bearing `start` in rad and turns once in `duration` s. `direction`: 1.0
-    counter-clockwise, -1.0 clockwise.
+    The sweep begins at the bearing `start` in rad, and one turn takes `duration` s. `direction`:
+    1.0 counter-clockwise, -1.0 clockwise.
     """
 
     start: float
@@ -286,14 +290,18 @@ class Sweep:
 class ScanSpec:
     """The platform's range sensor.
 
-    `bearings`: (n,) nominal directions in rad. `rate` in Hz, ranges in m. `offset`: the sensor's
-    (x, y) in the base frame in m. `max_gap`: the widest unknown sector in rad that conditioning
-    may bridge. `zero`: the meaning of a range of exactly 0, which is no_return, too_close, unknown
-    or lds (the rule of the LDS family in `sensing/ray_memory.py`). `is_noisy`: identical scans
-    reveal a frozen sensor. `near`: whether the sensor reports returns nearer than `range_min`, or
-    loses them as if there were none. `latency`: mean age of the rays in s when a scan arrives.
-    `sweep`: None if all rays are measured at once, and if the robot `measures_sweep`: the ages of
-    rays by their driver then tell the duration of a scan only, or that all are of one instant.
+    - `bearings`: (n,) nominal directions in rad.
+    - `rate`: in Hz. `range_min`, `range_max`: in m.
+    - `offset`: (x, y) of the sensor in the base frame in m.
+    - `max_gap`: the widest unknown sector in rad that conditioning may bridge.
+    - `zero`: the meaning of a range of exactly 0: no_return, too_close, unknown, or lds (the rule
+      of the LDS family in `sensing/ray_memory.py`).
+    - `is_noisy`: two identical scans reveal a frozen sensor.
+    - `near`: a return nearer than `range_min` is reported, or lost as if nothing were there.
+    - `latency`: mean age of the rays in s when a scan arrives.
+    - `sweep`: None if all rays are measured at once, or if the robot measures the sweep.
+    - `measures_sweep`: the robot measures the sweep. The ray ages of the driver then give only the
+      duration of a scan, or show that all rays have the same time.
     """
 
     bearings: Array
@@ -316,16 +324,16 @@ class ScanSpec:
 
     @property
     def max_scan_delay(self) -> float:
-        """Delay in s beyond `latency` with which protection still works; a longer one is a hold.
+        """The longest delay in s beyond `latency` with which protection works; more is a hold.
 
-        Delay and age together stay within `stale_after`, for which protection is computed; the age
-        needs one and a half periods of it.
+        Protection is computed for delay plus age up to `stale_after`. The age takes one and a half
+        periods of that time; the rest is this delay.
         """
         return max(self.stale_after - 1.5 / self.rate, 0.05)
 
     @property
     def slowest_period(self) -> float:
-        """Time in s between scans beyond which the sensor does not have this `rate`."""
+        """The time in s between scans above which the sensor misses its nominal `rate`."""
         return min(2.0 / self.rate, self.stale_after)
 
 
@@ -333,8 +341,8 @@ class ScanSpec:
 class Heights:
     """Heights above the floor in m.
 
-    `scan_plane`: of the sensor's rays. `lowest`, `highest`: a level plane between them meets an
-    opaque part of the robot from every side, so wheels do not count.
+    `scan_plane`: of the sensor's rays. `lowest`, `highest`: a horizontal plane between these
+    heights meets an opaque part of the robot from every side; wheels do not count.
     """
 
     scan_plane: float
@@ -346,15 +354,16 @@ class Heights:
 class Platform:
     """One kind of robot, from its file in config/platforms.
 
-    `footprint` is a (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    `protection` holds the settings of the arbiter: `mode`, the values of the potential field's
-    preset in force, and those of `barrier` and `stop_zone` under these names (None: not given).
-    `patterns`: parameters by pattern name. `drivers`: options by driver name. `heights`: None if
-    they are not known. `body`: values for the simulated robot (mass, wheel base ...). `ranges`: a
-    ring of further range sensors, for what `scan` does not see; None without one. `sensors`: where
-    sensors of a quantity such as `ground` are, by its name, (k, 3) x, y in m and bearing in rad in
-    the base frame; NaN: from all directions. Those of `detections` are (k, 5), with the field of
-    view in rad and the range in m.
+    - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
+    - `protection`: the settings of the arbiter: `mode`, the values of the potential field's preset
+      in force, and the settings of `barrier` and `stop_zone` under these names (None: not given).
+    - `patterns`: parameters by pattern name. `drivers`: options by driver name.
+    - `heights`: None if unknown.
+    - `body`: values for the simulated robot (mass, wheel base ...).
+    - `ranges`: a ring of further range sensors, for obstacles that `scan` misses; None without.
+    - `sensors`: by quantity, such as `ground`: the places of its sensors, (k, 3) x, y in m and
+      bearing in rad in the base frame (NaN: all directions). For `detections` (k, 5), with the
+      field of view in rad and the range in m.
     """
 
     name: str
@@ -393,7 +402,7 @@ _READING = "reading:"
 
 
 def input_fault(word: str) -> str:
-    """Why no robot can provide the input `word` to a pattern; empty if one can."""
+    """Why no robot can provide the input `word` to a pattern; empty if a robot can."""
     is_reading = word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
     known = word in _INPUTS or is_reading
     return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
@@ -407,13 +416,15 @@ def sensor_names(name: str, count: int) -> tuple[str, ...]:
 class Inputs(Struct, frozen=True, eq=False, array_like=True):
     """Inputs of one step of a pattern.
 
-    `now` is in s on the robot's monotonic clock, `dt` the time since the last step (0 at the
-    first). `scan` is the latest conditioned scan (None before the first); `is_new_scan` is true
-    once for each scan. `messages` are those received since the last step. `ranges` is the latest
-    conditioned scan of the platform's ring of range sensors, measured from the ring's own offset
-    (None without a ring, or before its first scan). `detections` are the objects that the robot
-    recognises now (None without a sensor for them, or without a fresh value). `pose` is the
-    place of the robot's axle in the shared frame (None without a fresh one).
+    - `now`: s on the robot's monotonic clock. `dt`: s since the last step; 0 at the first step.
+    - `scan`: the latest conditioned scan; None before the first. `is_new_scan`: True once for each
+      scan.
+    - `messages`: received since the last step.
+    - `ranges`: the latest conditioned scan of the platform's ring of range sensors, measured from
+      the ring's own offset; None without a ring, or before the first scan.
+    - `detections`: the objects that the robot recognises now; None without such a sensor, or
+      without a fresh value.
+    - `pose`: of the robot's axle in the shared frame; None without a fresh pose.
     """
 
     now: float
@@ -432,10 +443,12 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
 class Outputs(Struct, frozen=True, array_like=True):
     """Outputs of one step of a pattern.
 
-    `twist` is the requested command; with None the robot stands still. `messages` are by channel.
-    `report` is shown by members, describe and traces (state, opinion ...). `done`: the reason why
-    the pattern has finished; None while it has not. `grip`: close the gripper, or open it; None
-    leaves it as it is, as does the end of a run. A pattern with a gripper needs `gripper`.
+    - `twist`: the requested command; None: the robot stands still.
+    - `messages`: by channel.
+    - `report`: named values (state, opinion ...) that members, describe and traces show.
+    - `done`: the reason why the pattern has finished; None while it goes on.
+    - `grip`: True closes the gripper, False opens it, None leaves it unchanged, as does the end of
+      a run. A pattern that uses the gripper lists `gripper` in its `needs`.
     """
 
     twist: Twist | None = None

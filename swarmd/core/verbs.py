@@ -1,9 +1,9 @@
-"""The verbs of the plane `control`: what operators ask of robots, and a row for each verb.
+"""The verbs of the plane `control`: requests and questions of operators, with a row for each verb.
 
 The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether
-the robot compares its epoch, and the line of the audit log. A new
-verb is a struct and a row here, a method `on_<verb>` of its handler, a file of `cli/`, and a line
-in `VERBS` of `cli/swarmctl.py`.
+the robot compares its epoch, and the line of the audit log. A new verb needs a struct and a row
+here, a method `on_<verb>` of its handler, a file of `cli/`, and a line in `VERBS` of
+`cli/swarmctl.py`.
 
 Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
 """
@@ -69,11 +69,13 @@ class _EpochRequest(_AnyRequest, frozen=True, kw_only=True):
 class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds.
 
-    `goal`: the goal that the run belongs to, with the same pattern, parameters and ends. It must
-    be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
-    in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
-    entry start when it is loaded. More than MAX_LATE after that time the robot refuses. `age`:
-    seconds since the operator issued the request, with the longest round trip of its look added.
+    - `goal`: the goal of the run, with the same pattern, parameters and ends. The robot refuses a
+      goal that is less than the goal that it holds.
+    - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
+      loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
+      request that arrives more than MAX_LATE after its start time.
+    - `age`: s since the operator issued the request, plus the longest round trip of the operator's
+      last query of the robots.
     """
 
     pattern: Name
@@ -88,8 +90,8 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
 class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
     """Run the robot's own goal, which is offered or whose run has ended.
 
-    `digest`: of the goal that the operator saw, in hex; the robot refuses if it has another. Empty:
-    whichever it is. `age`: as that of RunRequest.
+    `digest`: of the goal that the operator saw, in hex; the robot refuses if its own goal has
+    another digest. Empty: any goal. `age`: as in RunRequest.
     """
 
     digest: Word = ""
@@ -97,9 +99,9 @@ class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
 
 
 class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
-    """Set a goal without a run: robots stand by a goal without a pattern, and offer any other.
+    """Set a goal without a run; a robot offers the goal, or stands if the goal has no pattern.
 
-    `age`: as that of RunRequest.
+    `age`: as in RunRequest.
     """
 
     goal: Goal
@@ -109,7 +111,7 @@ class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
 class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
     """Replace the labels of a robot, which keeps them on disk.
 
-    None: back to those of its swarm file.
+    None: back to the labels of the swarm file.
     """
 
     labels: Annotated[tuple[Id, ...], Meta(max_length=MAX_LABELS)] | None
@@ -118,8 +120,8 @@ class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
 class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
     """Clear the latches with these `ids`, and a fault.
 
-    `findings`: those of the assumption monitor to end, as the status names them. A running robot
-    refuses.
+    `findings`: the findings of the assumption monitor to end, as named in the status. A running
+    robot refuses to end a finding.
     """
 
     ids: tuple[Name, ...] = ()
@@ -136,8 +138,8 @@ class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
 class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
     """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again.
 
-    `keeps_running`: a robot that runs the pattern goes on with the old code until its next run.
-    `age`: as that of RunRequest.
+    `keeps_running`: a robot that runs the pattern continues with the old code until its next run.
+    `age`: as in RunRequest.
     """
 
     pattern: Name
@@ -147,11 +149,11 @@ class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
 
 
 class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
-    """A piece of a pushed pattern for robots; with the last one they try it and take it.
+    """A piece of a pushed pattern; after the last piece the robot tries and adopts the pattern.
 
-    `content` and `signature`: of the manifest (`core/pattern_manifest.py`). `is_rerun`: as in
-    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as
-    that of RunRequest.
+    `content` and `signature`: of the manifest (`core/pattern_manifest.py`). `offset`: of the piece
+    `data` in bytes. `is_rerun`: as in `ReloadRequest`; without a rerun nothing moves or stops, and
+    the epoch is not compared. `age`: as in RunRequest.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]
@@ -177,8 +179,9 @@ class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
 class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
     """Take a signed roster, and the new certificate of the robot's name if there is one.
 
-    `secret`: the swarm's at that generation; empty for a robot that is no longer on it. It ends the
-    run, so the epoch is not compared. `certificates`: PEM, by robot, for the keys that they have.
+    `secret`: the swarm's secret of that generation; empty for a robot that the roster lacks.
+    `certificates`: by robot, in PEM, for the robot's present key. The request only ends a run, so
+    the epoch is not compared.
     """
 
     roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]
@@ -189,7 +192,7 @@ class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
 class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
     """Stop. `targets` None: every robot; the epochs are not compared.
 
-    `age`: seconds since the operator issued it. A run that came later is not stopped by it.
+    `age`: s since the operator issued the stop. A run that was requested later continues.
     """
 
     targets: Epochs | None = None
@@ -197,10 +200,10 @@ class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
 
 
 class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
-    """Emergency stop. `scope` swarm: other robots take the latch over.
+    """Emergency stop. `scope` swarm: other robots adopt the latch.
 
-    `is_relayed`: another robot handed it on. Such a copy does not latch again what was reset.
-    `age`: seconds since the operator issued it. The goal of a later run stays.
+    `is_relayed`: another robot relayed the request. Such a copy does not restore a reset latch.
+    `age`: s since the operator issued the request. The goal of a later run stays.
     """
 
     targets: Epochs | None = None
@@ -225,7 +228,7 @@ AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushReque
 
 
 class RequestHeader(Struct, frozen=True, kw_only=True):
-    """The fields of a request with which it is refused, of any types and version."""
+    """The fields of a malformed request that a refusal needs; of any type and wire version."""
 
     id: object = ""
     operator: object = ""
@@ -246,7 +249,7 @@ class MembersQuery(Struct, frozen=True, kw_only=True):
 
 
 class RecordingFile(Struct, frozen=True, kw_only=True):
-    """A file of a recording. Times in s on the robot's clock, None if they are not known yet.
+    """A file of a recording. Times in s on the robot's clock, None while unknown.
 
     `crc`: the CRC-32 of a finished file. `dropped`: entries that were lost in it.
     """
@@ -261,9 +264,9 @@ class RecordingFile(Struct, frozen=True, kw_only=True):
 
 
 class RecordingsReply(Struct, frozen=True, kw_only=True):
-    """The recordings of a robot; `now` is its clock when it answered, `clock` names that clock.
+    """The recordings of a robot; `now`: its clock at the answer. `clock`: the id of that clock.
 
-    `fault`: why the last recording ended, if not by a request.
+    `fault`: why the last recording ended by itself; empty otherwise.
     """
 
     robot: Name
@@ -282,7 +285,7 @@ class FetchQuery(Struct, frozen=True, kw_only=True):
 
 
 class FetchReply(Struct, frozen=True, kw_only=True):
-    """Bytes of a recording and their CRC-32; `size` of the file, `text` why there are none."""
+    """Bytes of a recording with their CRC-32. `size`: of the file. `text`: why `data` is empty."""
 
     robot: Name
     file: FileName
@@ -296,10 +299,10 @@ class FetchReply(Struct, frozen=True, kw_only=True):
 class PushedPatternReport(Struct, frozen=True, kw_only=True):
     """A pushed pattern on a robot.
 
-    `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version` and
-    `digest` (hex) of the code that a run takes, empty without code; `pushed`: the digest of the
-    newest push. `ran`: s without a fault. `source`: the operator or robot that handed it over.
-    `text`: why it was returned, or cannot be used.
+    `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version`,
+    `digest` (hex): of the code that a run uses; empty without code. `pushed`: the digest of the
+    newest push. `ran`: s of runs without a fault. `source`: the operator or robot that handed the
+    code over. `text`: why the code was returned, or cannot be used.
     """
 
     name: Name
@@ -315,9 +318,9 @@ class PushedPatternReport(Struct, frozen=True, kw_only=True):
 
 
 class PushedPatternsReply(Struct, frozen=True, kw_only=True):
-    """The pushed patterns of a robot; `generation`: the greatest that it knows.
+    """The pushed patterns of a robot; `generation`: the greatest generation that it knows.
 
-    `newest`, `signature`: the manifest of that generation, which proves it.
+    `newest`, `signature`: the signed manifest of that generation, as its proof.
     """
 
     robot: Name
@@ -340,11 +343,11 @@ LogLine = Annotated[str, Meta(max_length=MAX_LOG_LINE)]
 
 
 class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A request that a robot answered, or a latch that it took from a peer.
+    """A request that a robot answered, or a latch or goal that it adopted from a peer.
 
-    `seq` counts the entries of a robot. `boot`: the clock `clock` of the robot in s; `wall` in s
-    since 1970 (UTC), None if its clock had not been set. `targets` None: all robots. `left_out`:
-    earlier entries that were not written, since there were too many or the disk failed.
+    `seq` counts the entries of a robot. `boot`: s on the robot's clock `clock`. `wall`: s since
+    1970 (UTC), None if the wall clock had not been set. `targets` None: all robots. `left_out`: the
+    count of earlier entries that were not written, for their rate or for a disk fault.
     """
 
     seq: Count = 0
@@ -362,7 +365,7 @@ class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class AuditQuery(Struct, frozen=True, kw_only=True):
-    """Asks for the last `count` entries, with a `seq` below `before`, of the last `since` s."""
+    """Asks for the last `count` entries whose `seq` is below `before`, of the last `since` s."""
 
     before: Count | None = None
     since: Seconds | None = None
@@ -370,9 +373,9 @@ class AuditQuery(Struct, frozen=True, kw_only=True):
 
 
 class AuditReply(Struct, frozen=True, kw_only=True):
-    """Entries, the oldest first, and the age of each in s; None: it was before the last boot.
+    """Entries, oldest first, and the age of each in s; None: written before the last boot.
 
-    `has_more`: older ones fit the question. `fault`: why entries are not written at present.
+    `has_more`: older entries match, too. `fault`: why entries cannot be written at present.
     """
 
     robot: Name
@@ -396,7 +399,7 @@ class LogRecord(Struct, frozen=True, array_like=True):
 
 
 class LogsQuery(Struct, frozen=True, kw_only=True):
-    """Asks for the last `count` records of at least `level` that hold `grep`, in any case."""
+    """Asks for the last `count` records of at least `level` that contain `grep`, ignoring case."""
 
     count: Annotated[int, Meta(ge=1, le=LOG_PAGE)] = 50
     level: Annotated[int, Meta(ge=0, le=100)] = 0
@@ -404,9 +407,9 @@ class LogsQuery(Struct, frozen=True, kw_only=True):
 
 
 class LogBatch(Struct, frozen=True, kw_only=True):
-    """Records of a robot, the oldest first; `now` is its clock, `last` its latest number.
+    """Log records of a robot, oldest first; `now`: its clock. `last`: its latest record number.
 
-    `left_out`: lines of this life of the daemon that were too many to be kept.
+    `left_out`: the count of lines in this life of the daemon that exceeded the rate limit.
     """
 
     robot: Name
@@ -418,7 +421,7 @@ class LogBatch(Struct, frozen=True, kw_only=True):
 
 
 class LinkReport(Struct, frozen=True, array_like=True):
-    """How a robot hears another one; see `LinkQuality`. `ways`: multicast, broadcast, unicast."""
+    """The link from a robot, as in `LinkQuality`. `ways`: multicast, broadcast, unicast."""
 
     robot: Name
     received: Count
@@ -429,13 +432,13 @@ class LinkReport(Struct, frozen=True, array_like=True):
 
 
 class LinksQuery(Struct, frozen=True, kw_only=True):
-    """Asks how a robot hears others; with `measures` it measures round trips for a later answer."""
+    """Asks for the links of a robot. `measures`: also ping the peers, for a later answer."""
 
     measures: bool = False
 
 
 class LinksReply(Struct, frozen=True, kw_only=True):
-    """The links of a robot, those that were heard last first; `unlisted`: further ones."""
+    """The links of a robot, last heard first. `unlisted`: the count of further links."""
 
     robot: Name
     links: Annotated[tuple[LinkReport, ...], Meta(max_length=512)]
@@ -443,7 +446,7 @@ class LinksReply(Struct, frozen=True, kw_only=True):
 
 
 class DiskFacts(Struct, frozen=True, kw_only=True):
-    """A folder and its disk: bytes free for this user and in all; `fault`: why it is unwritable."""
+    """A folder and its disk. `free` (for this user), `size`: in bytes. `fault`: of a test write."""
 
     purpose: Word
     path: Line
@@ -455,7 +458,7 @@ class DiskFacts(Struct, frozen=True, kw_only=True):
 class MachineFacts(Struct, frozen=True, kw_only=True):
     """A machine: load of the last minute, memory in bytes, `wall` in s since 1970 (UTC).
 
-    `is_synced`: whether the kernel holds its clock for synchronised; None: not known.
+    `is_synced`: whether the kernel considers the wall clock synchronised; None if unknown.
     """
 
     host: Word
@@ -470,7 +473,7 @@ class MachineFacts(Struct, frozen=True, kw_only=True):
 
 
 class PortFacts(Struct, frozen=True, kw_only=True):
-    """The process that listens on a port, such as `swarmd (412)`; empty: free; `?`: not known."""
+    """The processes that use a port, such as `swarmd (412)`; empty: free; `?`: unknown."""
 
     protocol: Word
     port: Count
@@ -478,10 +481,10 @@ class PortFacts(Struct, frozen=True, kw_only=True):
 
 
 class NetworkFacts(Struct, frozen=True, kw_only=True):
-    """An interface and what may keep datagrams out.
+    """An interface, and its properties that may block datagrams.
 
-    `mtu`, `has_multicast`: None if not known. `firewall`: none, open, drops or unknown, with the
-    rules that drop, or the reason, in `firewall_text`.
+    `mtu`, `has_multicast`: None if unknown. `firewall`: none, open, drops or unknown.
+    `firewall_text`: the rules that drop, or why the firewall is unknown.
     """
 
     interface: Word
@@ -497,11 +500,11 @@ class NetworkFacts(Struct, frozen=True, kw_only=True):
 
 
 class DoctorReply(Struct, frozen=True, kw_only=True):
-    """What a robot measures of itself for `swarmctl doctor`.
+    """A robot's measurements of its own machine and network, for `swarmctl doctor`.
 
-    `identity_expires`: s since 1970 (UTC), `roster`: its generation; None without keys. `heard`:
-    robots that are alive by the way in which their datagrams come. `storage`: why latches would be
-    lost by a restart. `sandbox`: of the pattern host.
+    `identity_expires`: s since 1970 (UTC). `roster`: the generation. Both are None without keys.
+    `heard`: the count of alive robots by route of their datagrams. `storage`: why a restart would
+    lose latches. `sandbox`: of the pattern host.
     """
 
     robot: Name
@@ -590,9 +593,9 @@ def _push_line(request: PushRequest) -> str:
 
 
 class Handler(Enum):
-    """What answers a verb in a daemon, by its method `on_<verb>`.
+    """The part of a daemon that answers a verb, by its method `on_<verb>`.
 
-    All but the first two are services of the daemon: fields of `Services` in daemon/requests.py.
+    All members except ROBOT and NETWORK name services: fields of `Services` in daemon/requests.py.
     """
 
     ROBOT = "robot"
@@ -619,9 +622,9 @@ Answer = TypeVar("Answer")
 class Verb(Generic[Asked, Answer]):
     """A row of the table. `name`: the chunk of the key after `control/`.
 
-    `asked`: the payload; `Nothing`: the payload is empty. `audit`: the request in the audit log,
-    between verb and targets.
-    `is_for_operators`: viewers may not ask the question.
+    `asked`: the type of the payload; `Nothing` if the payload is empty. `audit`: makes the text of
+    the request in the audit log, between verb and targets. `is_for_operators`: viewers may not ask
+    this question.
     """
 
     name: str
@@ -633,14 +636,14 @@ class Verb(Generic[Asked, Answer]):
 
     @property
     def is_request(self) -> bool:
-        """True for a request, which is audited and repeated under one id; False for a question."""
+        """True for a request, which is audited and repeated with one id; False for a question."""
         return issubclass(self.asked, _AnyRequest)
 
     @property
     def needs_epoch(self) -> bool:
-        """True for requests that may start motion, or change what moves.
+        """True for requests that may start motion, or change a run.
 
-        The robot refuses any epoch but its present one.
+        The robot refuses such a request unless it quotes the present epoch.
         """
         return self.handler is Handler.ROBOT and not self.is_datagram
 
@@ -651,7 +654,7 @@ class Verb(Generic[Asked, Answer]):
 
     @property
     def is_for_viewers(self) -> bool:
-        """True if viewers may ask; operators may ask every verb, robots ask none."""
+        """True if viewers may ask; operators may ask every verb, robots no verb."""
         return not self.is_request and not self.is_for_operators
 
 
@@ -660,7 +663,7 @@ def _request(
     handler: Handler,
     audit: Callable[[Asked], str] = lambda request: "",
 ) -> Verb[Asked, Reply]:
-    """The row of a request, which has the name of its tag on the wire."""
+    """The row of a request; the verb's name is the tag of the request's struct."""
     return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, audit)
 
 

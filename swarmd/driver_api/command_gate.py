@@ -1,7 +1,7 @@
-"""Which commands a driver publishes while its base is lost, back, or left for good. Pure.
+"""Decides which commands a driver publishes while its base is lost, back, or being left. Pure.
 
-A driver whose base others may command hands `is_stopped` to `filter`; any other leaves it out.
-Limits are applied earlier, in `protection/arbiter.py`.
+A driver whose base other nodes may command passes `is_stopped` to `filter`; any other driver omits
+`is_stopped`. `protection/arbiter.py` applies the limits, before this gate.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ ZERO_REPEAT_TIME = 2.0
 class CommandGate:
     """Drops commands while the base is lost; the first command after each (re)connect is zero.
 
-    A driver that has published no command publishes no zero either: a `--check` must not interrupt
-    the daemon that drives the base. Times are in s on one monotonic clock, handed in.
+    A driver that has published no command publishes no final zero: a `--check` must not interrupt
+    the daemon that drives the base. Times are in s on one monotonic clock and come with each call.
     """
 
     def __init__(self) -> None:
@@ -33,27 +33,27 @@ class CommandGate:
 
     @property
     def has_sent(self) -> bool:
-        """True once a command was published; until `end`."""
+        """True from the first published command until `end`."""
         return self._has_sent
 
     @property
     def is_stopped(self) -> bool:
-        """True while the robot must stand: a command of another node is answered with zero."""
+        """True while the robot must stand: the driver answers a command of another node by zero."""
         return self._is_stopped
 
     def open(self) -> None:
-        """The base is connected: the next command is zero."""
+        """Note that the base is connected: the next command is zero."""
         self._is_open = self._needs_zero = True
 
     def require_zero(self) -> None:
-        """The next command is zero: another node may take the commands from now on."""
+        """Make the next command zero, since another node may take over the commands."""
         self._needs_zero = True
 
     def filter(self, twist: Twist, *, is_stopped: bool = False) -> Twist | None:
-        """The command to publish for a safe command; None if it is to be dropped.
+        """The command to publish for the safe command `twist`; None to publish nothing.
 
-        `is_stopped`: of a robot that must stand; it is zero and published although the base is
-        lost, since another node may command the base.
+        `is_stopped`: the robot must stand. Then zero is published although the base is lost, since
+        another node may command the base.
         """
         self._is_stopped = is_stopped
         if not (self._is_open or is_stopped):
@@ -63,9 +63,9 @@ class CommandGate:
         return twist
 
     def close(self, now: float) -> bool:
-        """The base is lost. True if the driver has to publish zero now.
+        """Note that the base is lost; True if the driver must publish zero now.
 
-        `repeats_zero` is then true for ZERO_REPEAT_TIME.
+        `repeats_zero` is then True for ZERO_REPEAT_TIME.
         """
         is_wanted = self._is_open and self._has_sent
         self._is_open = False
@@ -74,19 +74,19 @@ class CommandGate:
         return is_wanted
 
     def repeat_zero(self, now: float) -> None:
-        """Begin ZERO_REPEAT_TIME again: a link that was cut is back, so zeros arrive again."""
+        """Restart ZERO_REPEAT_TIME after a cut link is back, so that zeros arrive again."""
         self._repeat_until = now + ZERO_REPEAT_TIME
 
     def repeats_zero(self, now: float) -> bool:
-        """True while zero is to be published although the base is lost."""
+        """True while zero must be published although the base is lost."""
         return not self._is_open and self._has_sent and now < self._repeat_until
 
     def cut(self) -> None:
-        """The connection itself has ended: no zero can be published, nor is repeated."""
+        """Note that the connection itself has ended: zero can neither be published nor repeated."""
         self._is_open, self._repeat_until = False, -math.inf
 
     def end(self) -> bool:
-        """The driver ends. True if it has to publish zero now; a later `run` begins again."""
+        """Note the driver's end; True if it must publish zero now. Resets for a later `run`."""
         has_sent = self._has_sent
         self.cut()
         self._has_sent = self._is_stopped = False

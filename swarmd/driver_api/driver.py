@@ -1,4 +1,4 @@
-"""The driver's contract: the only code that knows its robot, and the sink that it feeds."""
+"""The interfaces of drivers: `Driver` (the only code that knows its robot), sink, extensions."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from swarmd.core.values import Platform, Twist, Value
 
 
 class Sink(Protocol):
-    """Receives what a driver's base sends; called on the loop's thread only."""
+    """Takes the inputs of a driver; called only on the loop's thread."""
 
     def take(self, input: SensorInput) -> None:
-        """What a sensor has measured; the caller does not change it afterwards.
+        """Take a measurement of a sensor; the caller must not change it afterwards.
 
-        Each input replaces the last of its kind; `swarmd.core.events` says what each kind means,
-        and what a kind that is never handed over means.
+        Each input replaces the last input of its kind. `swarmd.core.events` defines each kind, and
+        the meaning of a kind that a driver never hands over.
         """
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
-        """A pattern's message that the base's own radio received; see `MessageCarrier`."""
+        """Take a pattern's message that the base's own radio received; see `MessageCarrier`."""
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """The base is connected, or lost and why.
+        """Take the connection state: `is_up`, or the reason in `text` why the base is lost.
 
         `hold`: why the robot must not move although its base is connected. `gets_zero`: the base is
-        lost, but the zeros of a stopped robot are sent to it, or the driver moves no base at all.
+        lost, but zeros of a stopped robot are still sent to it, or the driver moves no base at all.
         """
 
     def dropped(self, what: str) -> None:
-        """Count one input that could not be read."""
+        """Count an input that could not be decoded; `what` names its kind."""
 
 
 class Driver(Protocol):
@@ -50,22 +50,22 @@ class Driver(Protocol):
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Hand over a safe command: never blocks, keeps no queue, drops while the base is lost.
+        """Send a safe command: never blocks, keeps no queue, drops it while the base is lost.
 
         The first command after a (re)connect is zero: see `CommandGate`. `is_stopped`: the robot is
-        stopped, estopped or faulted, so a base that others may command is sent zero although it is
-        lost, with each call and at once when another's command is heard.
+        stopped, estopped or faulted. Then a base that other nodes may command is sent zero although
+        it is lost: with each call, and at once when a command of another node is heard.
         """
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """What the driver finds out about the robot within `seconds`; moves nothing."""
+        """Check the connection and the robot for up to `seconds`; moves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class ZeroSenderSpec:
-    """How the watchdog's process makes its ZeroSender: `maker`, `module:callable`, and keywords.
+    """How the watchdog's process makes its ZeroSender.
 
-    JSON must be able to carry the options.
+    `maker`: `module:callable`. `options`: its keyword arguments, which must be valid JSON.
     """
 
     maker: str
@@ -76,12 +76,13 @@ class ZeroSender(Protocol):
     """A second connection to a base, which sends nothing but zero.
 
     It lives in the watchdog's process (`watchdog.py`), which has no event loop. A sender whose
-    `open` may return before it is connected also has `is_connected`; while that is false the
-    daemon's commands are zero. A sender that a driver's `zero_hint` concerns has `take_hint(hint)`.
+    `open` may return before the connection is made also has the attribute `is_connected`; while it
+    is False the daemon's commands are zero. A sender that needs the driver's `zero_hint` has the
+    method `take_hint(hint)`.
     """
 
     def open(self) -> None:
-        """Connect, and stay connected from then on; SwarmError if that is impossible."""
+        """Connect, and reconnect by itself from then on; SwarmError if that is impossible."""
 
     def send_zero(self) -> None:
         """Send zero once, now; never blocks for longer than a tick."""
@@ -92,25 +93,25 @@ class ZeroSender(Protocol):
 
 @runtime_checkable
 class ZeroSenderProvider(Protocol):
-    """What a driver also offers if its base may lack a command timeout.
+    """The extension of a driver whose base may lack a command timeout.
 
-    A driver that finds out what zero its base understands tells that in the attribute `zero_hint`,
-    a word of at most 15 ASCII characters, empty while it is unknown. Each tick carries it to the
-    watchdog, where it outlives the daemon.
+    A driver that learns which form of zero its base understands puts it into the attribute
+    `zero_hint`: a word of at most 15 ASCII characters, empty while unknown. Each tick carries the
+    hint to the watchdog, which keeps it after the end of the daemon.
     """
 
     def zero_sender(self) -> ZeroSenderSpec | None:
         """How the watchdog sends zero to this base.
 
-        None: the driver has a process of its own for it, which outlives the daemon.
+        None: a process of the driver itself, which outlives the daemon, sends zero.
         """
 
 
 @runtime_checkable
 class MessageCarrier(Protocol):
-    """What a driver also offers if its base has a radio for the messages of patterns.
+    """The extension of a driver whose base has a radio for the messages of patterns.
 
-    While `carries_messages`, the daemon hands messages to the driver and not to its own network.
+    While `carries_messages`, the daemon sends messages by the driver and not by its own network.
     """
 
     carries_messages: bool
@@ -121,22 +122,22 @@ class MessageCarrier(Protocol):
 
 @runtime_checkable
 class Gripper(Protocol):
-    """What a driver also offers if its base has a gripper.
+    """The extension of a driver whose base has a gripper.
 
-    A daemon with any other driver takes `gripper` away from what its platform provides, so that the
-    robot refuses patterns that need one.
+    With any other driver the daemon removes `gripper` from `provides` of the platform, so that the
+    robot refuses patterns that need a gripper.
     """
 
     def grip(self, is_closed: bool) -> None:
-        """Close or open the gripper, called with each step of a pattern that says so: never blocks.
+        """Close or open the gripper; never blocks, does nothing while the base is lost.
 
-        Dropped while the base is lost.
+        Called after each step of a pattern whose outputs set `grip`.
         """
 
 
 @runtime_checkable
 class StateDisplay(Protocol):
-    """What a driver also offers if it can show the state of its robot to others.
+    """The extension of a driver that can show the state of its robot, for instance in RViz.
 
     While `shows_state`, the daemon calls `show`; protection and commands do not depend on it.
     """
@@ -144,9 +145,9 @@ class StateDisplay(Protocol):
     shows_state: bool
 
     def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
-        """Take the newest state, called on the loop, at most 10 Hz: never blocks, never raises.
+        """Show the newest state; called on the loop, at most at 10 Hz. Never blocks, never raises.
 
-        `status`: on each change and once a second, else None. `motion`, `pose`: None if not known.
+        `status`: on each change and once a second, else None. `motion`, `pose`: None if unknown.
         """
 
 
@@ -163,7 +164,7 @@ def gripper_of(driver: Driver) -> Gripper | None:
 
 
 def state_display(driver: Driver) -> StateDisplay | None:
-    """The driver, or the driver that it wraps, if it is to show the state of its robot."""
+    """The driver, or the driver that it wraps, if it shows the state of its robot."""
     bare = _unwrapped(driver)
     return bare if isinstance(bare, StateDisplay) and bare.shows_state else None
 

@@ -1,7 +1,7 @@
-"""The robots' side of a driver's protocol, for simulated robots.
+"""The interface of emulators: the robots' side of a driver's protocol, for simulated robots.
 
-An emulator lives beside its driver and is found under the driver's name in the entry-point group
-`swarmd.emulators`: the simulated world imports no driver.
+An emulator lies beside its driver, and is registered under the driver's name in the entry-point
+group `swarmd.emulators`. So the simulated world needs no import of a driver.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Emulator(Protocol):
     dropped: int
 
     def publish(self, robot: str, input: SensorInput) -> None:
-        """Publish what a sensor of a robot has measured, if its driver reads that; never blocks.
+        """Publish a measurement of a robot's sensor if its driver reads this kind; never blocks.
 
-        Of an option with entries, such as `readings`, only what its entries name is published.
+        For a driver option with entries, such as `readings`, only the named entries are published.
         """
 
     def close(self) -> None:
@@ -42,7 +42,7 @@ class EmulatorFactory(Protocol):
     def __call__(
         self, *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
     ) -> Emulator:
-        """An emulator that listens at `endpoint` (port 0: a free one) from now on.
+        """An emulator that listens at `endpoint` (port 0: any free port) from now on.
 
         Raises ConfigError if the protocol cannot express a platform or the endpoint is malformed,
         NetworkError if the endpoint is not available.

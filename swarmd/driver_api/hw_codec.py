@@ -1,10 +1,10 @@
 """The wire between a simulated robot and its daemon: its inputs, messages and command.
 
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
-The daemon sends the frames `cmd_vel`, `grip` and `sent`, the robot those of KINDS and `received`.
-An input travels as in a recording, but for scans and odometry, of which there are many: the arrays
-of a scan as little-endian float32; regular bearings and ages as (first, step). `range_min` and
-`range_max` come from the platform file, not from the message.
+The daemon sends the frames `cmd_vel`, `grip` and `sent`; the robot sends the frames of KINDS and
+`received`. An input is encoded as in a recording, except scans and odometry, which are frequent.
+The arrays of a scan are little-endian float32; regular bearings and ages are (first, step).
+`range_min` and `range_max` come from the platform file, not from the message.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class MessagesWire(Struct, frozen=True, array_like=True):
 
 
 class CommandWire(Struct, frozen=True, array_like=True):
-    """The safe command, the scan of its decision and the scan of its request (-1: none)."""
+    """The safe command, the scan of its decision, and the scan of the request (-1 without)."""
 
     linear: Speed
     angular: Speed
@@ -99,7 +99,7 @@ def encode_scan(scan: Scan) -> bytes:
 
 
 def decode_scan(payload: bytes, spec: ScanSpec) -> Scan:
-    """A scan as the sensor gave it, not yet conditioned: even its lengths may disagree."""
+    """A raw scan, not yet conditioned: even the lengths of its arrays may disagree."""
     wire = _scan(payload)
     ranges = _floats(wire.ranges)
     bearings = _of_rays(wire.bearings, len(ranges))
@@ -168,7 +168,7 @@ def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
 
 
 def encode_input(input: SensorInput) -> bytes:
-    """The bytes of an input, whose kind names its frame."""
+    """The bytes of an input; the kind of the input is the name of the frame."""
     if isinstance(input, events.ScanInput | events.RangesInput):
         return encode_scan(input.scan)
     if isinstance(input, events.OdometryInput):
@@ -213,7 +213,7 @@ def _short(values: Array) -> tuple[float, float] | bytes:
 
 @lru_cache(maxsize=16)
 def _of_rays(wire: tuple[float, float] | bytes, count: int) -> Array:
-    """The bearings or ages of rays; one array for equal scans, computed once."""
+    """The bearings or ages of rays as an array, cached for equal scans."""
     if isinstance(wire, bytes):
         values = _floats(wire)
     else:

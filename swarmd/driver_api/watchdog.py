@@ -1,13 +1,16 @@
 """The watchdog: a second process that sends zero to a base when its daemon falls silent.
 
-It serves bases that keep their last command for ever. It starts before the driver, with an open
-connection of its own, and the daemon's tick feeds it over a socket pair. At end of file, or after
-0.4 s without a tick, it sends zeros until the daemon is back, for at least 2 s. A daemon that is
-back before the zeros end sends zero as well, so that the base stands.
+The watchdog is for bases that keep their last command for ever. It starts before the driver and has
+a connection to the base of its own. It detaches from its daemon, so that it survives the daemon's
+end.
 
-Before the first tick the watchdog sends nothing. After a farewell, SIGTERM, or when the watchdog of
-a new daemon relieves it, it ends after the 2 s; the new watchdog is ready then. It detaches from
-its daemon, so that it survives the daemon's end.
+1. The daemon's tick feeds the watchdog over a socket pair.
+2. After 0.4 s without a tick, or at end of file, the watchdog sends zeros for at least 2 s, and
+   until the daemon ticks again. A daemon that is back before the zeros end sends zero as well, so
+   that the base stands.
+3. Before the first tick the watchdog sends nothing.
+4. After a farewell of the daemon, SIGTERM, or relief by the watchdog of a new daemon, the watchdog
+   ends after the 2 s of zeros. The new watchdog is ready by then.
 """
 
 from __future__ import annotations
@@ -54,9 +57,9 @@ _CLAIM_TIMEOUT = 5.0
 
 
 class WatchdogTimer:
-    """Decides when zeros are sent. Pure; times in s on one monotonic clock, handed in.
+    """Decides when zeros are sent. Pure; times in s on one monotonic clock come with each call.
 
-    The first tick arms it, so that a daemon that never drove cannot interrupt another driver.
+    The first tick arms the timer: a daemon that never drove must not interrupt another driver.
     """
 
     def __init__(self) -> None:
@@ -72,22 +75,22 @@ class WatchdogTimer:
 
     @property
     def is_relieved(self) -> bool:
-        """True if no tick came since another watchdog took over."""
+        """True if no tick has come since another watchdog took over."""
         return self._may_end
 
     def tick(self, now: float) -> None:
-        """The daemon has ticked."""
+        """Note a tick of the daemon."""
         self._ticked_at = now
         self._may_end = False
 
     def close(self, now: float) -> None:
-        """The daemon's end is closed: end of file."""
+        """Note end of file: the daemon's end of the socket is closed."""
         self._is_closed = True
         if self._zeros_from is None and self._ticked_at is not None and not self._may_end:
             self._zeros_from = now
 
     def relieve(self) -> None:
-        """Another watchdog has taken over, or this one was asked to end."""
+        """Note that another watchdog has taken over, or that this watchdog was asked to end."""
         self._may_end = True
 
     def is_silent(self, now: float) -> bool:
@@ -97,7 +100,7 @@ class WatchdogTimer:
         )
 
     def is_sending(self, now: float) -> bool:
-        """True if zeros are to be sent at `now`."""
+        """True if zeros must be sent at `now`."""
         if self._ticked_at is None:
             return False
         is_wanted = self.is_silent(now) and not self._may_end
@@ -131,8 +134,8 @@ class WatchdogTimer:
 class Watchdog:
     """Serves one daemon's socket until its end and until enough zeros were sent.
 
-    `name` (None: unnamed) is the robot's: the watchdog that holds it is relieved once its daemon is
-    silent. `tie` is a process whose end asks this one to end.
+    `name`: the name of the robot's watchdog, None: unnamed. An earlier watchdog with this name is
+    relieved once its daemon is silent. `tie`: a process whose end makes this process end.
     """
 
     def __init__(
@@ -149,12 +152,12 @@ class Watchdog:
         self._next = 0.0
         self._faults = 0
         self._is_asked = False
-        # systemd sends SIGABRT to each process of a service whose main process no longer feeds it.
+        # systemd sends SIGABRT to all processes of a service whose main process stops feeding.
         for number in (signal.SIGTERM, signal.SIGABRT):
             signal.signal(number, self._on_sigterm)
 
     def serve(self) -> None:
-        """Run until done."""
+        """Run until enough zeros were sent after the daemon's end."""
         self._answer(READY + str(os.getpid()).encode())
         now = boottime()
         while not self._timer.is_done(now):
@@ -171,7 +174,7 @@ class Watchdog:
             self._next = now + ZERO_PERIOD
             try:
                 self._sender.send_zero()
-            except Exception as error:  # a sender may raise anything; the next zero may get through
+            except Exception as error:  # a sender may raise anything; the next zero may succeed
                 self._faults += 1
                 if self._faults == 1:
                     say(f"a zero could not be sent: {error}")
@@ -235,13 +238,13 @@ class Watchdog:
             self._timer.relieve()
 
     def _hand_over(self) -> None:
-        """Release the name after the last zero: its next holder may move the base."""
+        """Release the name after the last zero, since the next watchdog's daemon may then move."""
         if self._name is not None and self._timer.is_relieved and not self._is_sending:
             self._name.close()
             self._name = None
 
     def _answer(self, frame: bytes) -> None:
-        with contextlib.suppress(OSError):  # frozen or gone: found by its silence
+        with contextlib.suppress(OSError):  # the daemon is frozen or gone; its silence shows that
             self._daemon.send(frame)
 
     def _on_sigterm(self, number: int, frame: object) -> None:
@@ -249,20 +252,23 @@ class Watchdog:
 
 
 def watchdog_name(swarm: str, robot: str) -> str:
-    """The name under which one robot's watchdogs relieve each other on this machine."""
+    """The name by which the watchdogs of one robot relieve each other on this machine."""
     digest = sha256(f"{swarm}/{robot}".encode()).hexdigest()[:32]
     return f"swarmd/watchdog/{os.getuid()}/{digest}"
 
 
 def say(text: str) -> None:
-    """Write one line to stderr unless that would block: its reader may be gone."""
+    """Write a line to stderr unless that would block: the reader may be gone."""
     with contextlib.suppress(OSError, ValueError):
         if select.select([], [2], [], 0.0)[1]:
             os.write(2, f"watchdog: {text}\n".encode())
 
 
 def _claimed(name: str) -> socket.socket:
-    """The robot's name, an abstract datagram socket; DriverError if a ticking daemon's has it."""
+    """Claim the robot's name, an abstract datagram socket.
+
+    DriverError if the watchdog of a daemon that still ticks has the name.
+    """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     claim.setblocking(False)
     deadline = boottime() + _CLAIM_TIMEOUT
@@ -277,7 +283,7 @@ def _claimed(name: str) -> socket.socket:
                     "another daemon on this machine drives this robot and has a watchdog at work;"
                     " end that daemon first"
                 ) from error
-        with contextlib.suppress(OSError):  # its holder has ended meanwhile
+        with contextlib.suppress(OSError):  # the holder of the name has ended meanwhile
             claim.sendto(_RELIEF, f"\0{name}")
         time.sleep(0.02)
 
@@ -290,7 +296,7 @@ def _pidfd(pid: int) -> int:
 
 
 def made_zero_sender(maker: str, options: Mapping[str, Value]) -> ZeroSender:
-    """The sender of a `ZeroSenderSpec`, not connected yet."""
+    """Make the sender of a `ZeroSenderSpec`; not connected yet."""
     module, _, attribute = maker.partition(":")
     make = cast("Callable[..., ZeroSender]", getattr(import_module(module), attribute))
     return make(**options)
@@ -306,7 +312,7 @@ def main() -> NoReturn:
     parser.add_argument("--tie", type=int, help="end when this process has ended")
     args = parser.parse_args()
     if os.fork():
-        os._exit(0)  # the daemon reaps this process at once; the fork has no parent to reap it
+        os._exit(0)  # the daemon reaps this process; init reaps the detached fork
     os.set_inheritable(args.fd, False)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -315,7 +321,7 @@ def main() -> NoReturn:
     except BaseException as error:
         say(f"ends with {error!r}")
         os._exit(1)
-    os._exit(0)  # the interpreter's own end may wait for a library's threads, or abort over them
+    os._exit(0)  # the interpreter's own exit may wait for a library's threads, or abort
 
 
 def _serve(args: argparse.Namespace) -> None:

@@ -1,7 +1,7 @@
-"""The daemon's end of the watchdog: a driver that runs only while its base has a watchdog.
+"""The daemon's side of the watchdog: a driver that runs only while its base has a watchdog.
 
-Each command feeds the watchdog, at least once a tick, so that a daemon that no longer decides is
-noticed.
+Each command, at least one per tick, feeds the watchdog. So the watchdog notices a daemon that no
+longer decides.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _FEED_PERIOD = 0.04
 class WatchdogProcess:
     """Starts a watchdog, feeds it, and detects its loss.
 
-    `name` (None: unnamed): see `watchdog_name`. `tie`: a process whose end ends the watchdog too.
-    `requires_zero`: while true, the daemon's commands must be zero.
+    `name`: as in `watchdog_name`, None: unnamed. `tie`: a process whose end also ends the watchdog.
+    `requires_zero`: while True, the daemon's commands must be zero.
     """
 
     def __init__(self, spec: ZeroSenderSpec, *, name: str | None, tie: int | None = None) -> None:
@@ -61,19 +61,19 @@ class WatchdogProcess:
         self._loop.add_reader(self._socket, self._on_readable)
 
     async def start(self) -> None:
-        """Wait until it is ready; DriverError with the reason if it fails."""
+        """Wait until the watchdog is ready; DriverError with the reason if it fails."""
         try:
             async with asyncio.timeout(START_TIMEOUT):
                 frame = await self._first
         except TimeoutError:
             raise DriverError(f"the watchdog was not ready within {START_TIMEOUT:g} s") from None
-        await asyncio.to_thread(self._process.wait)  # it has detached, or ended
+        await asyncio.to_thread(self._process.wait)  # returns once the watchdog detached or ended
         if not frame.startswith(READY):
             raise DriverError(f"no watchdog: {frame[1:].decode(errors='replace') or 'see the log'}")
         self.pid = int(frame[1:])
 
     async def lost(self) -> str:
-        """Wait until it is lost; the reason."""
+        """Wait until the watchdog is lost; returns the reason."""
         return await asyncio.shield(self._lost)
 
     def feed(self, hint: str = "") -> None:
@@ -82,31 +82,31 @@ class WatchdogProcess:
         if now - self._fed_at < _FEED_PERIOD:
             return
         if self._fed_at and now - self._fed_at >= TICK_TIMEOUT:
-            self._on_readable()  # this process stood still; read the answers that waited
+            self._on_readable()  # this process was suspended: read the waiting answers first
         self._fed_at = now
         if self._is_late(now):
-            self._on_readable()  # its answers may have waited for this loop
+            self._on_readable()  # answers may have waited for this loop
             if self._is_late(now) and not self._lost.done():
-                with contextlib.suppress(OSError):  # its socket is open, so the id is still its own
+                with contextlib.suppress(OSError):  # the open socket shows that the pid is valid
                     self._frozen = os.pidfd_open(self.pid)
                 self._lose(f"has not answered for {ANSWER_TIMEOUT:g} s")
         self._unanswered_since = self._unanswered_since or now
-        with contextlib.suppress(OSError):  # full or gone: it does not answer
+        with contextlib.suppress(OSError):  # socket full or closed: the missing answer shows that
             self._socket.send(TICK + hint.encode())
 
     def close(self) -> None:
-        """Say farewell: it sends zeros for the rest of the 2 s and ends."""
+        """Send the farewell: the watchdog sends zeros for the rest of its 2 s, and ends."""
         with contextlib.suppress(OSError):
             self._socket.send(FAREWELL)
         self.hang_up()
-        if self._process.poll() is None:  # it has not detached yet
+        if self._process.poll() is None:  # the watchdog has not detached yet
             self._process.kill()
             self._process.wait()
 
     def kill_if_frozen(self) -> None:
-        """Kill a watchdog that was lost because it froze: it would keep the robot's name."""
+        """Kill a watchdog that was lost by freezing, which would keep the robot's name."""
         if self._frozen >= 0:
-            with contextlib.suppress(ProcessLookupError):  # it was only slow
+            with contextlib.suppress(ProcessLookupError):  # it was only slow, and has ended
                 signal.pidfd_send_signal(self._frozen, signal.SIGKILL)
             os.close(self._frozen)
             self._frozen = -1
@@ -153,7 +153,7 @@ def _started(
     return subprocess.Popen(
         command,
         pass_fds=(fd,),
-        start_new_session=True,  # a Ctrl-C is for the daemon only
+        start_new_session=True,  # keeps a Ctrl-C in the terminal from the watchdog
         stdin=subprocess.DEVNULL,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
     )
@@ -188,7 +188,11 @@ class WatchedDriver:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Feed the watchdog and pass a command on: zero if it requires that, dropped without it."""
+        """Feed the watchdog and pass a command on.
+
+        The command becomes zero while the watchdog `requires_zero`, and is dropped without a
+        watchdog.
+        """
         if self._watchdog is not None:
             self._watchdog.feed(getattr(self.wrapped, "zero_hint", ""))
             command = ZERO if self._watchdog.requires_zero else twist

@@ -1,1 +1,1 @@
-"""Missions: patterns composed of others in a YAML file, and conditions that end a run."""
+"""Missions: patterns that a YAML file composes of other patterns, and their conditions."""

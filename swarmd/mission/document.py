@@ -1,4 +1,4 @@
-"""The document of a mission: reads the mission's file, and lists its faults by line."""
+"""Reads the file of a mission into a `Document`, and lists the faults of the file by line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from swarmd.settings.yamlfile import read as read_yaml
 
 @dataclass(slots=True)
 class Document:
-    """The contents of a mission's file, without the faulty parts, which `faults` lists."""
+    """The valid contents of a mission's file; `faults` lists the invalid contents."""
 
     path: Path
     description: str
@@ -83,14 +83,14 @@ def fault_lines(path: Path, faults: Iterable[Fault]) -> list[str]:
 
 
 def fault_error(path: Path, faults: Iterable[Fault]) -> ConfigError:
-    """The error for the first fault; it says how many more there are."""
+    """The error for the first fault, with the count of further faults."""
     first, *more = fault_lines(path, faults)
     rest = f" (and {len(more)} more; swarmctl mission check shows all)" if more else ""
     return ConfigError(first + rest)
 
 
 def _expanded(element: Any) -> Any:
-    """The data of an element in which `{part: NAME}` replaces the short form NAME."""
+    """The data of an element, with `{part: NAME}` in place of each short form NAME."""
     if isinstance(element, str):
         return {"part": element}
     if not isinstance(element, dict):

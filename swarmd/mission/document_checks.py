@@ -1,6 +1,6 @@
 """Checks of a mission's file that need no patterns: names, references, ends and transitions.
 
-`part_builder.py` checks what needs the patterns.
+`part_builder.py` has the checks that need the patterns.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def _can_fail(element: Element) -> bool:
 
 
 def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    """Faults that the types of a struct cannot express."""
+    """The faults of a value beyond its type: rules between the fields of an element."""
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -117,7 +117,7 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
 
 
 def check_names(element: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    """Unknown parts and steps in the data of an element, which may have other faults."""
+    """Unknown names of parts and steps in the raw data of an element, also of invalid data."""
     if not isinstance(element, dict):
         return
     if element.get("part") and isinstance(element["part"], str):
@@ -169,8 +169,8 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
 def _reached(sequence: Sequence) -> set[int]:
     """The indices of the steps that the sequence can reach, if each transition can hold.
 
-    A step without an end and without transitions has a fault of its own: the step after it counts
-    as reached.
+    A step without an end and without transitions is reported as a fault elsewhere. The step after
+    such a step counts as reached, so that one mistake gives one fault.
     """
     steps = sequence.children
     indices = {step.label: index for index, step in enumerate(steps)}
@@ -234,7 +234,7 @@ def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iter
 def valid_names(
     key: str, references: Mapping[str, str], names: Collection[str], faults: list[Fault]
 ) -> Iterator[tuple[str, Reference]]:
-    """The valid entries of `report` or `parameters`; the faults of the others are appended."""
+    """The valid entries of `report` or `parameters`; appends a fault for each invalid entry."""
     for own, reference in references.items():
         wrong = list(_check_reference(reference, (key, own), names))
         if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
@@ -249,7 +249,7 @@ def valid_names(
 
 
 def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
-    """Faults between the keys of the file."""
+    """Faults that concern several keys of the file, or missing keys."""
     if "mission" not in data:
         yield fault_at(("mission",), "is missing; expected a line that says what the mission does")
     if not data.get("parts"):

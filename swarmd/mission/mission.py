@@ -1,4 +1,4 @@
-"""A mission as a pattern: a class for each file, and a node for each element that it steps."""
+"""Runs a mission as a pattern: a class for each mission file, a node for each of its elements."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PatternClasses: TypeAlias = dict[str, type[Pattern[Any]]]
 
 
 class Mission(CombinedPattern[Params]):
-    """A pattern that a file composes of others; each file has a class of its own."""
+    """A pattern that a file composes of other patterns; each file has a class of its own."""
 
     document: ClassVar[Document]
     classes: ClassVar[PatternClasses]
@@ -44,7 +44,10 @@ class Mission(CombinedPattern[Params]):
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """The mission's own parameters, as its file or the platform sets those of its parts."""
+        """The defaults of the mission's own parameters.
+
+        They are the values of the parts' parameters in the mission's file, else on the platform.
+        """
         values_by_name: dict[str, Value] = {}
         for own, (name, param) in cls.document.parameters.items():
             part, kind = cls.document.parts[name], cls.classes[name]
@@ -55,7 +58,7 @@ class Mission(CombinedPattern[Params]):
         return values_by_name
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
-        """All parts, with every value of every map tried; ConfigError for the first fault."""
+        """Make all parts, and try every value of every map; ConfigError for the first fault."""
         builder = self._builder(self.params)
         parts = part_builder.build_parts(builder)
         self._setters = part_builder.build_setters(builder, parts)
@@ -64,7 +67,7 @@ class Mission(CombinedPattern[Params]):
         return parts
 
     def update(self, params: Params) -> None:
-        """Hand changed parameters to their parts; ConfigError if a value is refused."""
+        """Hand changed parameters to the parts; ConfigError if a part refuses a value."""
         builder = self._builder(params)
         changes = {
             name: {k: v for k, v in values.items() if v != getattr(self.parts[name].params, k)}
@@ -85,7 +88,7 @@ class Mission(CombinedPattern[Params]):
         super().update(params)
 
     def step(self, inputs: Inputs) -> Outputs:
-        """One step of the parts that the present elements name."""
+        """One step of all parts of the present elements."""
         if not self._is_started:
             self._is_started = True
             self._root.start(inputs.now)
@@ -110,7 +113,7 @@ class Mission(CombinedPattern[Params]):
         return Outputs(twist, messages, self._report(), self._root.ended or None, grip)
 
     def run_part(self, name: str, inputs: Inputs) -> Outputs:
-        """One step of a part; its reports set the parameters of others at once."""
+        """One step of a part; by the maps, its reports set parameters of other parts at once."""
         outputs = self._stepped[name] = self.step_part(name, inputs)
         self._reports.update({f"{name}.{key}": value for key, value in outputs.report.items()})
         (self._done.discard if outputs.done is None else self._done.add)(name)
@@ -121,7 +124,7 @@ class Mission(CombinedPattern[Params]):
         return outputs
 
     def forget(self, parts: Collection[str]) -> None:
-        """Drop the reports of parts, so that no condition holds by them until the next step."""
+        """Drop the reports of parts, so that no condition uses them until the next step."""
         for key in [key for key in self._reports if schema.split(key)[0] in parts]:
             del self._reports[key]
         self._done.difference_update(parts)
@@ -154,9 +157,9 @@ class Mission(CombinedPattern[Params]):
 
 
 def mission_class(path: Path, find: Find) -> type[Mission]:
-    """The pattern class made from a mission file, checked as far as possible without a robot.
+    """Make the pattern class of a mission file, checked as far as possible without a robot.
 
-    ConfigError for its first fault, with file and line.
+    ConfigError for the first fault of the file, with file and line.
     """
     document = read_document(path)
     classes = pattern_classes(document, find)
@@ -180,7 +183,7 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
 
 
 def pattern_classes(document: Document, find: Find) -> PatternClasses:
-    """The class of each part; a fault is added for a pattern that cannot be loaded."""
+    """The class of each part; adds a fault for each pattern that cannot be loaded."""
     classes: PatternClasses = {}
     for name, part in document.parts.items():
         try:
@@ -223,7 +226,7 @@ def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
 
 
 def _recovery(document: Document, classes: PatternClasses) -> bool:
-    """The file's `recovery`; without the key, true if all parts that drive have recovery on."""
+    """The file's `recovery`; without this key, True if all driving parts have recovery on."""
     if document.recovery is not None or document.root is None:
         return bool(document.recovery)
     values = [
@@ -239,7 +242,7 @@ def _default(kind: type[Pattern[Any]], name: str) -> Any:
 
 
 def _channels(document: Document, classes: PatternClasses) -> dict[str, type]:
-    """The channels as the classes declare them; those of a Mission object are exact."""
+    """The channels that the classes of the parts declare; a Mission object has the exact ones."""
     channels: dict[str, type] = {}
     for name, part in document.parts.items():
         prefix = f"{name}-" if part.private else f"{part.pattern}/"
@@ -252,13 +255,13 @@ _FAILED = "failed: "
 
 
 class _Node(ABC):
-    """Carries out one element."""
+    """Runs one element of a mission; has the state of the element."""
 
     def __init__(self, element: schema.Element) -> None:
         self.name = element.label
         self.ended = ""  # the reason why the element has ended, empty before
-        self.has_failed = False  # the element has ended by failing
-        self._is_new = True  # the element has not been checked since its begin
+        self.has_failed = False  # the element has ended by a failure
+        self._is_new = True  # the element has not been checked since its start
         self._until = None if element.until is None else ConditionState(element.until)
         self._fails = None if element.fails is None else ConditionState(element.fails)
         self._transitions = [
@@ -284,16 +287,16 @@ class _Node(ABC):
                 condition.start(now)
 
     def check(self, mission: Mission, seen: Observation) -> str:
-        """The reason why the element has ended, or "", evaluated once before each step.
+        """Evaluate the conditions once before each step; returns why the element ended, or "".
 
-        1. Before its first step an element never ends: the reports of its parts are older.
-        2. `until` comes before `fails`, and `fails` before the transitions.
-        3. The first transition whose condition holds sets `target`; the element goes on.
+        1. An element never ends before its first step: the reports of its parts would be old.
+        2. `until` is evaluated before `fails`, and `fails` before the transitions.
+        3. The first transition whose condition holds sets `target`; the element continues.
         """
         is_new, self._is_new = self._is_new, False
         if not self.ended:
             until, fails = self._until, self._fails
-            # Every condition has a memory and must be evaluated at every step.
+            # Every condition has a memory, and so must be evaluated at every step.
             targets = [name for name, state in self._transitions if state.is_met(seen)]
             is_over = until is not None and until.is_met(seen) and not is_new
             is_lost = fails is not None and fails.is_met(seen) and not is_new
@@ -307,7 +310,7 @@ class _Node(ABC):
         return self.ended
 
     def _fail(self, reason: str, mission: Mission, now: float) -> None:
-        """Fail for a reason, or begin again without the reports of the element's parts."""
+        """Fail for a reason; or, while `retry` permits, restart without the parts' reports."""
         if self._retries < self._retry:
             self._retries += 1
             mission.forget(self._parts)
@@ -317,7 +320,7 @@ class _Node(ABC):
             self.ended, self.has_failed = prefix + reason, True
 
     def _end_like(self, child: _Node, mission: Mission, now: float) -> None:
-        """End, or fail, as the child has."""
+        """End as the child has ended, or fail as the child has failed."""
         if child.has_failed:
             self._fail(child.ended, mission, now)
         else:
@@ -325,7 +328,7 @@ class _Node(ABC):
 
     @abstractmethod
     def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
-        """One step of its parts; the command of the part that drives."""
+        """One step of the element's parts; returns the command of the driving part."""
 
     @property
     @abstractmethod
@@ -350,9 +353,10 @@ class _RunNode(_Node):
 
 
 class _SequenceNode(_Node):
-    """A sequence goes on where a step ends, a fallback where an item fails.
+    """Runs a sequence or a fallback.
 
-    A transition of a step leads to the step that it names.
+    A sequence starts the next step when a step ends, a fallback starts the next item when an item
+    fails. A transition of a step starts the step that the transition names.
     """
 
     def __init__(self, element: schema.Sequence | schema.Fallback) -> None:

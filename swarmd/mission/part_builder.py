@@ -1,4 +1,4 @@
-"""Builds the parts of a mission and its setters, and tries every value that a setter can set."""
+"""Builds the parts and the setters (maps) of a mission, and tries each value a setter can set."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _NOT_MADE = "cannot be made: "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartBuilder:
-    """Builds parts by name and collects the faults that this shows.
+    """Builds parts by name and collects the faults.
 
-    `exposed`: by part, the values of the mission's own parameters.
+    `exposed`: by part, the values of the parameters that are the mission's own parameters.
     """
 
     document: Document
@@ -48,7 +48,7 @@ class PartBuilder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setter:
-    """Sets a parameter of the target by what the source reports; every value is tried."""
+    """Sets a parameter of the target part by a report of the source part; `table` maps values."""
 
     source: Reference
     target: Reference
@@ -56,7 +56,7 @@ class Setter:
 
 
 def build_parts(builder: PartBuilder) -> dict[str, Pattern[Any]]:
-    """All parts, those with a refused parameter without it, but not those that raise an error."""
+    """All parts that can be made; a part is made without parameters that it refuses."""
     built = {name: _built(builder, name) for name in list(builder.document.parts)}
     parts = {name: part for name, part in built.items() if part is not None}
     senders: dict[str, str] = {}
@@ -75,8 +75,8 @@ def build_setters(
 ) -> list[Setter]:
     """A setter for each map between these parts.
 
-    Each value is tried on a part that starts with the value, and on a part that is changed to the
-    value. `opinions` overrides the number of opinions of a part.
+    Each value is tried twice: on a part that starts with the value, and on a part that is changed
+    to the value. `opinions`: by part, overrides the number of its opinions.
     """
     setters = []
     for keys, mapping in builder.document.maps:
@@ -84,7 +84,7 @@ def build_setters(
         if source[0] not in parts or target[0] not in parts:
             continue
         known = [spec.name for spec in schema(parts[target[0]].params_type)]
-        if target[1] not in known:  # once, not for each value
+        if target[1] not in known:  # reported here once, instead of once for each value
             text = f"names {unknown('parameter', target[1], known)} (of {target[0]})"
             builder.faults.append(fault_at((*keys, "to"), text))
             continue
@@ -103,9 +103,9 @@ def build_setters(
 
 
 def check_reports(builder: PartBuilder, parts: Parts) -> None:
-    """Find reports that a part does not have.
+    """Add a fault for each reference to a report that a part does not have.
 
-    A part without reports in its first step may have any later.
+    A part that reports nothing in its first step may have any report later.
     """
     document = builder.document
     known = {name: _reports(builder, name) for name in parts}
@@ -130,7 +130,10 @@ def check_reports(builder: PartBuilder, parts: Parts) -> None:
 
 
 def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
-    """A new part; a fault for each parameter that it refuses, which the part then does not get."""
+    """A new part without the parameters that it refuses; adds a fault for each of these.
+
+    None, with a fault, if the part cannot be made.
+    """
     parts, exposed = builder.document.parts, builder.exposed.get(name, {})
     while True:
         part = parts[name]
@@ -146,7 +149,7 @@ def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
                 continue
             builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
         except RecursionError:
-            raise  # a part made of itself: each of its copies would append it
+            raise  # a part that contains itself: each nested copy would add this fault again
         except (Exception, SystemExit) as error:  # a plugin may raise anything
             builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
         return None
@@ -159,15 +162,15 @@ def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> A
 
 
 def error_text(error: BaseException) -> str:
-    """An exception on one line; with its type unless it is a SwarmError."""
+    """An exception in one line; with its type unless the exception is a SwarmError."""
     text = " ".join(str(error).split())
     return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"
 
 
 def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None) -> Table:
-    """The values of a map by report; {} with a fault if some are missing.
+    """The values of a map by reported value; {} with a fault if values are missing.
 
-    `opinions`: the number of opinions of the source; None if the source is no opinion of a vote.
+    `opinions`: the number of opinions of the source part; None if the source is no vote's opinion.
     """
     table: dict[BoundedScalar, BoundedScalar]
     if mapping.values is not None:
@@ -198,7 +201,7 @@ def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None
 
 
 def _tried(builder: PartBuilder, target: Reference, value: BoundedScalar) -> BoundedScalar:
-    """The value as the target's parameter holds it; SwarmError if the target refuses the value."""
+    """The value after conversion by the target's parameter; SwarmError if the target refuses it."""
     part, name = target
     started = builder(part, **{name: value})
     changed = builder(part)
@@ -209,16 +212,16 @@ def _tried(builder: PartBuilder, target: Reference, value: BoundedScalar) -> Bou
 def _reports(builder: PartBuilder, name: str) -> set[str]:
     try:
         return set(builder(name).step(Inputs(now=0.0, dt=0.0)).report)
-    except (Exception, SystemExit):  # a plugin may raise anything; its reports are not known
+    except (Exception, SystemExit):  # a plugin may raise anything; its reports stay unknown
         return set()
 
 
 def _noting(builder: PartBuilder, keys: Keys, call: Callable[[], T], prefix: str) -> T | None:
-    """The result of the call; None, and a fault, if it raises."""
+    """The result of the call; None if the call raises, which adds a fault."""
     try:
         return call()
     except RecursionError:
-        raise  # a part made of itself: each of its copies would append it
+        raise  # a part that contains itself: each nested copy would add this fault again
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         builder.faults.append(fault_at(keys, f"{prefix}{error_text(error)}"))
     return None

@@ -1,7 +1,7 @@
-"""The file of a mission as tagged structs: its elements, parts and maps, and what is in an element.
+"""The schema of a mission's file as structs (elements, parts, maps), and walks over elements.
 
-An element is a RunPart, Sequence, Parallel, Switch or Fallback; the key that names its kind
-(`part`, `sequence`, `parallel`, `switch`, `fallback`) is the tag.
+An element is a RunPart, Sequence, Parallel, Switch or Fallback. The key that names the kind
+(`part`, `sequence`, `parallel`, `switch`, `fallback`) is the tag of the struct.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     name: str = ""
     until: Condition | None = None  # ends the element
     fails: Condition | None = None  # makes the element fail
-    retry: Annotated[int, Meta(ge=1, le=1000)] | None = None  # failures that begin it again instead
+    retry: Annotated[int, Meta(ge=1, le=1000)] | None = None  # failures that restart the element
     when: Condition | None = None  # only in a branch of a switch
-    # Only in a step of a sequence: the name of the next step by the condition that leads there. The
+    # Only in a step of a sequence: by name of a step, the condition that leads to that step. The
     # first condition that holds counts, in the order of the file.
     transitions: Annotated[dict[str, Condition], Meta(min_length=1)] | None = None
 
@@ -44,43 +44,43 @@ class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class RunPart(ElementBase, frozen=True, tag="part"):
-    """Steps one part, which drives."""
+    """Steps one part, whose command drives the robot."""
 
     part: Annotated[str, Meta(min_length=1, description="the name of a part")]
 
     @property
     def label(self) -> str:
-        """Its name, by default that of its part."""
+        """The name of the element, by default the name of its part."""
         return self.name or self.part
 
     @property
     def children(self) -> tuple[Element, ...]:
-        """It holds no other element."""
+        """Empty: a RunPart contains no element."""
         return ()
 
 
 class Sequence(ElementBase, frozen=True, tag="sequence"):
-    """Runs its steps one after the other; `then` says what follows the last."""
+    """Runs its steps in turn; after the last step it ends, stays there, or repeats (`then`)."""
 
     children: Elements = msgspec.field(name="sequence")
     then: Literal["end", "stay", "repeat"]
 
 
 class Parallel(ElementBase, frozen=True, tag="parallel"):
-    """Runs its items at once; the item with label `drives` drives, or no item."""
+    """Runs its items at once; the item with the label `drives` drives, or no item."""
 
     children: Elements = msgspec.field(name="parallel")
     drives: Annotated[str, Meta(description=f"the name of an item, or {NO_DRIVER}")]
 
 
 class Switch(ElementBase, frozen=True, tag="switch"):
-    """Runs the first branch whose `when` holds; the last may be without."""
+    """Runs the first branch whose `when` holds; the last branch may have no `when`."""
 
     children: Elements = msgspec.field(name="switch")
 
 
 class Fallback(ElementBase, frozen=True, tag="fallback"):
-    """Runs its first item, and the next one where an item fails."""
+    """Runs its first item; after the failure of an item, the next item."""
 
     children: Elements = msgspec.field(name="fallback")
 
@@ -100,8 +100,9 @@ class Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Map(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Sets a parameter (`to`) by a report of another part (`from`).
 
-    `values` lists the value for report 0, 1, 2 ..., or gives it by reported text. Instead, `base` +
-    `step` times the reported number: for `count` of them, by default all opinions of a vote.
+    `values`: a list with the value for each reported number 0, 1, 2 ..., or a mapping with the
+    value for each reported text. Without `values`, the value is `base` + `step` times the reported
+    number. `count`: how many numbers may be reported; by default the number of opinions of a vote.
     """
 
     source: str = msgspec.field(name="from")
@@ -115,9 +116,10 @@ class Map(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class MissionFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of a mission's file beside those of its outermost element.
+    """The keys of a mission's file beside the keys of its outermost element.
 
-    `report` and `parameters` give names of the mission's own to PART.KEY and PART.PARAMETER.
+    `report`: the mission's own reports, each a PART.KEY. `parameters`: the mission's own
+    parameters, each a PART.PARAMETER.
     """
 
     mission: str = ""

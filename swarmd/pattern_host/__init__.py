@@ -1,4 +1,4 @@
-"""Child processes that load and step patterns, and the daemon's side of them.
+"""Child processes that load and step patterns, and the daemon's side of these processes.
 
-Restarts after a failure, and the age limit of a requested command: `robot/pattern_run.py`.
+`robot/pattern_run.py` decides on restarts after a failure, and when a requested command expires.
 """

@@ -1,7 +1,7 @@
-"""Loads a pattern, steps it and changes its parameters: one event for each command.
+"""Loads a pattern, steps it and changes its parameters: answers each command with one event.
 
-The pattern host runs one executor in a child process, the inline runner one in its own. No other
-module calls the code of a plugin during a run.
+The pattern host runs an executor in a child process; the inline runner runs an executor in the own
+process. No other module calls the code of a plugin during a run.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from swarmd.kit.params import Params, build, schema
 
 T = TypeVar("T")
 
-# A value of one of these types that has its channel's type needs no copy.
+# A value of one of these types is immutable: it needs no copy if it has the channel's type.
 _IMMUTABLE = frozenset({bool, int, float, str, bytes})
 
 
 class PatternExecutor:
-    """Holds at most one pattern. A refused load leaves the one before in place."""
+    """Holds at most one pattern. After a refused load the pattern before stays loaded."""
 
     def __init__(self, find: Find) -> None:
         self._find = find
@@ -41,11 +41,11 @@ class PatternExecutor:
 
     @property
     def needs(self) -> frozenset[str]:
-        """What the pattern needs, with its parts; empty without a pattern."""
+        """The `needs` of the pattern and its parts; empty without a pattern."""
         return frozenset() if self._assembled is None else self._assembled.pattern.needs
 
     def handle(self, command: host_messages.SentCommand) -> host_messages.SentEvent | None:
-        """Carry a command out; None if it belongs to another generation."""
+        """Carry a command out and return its event; None for a command of another generation."""
         is_current = self._load is not None and command.generation == self._load.generation
         if isinstance(command, host_messages.Step):
             return self._on_step(command) if is_current else None
@@ -94,7 +94,7 @@ class PatternExecutor:
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
         scan, last = inputs.scan, self._scan
-        # Each frame holds its own copy of a scan, and patterns look once at each.
+        # Each frame contains its own copy of the scan; `is_new_scan` must be set once per scan.
         if scan is not last and scan and last and scan.seq == last.seq and not inputs.is_new_scan:
             inputs = replace(inputs, scan=last)
         self._scan = inputs.scan
@@ -131,10 +131,10 @@ class PatternExecutor:
 
 
 def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
-    """A step's outputs in Python's own types.
+    """The outputs of a step, converted to Python's own types.
 
-    Raises PluginError if they are no Outputs, the command is no Twist, or a value on a declared
-    channel is not of the channel's type. Report values that are no scalars are left out.
+    Raises PluginError if `outputs` is no Outputs, the command is no Twist, or a value on a declared
+    channel lacks the channel's type. Report values that are no scalars are left out.
     """
     if not isinstance(outputs, Outputs):
         raise PluginError(f"step gave {named(outputs)}; expected Outputs")
@@ -146,8 +146,8 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
         if not type(linear) is type(angular) is type(lateral) is float:
             twist = Twist(float(linear), float(angular), float(lateral))
     messages: dict[str, Value] = {}
-    for channel, said in outputs.messages.items():
-        value, kind = _plain(said), channels.get(channel)
+    for channel, sent in outputs.messages.items():
+        value, kind = _plain(sent), channels.get(channel)
         if kind is not None:
             try:
                 value = msgspec.convert(value, kind)
@@ -171,7 +171,7 @@ def _in_one_line(error: BaseException) -> str:
     text = str(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
     file, line = frame.filename, frame.lineno
-    if isinstance(error, SyntaxError) and error.filename:  # raised before there was a frame
+    if isinstance(error, SyntaxError) and error.filename:  # has no frame in the plugin's file
         text = error.msg
         file, line = error.filename, error.lineno
     text = " ".join(text.split())
@@ -184,7 +184,7 @@ def _beyond_limits(
     params: host_messages.ParamSources,
     platform: Platform,
 ) -> str:
-    """A note on the changed speeds that the base cannot reach; empty without one."""
+    """A note on the changed speed parameters that exceed the base's limits; empty without."""
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
     sideways = {"lateral": platform.limits.lateral}  # as the field of a Twist
     notes = []
@@ -226,7 +226,7 @@ def _fault_of(error: Exception) -> _Fault:
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:
-    """The inputs without messages that lack their channel's type, and how many were left out."""
+    """The inputs without messages that lack their channel's type, and the count left out."""
     if not inputs.messages:
         return inputs, 0
     kept: list[Message] = []

@@ -1,7 +1,7 @@
-"""A pattern host forked ahead of its daemon, from a process that shares its imports.
+"""Forks a pattern host from the process that becomes its daemon, so that both share imports.
 
 The fork happens before the daemon reads settings and keys, opens a session or starts a thread. The
-host keeps no descriptor of the daemon, and waits until the daemon uses it as first host.
+host keeps no descriptor of the daemon, and waits until the daemon uses it as the first host.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ _VARIABLE = "SWARMD_FORKED_HOST"
 
 
 class ForkedHost:
-    """A child that is a pattern host, with what is used of `subprocess.Popen`."""
+    """A forked child process, with the methods of `subprocess.Popen` that `HostProcess` uses."""
 
     def __init__(self, pid: int) -> None:
         self.pid = pid
 
     def wait(self) -> int:
-        """Wait for its end; the exit code, less than 0 for a signal."""
+        """Wait for the end of the child; returns the exit code, negative for a signal."""
         return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
 
@@ -41,7 +41,10 @@ def host_sockets() -> tuple[socket.socket, socket.socket]:
 
 
 def fork_host() -> None:
-    """Fork a host for this process, which becomes a daemon; before all threads and secrets."""
+    """Fork a host for this process, which then becomes a daemon.
+
+    Called before the process starts a thread or reads a secret.
+    """
     ours, theirs = host_sockets()
     parent = os.getpid()
     pid = os.fork()
@@ -59,9 +62,9 @@ def fork_host() -> None:
 def take_forked_host(
     folders: Sequence[Sequence[str]], printed: int
 ) -> tuple[ForkedHost, socket.socket] | None:
-    """The host that was forked for this process and its socket, once; None if there is none.
+    """The forked host and its socket, at the first call; None later, or without a forked host.
 
-    `folders` and `printed` as those of a host that is started by exec.
+    `folders` and `printed`: as for a host that is started by exec.
     """
     pid, _, fd = os.environ.pop(_VARIABLE, "").partition(" ")
     if not fd:
@@ -72,7 +75,7 @@ def take_forked_host(
 
 
 def _become_host(fd: int, parent: int) -> None:
-    from swarmd.core.fork_server import SERVER_PATH  # a daemon without a fork needs neither
+    from swarmd.core.fork_server import SERVER_PATH  # imported late: only a forked host needs it
     from swarmd.pattern_host import worker
 
     die_with_parent(parent)
@@ -85,7 +88,7 @@ def _become_host(fd: int, parent: int) -> None:
     os.environ.update(ONE_THREAD)
     with socket.socket(fileno=os.dup(fd)) as daemon:
         folders, descriptors, _, _ = socket.recv_fds(daemon, 1 << 18, 1)
-    if not descriptors:  # the daemon ended before it had a use for a host
+    if not descriptors:  # the daemon ended before it used the host
         os._exit(0)
     os.dup2(descriptors[0], 2)
     os.close(descriptors[0])

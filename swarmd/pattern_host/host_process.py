@@ -1,18 +1,19 @@
-"""Pattern hosts as the daemon sees them: child processes with a socket on the daemon's loop.
+"""The daemon's side of pattern hosts: starts, limits and ends the child processes.
 
-A trial loads a pattern in a host of its own beside the one in use. That host is then fresh and
-warm, and may take the other's place.
+A trial loads a pattern in a second host beside the host in use. After the trial that second host
+has the pattern's code loaded, and may replace the host in use.
 
-The deadlines of a load and a step are in `robot/pattern_run.py`.
+`robot/pattern_run.py` has the deadlines of a load and a step.
 
-- A host starts by exec, before Zenoh opens (a fork beside an open session hung each time), and from
-  the main thread, whose end the kernel takes for the parent's. The first host of a simulated swarm
-  is a fork (`forked.py`).
-- The socket does not block, and a frame without room is dropped; one step at most is outstanding.
-  With a pipe, nine seconds of old commands piled up behind a frozen child.
-- A pidfd tells the end of the host, since a child that the pattern forks can keep the socket open.
-- The daemon has short slices (`core/processes.py`), the host usual ones: with usual slices the
-  daemon waited 0.46 ms (p50) and 6 ms (p90) for an answer on a busy machine, now 0.08 and 0.5.
+- A host starts by exec, before Zenoh opens: a fork beside an open session hung each time. It starts
+  from the main thread, since the kernel takes the end of the starting thread for the end of the
+  parent. The first host of a simulated swarm is a fork (`forked.py`).
+- The socket does not block, and a frame is dropped if the socket is full. At most one step is
+  outstanding. With a pipe, nine seconds of old commands piled up behind a frozen child.
+- A pidfd shows the end of the host, since a child that the pattern forks can keep the socket open.
+- The daemon has short time slices (`core/processes.py`), the host has the default. With default
+  slices the daemon waited 0.46 ms (p50) and 6 ms (p90) for an answer on a busy machine; with short
+  slices 0.08 ms and 0.5 ms.
 - The sandbox (`sandbox.py`) costs 3 ms of processor time at the start.
 """
 
@@ -54,17 +55,17 @@ class HostOwner(Protocol):
     """Receives the frames and the end of a host."""
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
-        """The host sent a frame; empty if it was too long to be read."""
+        """Take a frame of the host; an empty frame stands for a frame that was too long."""
 
     def on_end(self, host: HostProcess, code: int) -> None:
-        """The host ended by itself."""
+        """Act on a host that ended by itself, with the exit code `code`."""
 
     def on_reaped(self, host: HostProcess) -> None:
-        """The host's process has been waited for."""
+        """Forget a host whose process has been waited for (waitpid)."""
 
 
 def why_it_ended(code: int) -> str:
-    """A host's end in words."""
+    """The end of a host in words."""
     if code == OUT_OF_MEMORY:
         return "its process needed more memory than it may have"
     return f"its process {how_it_ended(code)}"
@@ -104,19 +105,20 @@ class HostProcess:
         self.socket.setblocking(False)
         self._pidfd = os.pidfd_open(self.process.pid)
         loop.add_reader(self.socket, self._on_readable)
-        loop.add_reader(self._pidfd, self._on_end)  # end of file never comes if a pattern forked
+        # A child that the pattern forks keeps the socket open, so only the pidfd shows the end.
+        loop.add_reader(self._pidfd, self._on_end)
 
     def load(self, frame: bytes) -> None:
-        """Send a Load; the host may grow by LOAD_GROWTH from now on. OSError as of a socket."""
+        """Send a Load; the host's memory may grow by LOAD_GROWTH from now on. OSError."""
         self._limit(LOAD_GROWTH)
         self.socket.send(frame)
 
     def end_load(self) -> None:
-        """The host has answered a Load; it may grow by STEP_GROWTH from now on."""
+        """After the answer to a Load: the host's memory may grow by STEP_GROWTH from now on."""
         self._limit(STEP_GROWTH)
 
     def kill(self) -> None:
-        """End the process and all that it started; the owner receives no more frames."""
+        """Kill the process and all its child processes; the owner receives no more frames."""
         self._loop.remove_reader(self.socket)
         self.socket.close()
         self._kill_group()
@@ -127,9 +129,9 @@ class HostProcess:
             self._on_end()
 
     def _limit(self, growth: int) -> None:
-        # From here, since a process that could raise its limit for a load could always raise it.
+        # Set by the daemon: a host that may raise its own limit for a load could always raise it.
         if self._pidfd >= 0:
-            with contextlib.suppress(OSError):  # it has just ended
+            with contextlib.suppress(OSError):  # the process has just ended
                 limit_growth(growth, self.process.pid)
 
     def _kill_group(self) -> None:
@@ -144,7 +146,7 @@ class HostProcess:
                 return
             except OSError:
                 frame, flags = b"", 0
-            if not frame:  # closed: the pidfd tells how it ended
+            if not frame:  # the socket is closed; `_on_end` follows by the pidfd
                 self._loop.remove_reader(self.socket)
                 return
             if self.sandbox is None:
@@ -160,7 +162,7 @@ class HostProcess:
         self._pidfd = -1
         code = self.process.wait()
         self.owner.on_reaped(self)
-        self._kill_group()  # processes that the pattern forked
+        self._kill_group()  # ends processes that the pattern forked
         if self.socket.fileno() >= 0:
             self._on_readable()
             self._loop.remove_reader(self.socket)
@@ -190,7 +192,7 @@ def _execute(
 def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
     """The result of the trial `generation`, from the answer to its load.
 
-    A pattern that loads more slowly than a run waits is refused: it could not be run again.
+    A pattern that takes longer to load than LOAD_TIMEOUT of a run is refused: no run could load it.
     """
     if isinstance(event, LoadRefused):
         return TrialDone(generation, event.text, event.refusal)
@@ -204,10 +206,10 @@ def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
 
 
 class TrialProcess:
-    """One Load in a process of its own, which stays until `end` or `hand_over`.
+    """A trial: one Load in a host of its own, which stays until `end` or `hand_over`.
 
-    `on_done` is called once, unless `end` comes first; `on_reaped` when the process has been
-    waited for.
+    `on_done` is called once with the result, unless `end` comes first. `on_reaped` is called after
+    the process has been waited for.
     """
 
     def __init__(
@@ -224,18 +226,18 @@ class TrialProcess:
         self._on_done = on_done
         self._is_done = False
         self._host: HostProcess | None = HostProcess(loop, self, settings)
-        with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
+        with contextlib.suppress(OSError):  # the process has just ended; the pidfd shows that
             self._host.load(frame)
 
     def end(self) -> HostProcess | None:
-        """Kill the process; the host, if it has still to be waited for."""
+        """Kill the process; returns the host if its process must still be waited for."""
         host, self._host = self._host, None
         if host is not None:
             host.kill()
         return host
 
     def hand_over(self, owner: HostOwner) -> HostProcess | None:
-        """The host, which `owner` owns from now on; None if it has ended or not answered."""
+        """Give the host to `owner`; None if the host has ended or has not answered yet."""
         if self._host is None or not self._is_done:
             return None
         host, self._host = self._host, None
@@ -243,7 +245,7 @@ class TrialProcess:
         return host
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
-        """The answer to the load."""
+        """Take the answer to the load."""
         host.end_load()
         try:
             self._finish(trial_done(self._generation, decode_event(frame)))
@@ -251,7 +253,7 @@ class TrialProcess:
             self._finish(TrialDone(self._generation, str(error)))
 
     def on_end(self, host: HostProcess, code: int) -> None:
-        """The host ended by itself, which no load may cause."""
+        """Fail the trial: the load has ended the host."""
         self._host = None
         text = f"while it was being loaded {why_it_ended(code)}"
         self._finish(TrialDone(self._generation, text))

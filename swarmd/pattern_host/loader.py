@@ -1,7 +1,7 @@
-"""Imports a pattern's class from where it is found: the only module that imports plugin code.
+"""Imports the class of a pattern; the only module that imports plugin code.
 
-Of a pushed pattern the bytes that are executed are those of which the SHA-256 was compared: a file
-is read once, and a wheel is imported from a sealed copy in memory (memfd_create(2)).
+For a pushed pattern, the executed bytes are exactly the bytes whose SHA-256 was compared: a file is
+read once, and a wheel is imported from a sealed copy in memory (memfd_create(2)).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 class PatternLoader:
     """Maps pattern names to classes.
 
-    `origins`: name -> (module:Class or path, whether it is a file).
+    `origins`: by name (`module:Class` or path, True for a path).
     """
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
@@ -43,9 +43,9 @@ class PatternLoader:
     def begin(
         self, origins: Mapping[str, tuple[str, bool]], digests: Mapping[str, bytes] | None = None
     ) -> None:
-        """Begin a load: each file is read as it is now, and once until the next load.
+        """Begin a load: each file is read anew, and only once until the next load.
 
-        `digests`: the SHA-256 that the file or wheel of a name must have.
+        `digests`: by name, the SHA-256 that the file or wheel must have.
         """
         self.origins, self._files = origins, {}
         self._digests = digests or {}
@@ -54,9 +54,9 @@ class PatternLoader:
     def __call__(self, name: str) -> type[Pattern[Any]]:
         """The class of that name.
 
-        Raises PluginError if there is none or several, or if its declarations contradict each
-        other; ChangedCodeError if the SHA-256 of its code differs from its manifest; ConfigError if
-        it is a mission whose file has a fault.
+        Raises PluginError if the code has no pattern class or several, or if the declarations of
+        the class contradict each other. Raises ChangedCodeError if the SHA-256 of the code differs
+        from its manifest, and ConfigError for a fault in the file of a mission.
         """
         if name not in self.origins:
             raise UnknownPatternError(unknown("pattern", name, self.origins))
@@ -112,8 +112,8 @@ def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
 
 
 def _sealed_copy(name: str, content: bytes) -> str:
-    """A path in `/proc` of a copy in memory, which no process can change."""
-    import fcntl  # Linux alone has it with seals, and pushed patterns run under a daemon
+    """The path in `/proc` of a copy of `content` in memory, which no process can change."""
+    import fcntl  # imported late: only Linux has seals, and only daemons run pushed patterns
 
     file = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     with open(file, "wb", closefd=False) as copy:
@@ -124,7 +124,7 @@ def _sealed_copy(name: str, content: bytes) -> str:
 
 
 def _checked(path: Path, digest: bytes) -> bytes:
-    """The content of a file. ChangedCodeError if it cannot be read or has not this SHA-256."""
+    """The content of a file; ChangedCodeError if it is unreadable or has another SHA-256."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -140,11 +140,11 @@ def _checked(path: Path, digest: bytes) -> bytes:
 
 
 def _import_first_from(wheel: str) -> None:
-    """Let modules be imported from a wheel, in place of an earlier version of it.
+    """Make imports use a wheel, in place of an earlier version of the wheel.
 
-    An installed package of the same name yields: the wheel is what was pushed and tried.
+    The wheel also precedes an installed package of the same name: the wheel was pushed and tried.
     """
-    from zipfile import ZipFile  # few hosts run one
+    from zipfile import ZipFile  # imported late: few hosts run a wheel
 
     with ZipFile(wheel) as archive:
         tops = {name.partition("/")[0].removesuffix(".py") for name in archive.namelist()}
@@ -174,7 +174,7 @@ def _from_file(path: Path, digest: bytes = b"") -> type[Pattern[Any]]:
 
 
 def _check_declarations(kind: type[Pattern[Any]]) -> None:
-    """PluginError for a forgotten `params_type`, or a channel of a type that cannot be sent."""
+    """PluginError for a missing `params_type`, or a channel whose type cannot be sent."""
     for base in vars(kind).get("__orig_bases__", ()):
         for params in get_args(base):
             is_params = isinstance(params, type) and issubclass(params, Params)
@@ -195,9 +195,10 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
 
 
 def import_file(path: Path, digest: bytes = b"") -> ModuleType:
-    """The file as a module, as it is now; PluginError, or what the file raises.
+    """Import the present content of a file as a module.
 
-    ChangedCodeError if the SHA-256 of the file differs from `digest`; empty: any.
+    Raises PluginError, ChangedCodeError if the SHA-256 of the file differs from a `digest` that is
+    not empty, or any exception of the file's own code.
     """
     name = f"swarmd_plugin_{pattern_name(path)}"
     loader = _UncachedLoader(name, str(path), digest)
@@ -211,9 +212,9 @@ def import_file(path: Path, digest: bytes = b"") -> ModuleType:
 
 
 class _UncachedLoader(SourceFileLoader):
-    """Compiles the file at each load and writes no bytecode.
+    """Compiles the file at each load, and neither reads nor writes cached bytecode.
 
-    Cached bytecode would be taken for that of a file changed within the same second.
+    Python would take cached bytecode for valid if the file changes within the same second.
     """
 
     def __init__(self, name: str, path: str, digest: bytes) -> None:
@@ -221,7 +222,7 @@ class _UncachedLoader(SourceFileLoader):
         self._digest = digest
 
     def get_code(self, fullname: str) -> CodeType:
-        """The code of the file as it is now. ChangedCodeError if its SHA-256 differs."""
+        """The code of the present file. ChangedCodeError if the SHA-256 differs."""
         path = Path(self.path)
         source = _checked(path, self._digest) if self._digest else self.get_data(self.path)
         return self.source_to_code(source, self.path)

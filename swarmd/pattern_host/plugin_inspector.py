@@ -1,11 +1,11 @@
-"""Inspects plugin code for tools: `describe`, `check` and `mission`, in a process that may be lost.
+"""A program that inspects plugin code for tools: `describe`, `check` and `mission`.
 
-Tools never import plugin code: `swarmd.cli.plugin_check` starts this program and reads JSON lines.
-The program confines itself (`swarmd.pattern_host.sandbox`), and can read only the folder of the
-inspected file. It writes `{"begin": item}` before each item, `{"result": item, ...}` after the
-item, and at last `{"end": true}`, or `{"error": text}` if nothing can be inspected. So the tool
-knows which item ended or hangs this process. On SIGUSR1 and on a crash the lines of Python's stack
-follow.
+Tools never import plugin code, which may crash or hang: `swarmd.cli.plugin_check` starts this
+program and reads its JSON lines. The program confines itself (`swarmd.pattern_host.sandbox`), and
+can read only the folder of the inspected file. It writes `{"begin": item}` before each item,
+`{"result": item, ...}` after the item, and `{"end": true}` at the end, or `{"error": text}` if
+nothing can be inspected. So the tool knows the item that crashes or hangs this process. On SIGUSR1
+and on a crash, Python's stack follows.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ TEST_TIMEOUT = 10.0
 
 
 class InspectionOutput:
-    """The stream to the tool; what plugin code prints goes to standard error instead."""
+    """The stream of JSON lines to the tool; prints of plugin code go to standard error instead."""
 
     def __init__(self) -> None:
         self._file: IO[str] = os.fdopen(os.dup(1), "w", encoding="utf-8")
@@ -88,7 +88,7 @@ class InspectionOutput:
 
     def send(self, **line: Any) -> None:
         """Write a JSON line."""
-        with suppress(OSError, ValueError):  # plugin code may have closed these
+        with suppress(OSError, ValueError):  # plugin code may have closed these streams
             sys.stdout.flush()  # the tool ends this process after the last line
             sys.stderr.flush()
         print(json.dumps(line), file=self._file, flush=True)
@@ -130,7 +130,7 @@ def main() -> None:
 
 
 def readable_beside(file: Path) -> Path:
-    """The folder of a file, which its code may read; the file alone if the home is inside."""
+    """The folder of a file, which its code may read; only the file if the folder has the home."""
     home = Path.home().resolve()
     return file if home.is_relative_to(file.parent) else file.parent
 
@@ -227,7 +227,7 @@ def _kind(kind: type[Pattern[Any]]) -> str:
 
 
 def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) -> None:
-    """Send the points of the pattern contract without those in `done`."""
+    """Check the file by the pattern contract, without the points in `done`; send each result."""
     _report_side_effects(path, answer)
     loaded: list[type[Pattern[Any]]] = []
 
@@ -266,9 +266,9 @@ _UNUSED = "and does not use the value; is a return missing?"
 
 
 def dropped(source: bytes) -> Iterator[tuple[int, str]]:
-    """The line and the call of each expression statement that makes a Twist or Outputs.
+    """Find expression statements that make a Twist or Outputs and drop it: line and called name.
 
-    By the name alone: the class, or a function of `swarmd.api` that returns one.
+    Compares names only: the class, or a function of `swarmd.api` that returns such a value.
     """
     makers = {Twist.__name__, Outputs.__name__}
     for name, value in vars(api).items():
@@ -317,7 +317,7 @@ def _on_all_platforms(contract: type[PatternContract], name: str) -> Callable[[]
 def _fault_of(
     call: Callable[[], None], path: Path, kind: type[Pattern[Any]] | None = None
 ) -> dict[str, Any]:
-    """The exception of the call as a `fault` in one line, and `on`: its notes; {} without."""
+    """The exception of the call: `fault` in one line, `on` its notes; {} without an exception."""
     try:
         call()
     except (Exception, SystemExit) as error:  # plugin code may raise anything
@@ -347,7 +347,7 @@ def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | No
 
 
 def _lines_of_default(kind: type[Pattern[Any]], text: str, path: Path) -> list[int | None]:
-    """Where the file declares the parameter, as `Params.name`, with which the text begins."""
+    """The lines at which the file declares the parameter `Params.name` that begins `text`."""
     name, _, field = text.partition(" ")[0].partition(".")
     if name != kind.params_type.__name__:
         return []
@@ -370,7 +370,7 @@ def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
 
 
 def _report_side_effects(path: Path, answer: InspectionOutput) -> None:
-    """Send `{"side_effect": text}` when code of the file causes one, each text once."""
+    """Send `{"side_effect": text}` for each side effect of the file's code, each text once."""
     from swarmd.testing.no_side_effects import AUDIT_EVENTS
 
     sent: set[str] = set()
@@ -391,7 +391,7 @@ def _report_side_effects(path: Path, answer: InspectionOutput) -> None:
 
 
 def _line_in(path: str, frame: FrameType | None) -> int | None:
-    """The line of the file that led to this frame; None for an import or other code."""
+    """The line of the file that led to this frame; None for an import, or code of other files."""
     while frame is not None:
         name = frame.f_code.co_filename
         if name == path:
@@ -421,7 +421,7 @@ def _inspect_mission(
 
 
 def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> list[str]:
-    """A line for each fault of the file, for robots of that platform; nothing is run.
+    """A line for each fault of a mission file, for robots of that platform; nothing is run.
 
     ConfigError if the file is not YAML.
     """
@@ -449,7 +449,7 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
 
 
 def _check_parts(document: Document, platform: Platform, find: Find) -> None:
-    """Patterns, their parameters, and the values of maps."""
+    """Check the patterns of a mission, their parameters, and the values of maps."""
     classes = pattern_classes(document, find)
     document.parts = {name: part for name, part in document.parts.items() if name in classes}
 
@@ -470,7 +470,7 @@ def _check_parts(document: Document, platform: Platform, find: Find) -> None:
 
 
 def _check_whole(document: Document, platform: Platform, find: Find) -> None:
-    """Make the mission as a robot does; a fault that only this shows is of the whole file."""
+    """Make the mission as a robot does; a further fault is reported for the whole file."""
     try:
         mission_class(document.path, find)
         _made(document.path.stem, (), find, platform)

@@ -1,4 +1,4 @@
-"""Runners carry a robot's commands to its pattern, inline or in a child process; its prints."""
+"""Carries a robot's commands to its pattern, inline or in a child process; logs its prints."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ MAX_RESPAWN_DELAY = 5.0
 
 Overlay = Callable[[Mapping[str, Origin], host_messages.Load, bool], Mapping[str, Origin]]
 """The robot's own patterns, a load and whether it is a trial, to all patterns for that load."""
-PRINT_RATE, PRINT_BURST = 20.0, 100.0  # lines that patterns print, a second and at once
+PRINT_RATE, PRINT_BURST = 20.0, 100.0  # logged lines of a pattern: per second, and in one burst
 MAX_LINE = 500  # bytes
 _READ = 65536
 _PAUSE = 0.02
@@ -56,12 +56,12 @@ class InlineRunner:
 
     @property
     def needs(self) -> frozenset[str]:
-        """The needs of the pattern and of its parts; empty without a pattern."""
+        """The `needs` of the pattern and of its parts; empty without a pattern."""
         return self._executor.needs
 
     def send(self, command: host_messages.HostCommand) -> host_messages.HostEvent | None:
-        """Carry the command out; the event that follows, if one does."""
-        if isinstance(command, host_messages.Step):  # as most are
+        """Carry the command out; returns the event that follows, None without an event."""
+        if isinstance(command, host_messages.Step):  # the most frequent command first
             return self._executor.handle(command)
         if isinstance(command, host_messages.StartTrial):
             answer = self._make_executor().handle(command.load)
@@ -77,13 +77,14 @@ class InlineRunner:
 
 
 class ProcessRunner:
-    """Keeps one warm pattern host; made on the loop's thread, before Zenoh is opened.
+    """Keeps one pattern host started ahead; made on the loop's thread, before Zenoh is opened.
 
     - `wake` is called when there are events.
-    - A host that ends by itself is replaced after a delay, which doubles while hosts end before
+    - A host that ends by itself is replaced after a delay. The delay doubles while hosts end before
       they have sent an event.
     - The prints of patterns are logged.
-    - `overlay` adds patterns to those of packages and of the folder; their code lies in `code`.
+    - `overlay` adds pushed patterns to the patterns of packages and of `plugin_dir`. The code of
+      pushed patterns lies in the folders `code`.
     - Plugin code can read `plugin_dir` and `code`, and nothing in `secret`.
     """
 
@@ -165,7 +166,7 @@ class ProcessRunner:
                 host.load(frame)
             else:
                 host.socket.send(frame)
-        except OSError:  # full, or just ended: silence and the pidfd are watched
+        except OSError:  # the socket is full, or the host has ended: timeout or pidfd show that
             self.dropped += 1
 
     def events(self) -> Iterable[host_messages.HostEvent]:
@@ -185,12 +186,12 @@ class ProcessRunner:
         self._printed.close()
 
     def on_reaped(self, host: HostProcess) -> None:
-        """A host's process has been waited for."""
+        """Forget a host whose process has been waited for."""
         if host in self._dying:
             self._dying.remove(host)
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
-        """An event of a host."""
+        """Decode a frame of the host in use, and queue its event."""
         if host is not self._host:
             return
         self._respawn_delay = MIN_RESPAWN_DELAY
@@ -199,13 +200,13 @@ class ProcessRunner:
         except CodecError as error:
             event = host_messages.PatternFailed(self._generation, str(error))
         is_answer = isinstance(event, host_messages.Loaded | host_messages.LoadRefused)
-        if is_answer and event.generation == self._generation:  # not of an earlier load
+        if is_answer and event.generation == self._generation:  # not the answer to an earlier load
             host.end_load()
         self._events.append(event)
         self._wake()
 
     def on_end(self, host: HostProcess, code: int) -> None:
-        """A host ended by itself."""
+        """Queue HostDied, and start a new host after a delay, unless the runner is closed."""
         if host is not self._host:
             return
         self._host = None
@@ -216,7 +217,7 @@ class ProcessRunner:
         self._wake()
 
     def own_patterns(self) -> Mapping[str, Origin]:
-        """The patterns of packages and of the folder, without those of the overlay."""
+        """The patterns of packages and of `plugin_dir`, without pushed patterns."""
         return pattern_names(self._plugin_dir, self._installed)
 
     def _all_patterns(self, load: host_messages.Load, *, is_trial: bool) -> Mapping[str, Origin]:
@@ -224,21 +225,21 @@ class ProcessRunner:
 
     def _with_origins(self, load: host_messages.Load, *, is_trial: bool) -> host_messages.Load:
         patterns = self._all_patterns(load, is_trial=is_trial)
-        if load.pattern not in patterns:  # perhaps installed meanwhile; to look takes 2 ms
+        if load.pattern not in patterns:  # may be installed since; reading the list takes 2 ms
             self._installed = installed_patterns()
             patterns = self._all_patterns(load, is_trial=is_trial)
         if load.pattern not in patterns:
             raise UnknownPatternError(unknown("pattern", load.pattern, patterns))
         check_single(load.pattern, patterns[load.pattern])
         origins = places_of(patterns)
-        # Options of drivers may hold what plugin code has no business with.
+        # Options of drivers may contain secrets that plugin code must not get.
         platform = dataclasses.replace(load.platform, drivers={})
         digests = {name: origin.digest for name, origin in patterns.items() if origin.digest}
         return replace(load, origins=origins, platform=platform, digests=digests)
 
     def _start_trial(self, load: host_messages.Load) -> None:
         log.info("trying new code of %s", load.pattern)
-        self._installed = installed_patterns()  # a new version may have it elsewhere
+        self._installed = installed_patterns()  # a new version may have moved the pattern
         number = load.generation
         try:
             frame = encode_command(self._with_origins(load, is_trial=True))
@@ -265,7 +266,7 @@ class ProcessRunner:
 
     def _replace(self) -> None:
         self._kill()
-        if self._trial is not None:  # its host has loaded the code that a fresh host is wanted for
+        if self._trial is not None:  # the trial's host has already loaded the new code
             self._host = self._trial.hand_over(self)
         self._start_if_none()
 
@@ -288,7 +289,7 @@ class ProcessRunner:
 
 
 class PrintedLines:
-    """Splits what patterns print into lines and limits their rate. Pure; times in s, handed in."""
+    """Splits the output of patterns into lines and limits their rate. Pure; times in s."""
 
     def __init__(self) -> None:
         self._budget = TokenBucket(PRINT_RATE, PRINT_BURST)
@@ -296,7 +297,7 @@ class PrintedLines:
         self._left_out = 0
 
     def take(self, data: bytes, now: float) -> list[str]:
-        """The lines that end in `data` and may be logged now, after a line about those left out."""
+        """The lines completed by `data` that may be logged, after a count of omitted lines."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         self._rest = self._rest[:MAX_LINE]
         to_log: list[str] = []
@@ -315,14 +316,14 @@ class PrintedLines:
 
 
 class PrintPipe:
-    """A pipe that hosts print into; a thread logs what comes out until `close`."""
+    """The pipe for the output of hosts; a thread logs its lines until `close`."""
 
     def __init__(self) -> None:
         self._read, self.write = os.pipe2(os.O_CLOEXEC)
         threading.Thread(target=self._run, name="swarmd-printed", daemon=True).start()
 
     def close(self) -> None:
-        """Write no more. The thread ends when the hosts have ended, too."""
+        """Close the own write end. The thread ends once all hosts have ended, too."""
         if self.write >= 0:
             os.close(self.write)
             self.write = -1

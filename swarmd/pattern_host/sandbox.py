@@ -1,10 +1,11 @@
-"""Denies this process what plugin code does not need: files, the network, other processes.
+"""Denies this process the accesses that plugin code does not need: files, network, other processes.
 
-Landlock (kernel documentation, userspace-api/landlock) permits to read the Python installation, the
-import path and the folders that the daemon names, and to write nothing. A seccomp filter
-(seccomp(2)) denies sockets, signals to other processes, tracing, namespaces, and changes of owners,
-modes and limits, which Landlock leaves open. What is denied raises PermissionError. Both hold for
-all later threads and child processes, and cannot be taken back.
+Landlock (kernel documentation, userspace-api/landlock) permits reading the Python installation, the
+import path and the folders that the daemon names, and permits no writing. A seccomp filter
+(seccomp(2)) denies accesses that Landlock leaves open: sockets, signals to other processes,
+tracing, namespaces, and changes of owners, modes and limits. A denied access raises
+PermissionError. Both restrictions apply to all later threads and child processes, and cannot be
+removed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ PROCESSES = "processes"
 _SYSTEM = (
     *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store"),
     *("/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/passwd", "/etc/nsswitch.conf"),
-    # Without the memory, environment and files of other processes: these need the right to trace.
+    # The memory, environment and files of other processes need the right to trace, which is denied.
     *("/proc", "/sys/devices/system", "/dev/urandom", "/dev/random", "/dev/zero"),
 )
 
@@ -51,7 +52,7 @@ _MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}
 """Column of the tables below, AUDIT_ARCH, and the number of seccomp(2)."""
 _DENIED = {
     "socket": (41, 198),
-    # Of other processes of this user
+    # Access to other processes of this user
     "ptrace": (101, 117),
     "process_vm_readv": (310, 270),
     "process_vm_writev": (311, 271),
@@ -71,7 +72,7 @@ _DENIED = {
     "sched_setaffinity": (203, 122),
     "migrate_pages": (256, 238),
     "move_pages": (279, 239),
-    # Shared with other processes of this user; of some the number alone is enough.
+    # Objects shared with other processes of this user; some are reached by their number alone.
     "shmget": (29, 194),
     "shmat": (30, 196),
     "shmctl": (31, 195),
@@ -111,7 +112,7 @@ _DENIED = {
     "fremovexattr": (199, 16),
     "removexattrat": (466, 466),
     "file_setattr": (469, 469),
-    # Ways around this filter, and parts of the kernel that a pattern does not need
+    # Bypasses of this filter, and parts of the kernel that a pattern does not need
     "io_uring_setup": (425, 425),
     "io_uring_enter": (426, 426),
     "io_uring_register": (427, 427),
@@ -131,7 +132,8 @@ _DENIED = {
     "setns": (308, 268),
     "open_tree_attr": (467, 467),
 }
-# Their flags lie in memory, which a filter cannot read; without them libc takes clone and openat.
+# The flags of these calls are in memory, which a filter cannot read. Without these calls libc uses
+# clone and openat.
 _ABSENT = {"clone3": (435, 435), "openat2": (437, 437)}
 _NEWEST = 469
 """Number of the newest system call that the tables consider; x32 has greater ones, too."""
@@ -184,8 +186,8 @@ _Instruction = tuple[int, int, int, int]
 def confine(readable: Iterable[Path] = (), secret: Iterable[Path] = ()) -> Sandbox:
     """Confine this single-threaded process. Returns what the kernel denies from now on.
 
-    `readable`: files and folders of plugins. `secret`: folders that stay unreadable where they lie
-    below a folder of the import path, or below one of `readable`.
+    `readable`: files and folders of plugins. `secret`: folders that stay unreadable, also below a
+    folder of the import path or of `readable`.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     denied: list[str] = []
@@ -211,7 +213,7 @@ def _error() -> str:
 
 
 def _drop_capabilities(libc: ctypes.CDLL) -> None:
-    """Of a daemon that runs as root; else there are none."""
+    """Drop the capabilities of a host whose daemon runs as root; else there are none."""
     header = struct.pack("=Ii", _CAPABILITY_VERSION, 0)
     libc.capset(header, bytes(24))
 
@@ -220,37 +222,37 @@ def _drop_capabilities(libc: ctypes.CDLL) -> None:
 
 
 def _python_folders() -> Iterator[Path]:
-    """Folders from which this interpreter imports; editable installations among them."""
+    """The folders from which this interpreter imports, also those of editable installations."""
     yield from map(Path, (*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix))
     libraries = os.environ.get("LD_LIBRARY_PATH", "").split(":")
     yield from (Path(entry) for entry in (*sys.path, *libraries) if entry)
     for folder in swarmd.__path__:
         yield from _with_links(Path(folder))
     for name, module in list(sys.modules.items()):
-        if name.startswith("__editable___"):  # of setuptools
+        if name.startswith("__editable___"):  # the finder of an editable installation (setuptools)
             yield from map(Path, getattr(module, "MAPPING", {}).values())
 
 
 def _with_links(path: Path) -> Iterator[Path]:
-    """A path, and of a folder the links inside: a rule holds for the place that a link names."""
+    """The path, and the links inside if it is a folder: a rule applies to a link's target."""
     yield path
     with suppress(OSError):
         yield from (Path(entry) for entry in os.scandir(path) if entry.is_symlink())
 
 
 def _real(path: Path) -> Path:
-    """The place to which the links in a path lead; unlike `resolve`, it does not fail."""
+    """The path with all links resolved; unlike `Path.resolve`, a loop of links raises no error."""
     return Path(os.path.realpath(path))
 
 
 def _without(path: Path, secret: frozenset[Path]) -> Iterator[tuple[Path, int]]:
-    """`path` with its rights, or the parts of `path` that are not in `secret`."""
+    """(path, rights) for `path`, or for the parts of `path` that do not lie in `secret`."""
     if path in secret:
         return
     if not any(hidden.is_relative_to(path) for hidden in secret):
         yield path, _EXECUTE | _READ_FILE | _READ_DIR
         return
-    yield path, _READ_DIR  # the import system lists it
+    yield path, _READ_DIR  # the import system lists the folder
     with suppress(OSError):
         for entry in path.iterdir():
             if not entry.is_symlink():
@@ -258,11 +260,11 @@ def _without(path: Path, secret: frozenset[Path]) -> Iterator[tuple[Path, int]]:
 
 
 def _restrict_files(libc: ctypes.CDLL, readable: set[Path], secret: frozenset[Path]) -> str:
-    """Why Landlock is not in force; empty if it is."""
+    """Apply Landlock; returns why it is not in force, empty if it is."""
     version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _GET_VERSION)
     if version < 1:
         return f"no Landlock here: {_error()}"
-    if len(os.listdir("/proc/self/task")) > 1:  # others would stay free
+    if len(os.listdir("/proc/self/task")) > 1:  # Landlock would not restrict other threads
         return "a library has started threads"
     handled = (1 << _RIGHTS.get(version, 16)) - 1
     ruleset = libc.syscall(_CREATE_RULESET, struct.pack("=Q", handled), ctypes.c_size_t(8), 0)
@@ -299,7 +301,7 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, rights: int) -> None:
 
 
 def _restrict_system_calls(libc: ctypes.CDLL) -> str:
-    """Why the filter is not in force; empty if it is."""
+    """Install the seccomp filter; returns why it is not in force, empty if it is."""
     machine = os.uname().machine
     if machine not in _MACHINES or sys.byteorder != "little" or sys.maxsize < 1 << 32:
         return f"no filter for processors of type {machine}"
@@ -317,7 +319,11 @@ def _restrict_system_calls(libc: ctypes.CDLL) -> str:
 
 
 def _program(column: int, architecture: int) -> Iterator[_Instruction]:
-    """The filter, in the classic BPF of seccomp(2)."""
+    """The filter in the classic BPF of seccomp(2).
+
+    `column`: the index, in each pair of system call numbers, of the number on `architecture`. An
+    instruction is (code, jump if true, jump if false, operand).
+    """
     yield _LOAD, 0, 0, _ARCHITECTURE
     yield _EQUAL, 1, 0, architecture
     yield _RETURN, 0, 0, _REFUSE
@@ -333,7 +339,7 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     for numbers, place, commands in _REFUSED_COMMANDS:
         refused = chain.from_iterable(map(_refused, commands))
         yield from _if_called(numbers[column], [*_argument(place), *refused], _ALLOW)
-    limits = [  # its own, to read: the new ones, a pointer, are NULL
+    limits = [  # prlimit is permitted for the own process (pid 0), only to read (new limits NULL)
         *_argument(0),
         *_required(0),
         *_argument(2),
@@ -347,14 +353,14 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
         [*_argument(0), (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT), (_RETURN, 0, 0, _REFUSE)],
         _ALLOW,
     )
-    # An open that neither reads nor writes passes Landlock, and permits ioctl; before Linux 6.2
-    # so does one that reads and cuts.
+    # An open with the access mode 3 (neither read nor write) passes Landlock, and permits ioctl.
+    # Before Linux 6.2 an open that reads and truncates passes Landlock, too.
     for numbers, place in ((_OPEN, 1), (_OPENAT, 2)):
         flags = [*_argument(place), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
         modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)
         refused = chain.from_iterable(map(_refused, modes))
         yield from _if_called(numbers[column], [*flags, *refused], _ALLOW)
-    # A pair of SOCK_DGRAM could be connected to other sockets.
+    # The sockets of a SOCK_DGRAM pair could be connected to other sockets.
     pair = [
         *_argument(0),
         *_required(_AF_UNIX),
@@ -370,7 +376,10 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
 def _if_called(
     number: int | None, block: Sequence[_Instruction], end: int
 ) -> Iterator[_Instruction]:
-    """The result of a call, which an architecture may lack: as the block says, else `end`."""
+    """Run `block` if the system call `number` is called, then return the verdict `end`.
+
+    `number` None: the architecture lacks the call; no instruction.
+    """
     if number is not None:
         yield _EQUAL, 0, len(block) + 1, number
         yield from block
@@ -378,7 +387,7 @@ def _if_called(
 
 
 def _argument(index: int) -> list[_Instruction]:
-    """Load an argument of type int, or the lower half of a longer one."""
+    """Load an argument of type int, or the lower half of a 64-bit argument."""
     return [(_LOAD, 0, 0, _ARGUMENTS + 8 * index)]
 
 

@@ -1,7 +1,7 @@
-"""Wheels of pushed patterns: their entry point, and what they may hold.
+"""Inspects wheels of pushed patterns: their entry point, and the files that they may contain.
 
 A wheel is a zip of pure Python with exactly one entry point of the group `swarmd.patterns` (PyPA:
-binary distribution format). Nothing of it is executed here.
+binary distribution format). No code of the wheel is executed here.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_FILES = 500
 MAX_UNPACKED = 8 * 1024 * 1024
 MAX_METADATA = 256 * 1024
 _NATIVE = (".so", ".pyd", ".dll", ".dylib")
-# What a pattern host has imported before a pushed pattern comes.
+# Modules that a pattern host has imported before a pushed pattern is loaded.
 _TAKEN = sys.stdlib_module_names | {"swarmd", "numpy", "msgspec", "msgpack"}
 
 
@@ -38,10 +38,10 @@ class WheelPattern(NamedTuple):
 
 
 def inspect_wheel(content: bytes, label: str) -> WheelPattern:
-    """The pattern of a wheel. PluginError in one line that begins with `label`, if it has faults.
+    """The pattern of a wheel; PluginError in one line, which begins with `label`, for a fault.
 
     Refused: native code, names outside the wheel's folder, data files outside packages, modules
-    that hide others, and more than MAX_FILES files or MAX_UNPACKED bytes.
+    that would hide imported modules, and more than MAX_FILES files or MAX_UNPACKED bytes.
     """
     with _opened(content, label) as archive:
         _check_files(archive, label)
@@ -65,7 +65,7 @@ def inspect_wheel(content: bytes, label: str) -> WheelPattern:
 
 @contextmanager
 def _opened(content: bytes, label: str) -> Iterator[zipfile.ZipFile]:
-    """The archive for the block, in which an error of a damaged archive becomes a PluginError."""
+    """The opened archive; in the block, errors of a damaged archive become a PluginError."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             yield archive
@@ -92,7 +92,7 @@ def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
         path = PurePosixPath(info.filename)
         is_named = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
         is_inside = is_named and "\\" not in info.filename
-        # The upper half of the attributes is the mode of Unix; a link could lead elsewhere.
+        # The upper 16 bits of the attributes are the Unix mode. A link could point anywhere.
         is_link = (info.external_attr >> 16) & 0o170000 == 0o120000
         if not is_inside or is_link or not info.filename.isprintable():
             raise PluginError(f"{label} has the file {info.filename!r}, which lies elsewhere")
@@ -125,7 +125,9 @@ def _text(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> str:
 
 
 def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, label: str) -> bytes:
-    larger = copy(info)  # an import reads all that there is, and zipfile what the head states
+    # zipfile reads at most the size that the head states, whereas an import reads the whole file:
+    # a greater stated size makes zipfile show a false one.
+    larger = copy(info)
     larger.file_size += 1
     with archive.open(larger) as file:
         content = file.read()

@@ -1,7 +1,7 @@
-"""Frames between the daemon and its pattern host: one MessagePack record each.
+"""Frames between the daemon and its pattern host: one MessagePack record in each frame.
 
-A record is a tagged struct of `swarmd.core.host_messages`, as an array; numpy arrays travel as
-bytes. The daemon does not trust its host: an event is decoded into typed, bounded structs.
+A record is a tagged struct of `swarmd.core.host_messages`, encoded as an array; numpy arrays are
+encoded as bytes. The daemon does not trust its host: it decodes events into typed, bounded structs.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def _encode_plain(value: Any) -> Any:
 
 def _decode_array(kind: Any, value: Any) -> Array:
     if isinstance(value, bytes):
-        return np.frombuffer(value, dtype=np.float64)  # read-only, as where patterns run inline
+        return np.frombuffer(value, dtype=np.float64)  # read-only, as for patterns that run inline
     array = np.array(value, dtype=np.float64)
     array.flags.writeable = False
     return array
@@ -61,7 +61,7 @@ def encode_command(command: SentCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> SentCommand:
-    """The daemon's command."""
+    """Decode a frame of the daemon."""
     return _commands.decode(frame)
 
 
@@ -71,7 +71,7 @@ def encode_event(event: SentEvent) -> bytes:
 
 
 def decode_event(frame: bytes) -> SentEvent:
-    """The host's event. Raises CodecError if it is malformed or a number is out of bounds."""
+    """Decode a frame of the host; CodecError if it is malformed or a number is out of bounds."""
     try:
         event = _events.decode(frame)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
@@ -84,12 +84,12 @@ def decode_event(frame: bytes) -> SentEvent:
 
 
 def encode_sandbox(sandbox: Sandbox) -> bytes:
-    """The first frame of a host."""
+    """The first frame of a host, which reports its sandbox."""
     return msgspec.msgpack.encode(sandbox)
 
 
 def decode_sandbox(frame: bytes) -> Sandbox:
-    """What the first frame of a host tells."""
+    """Decode the first frame of a host."""
     try:
         return _sandboxes.decode(frame)
     except (msgspec.MsgspecError, UnicodeDecodeError) as error:

@@ -1,9 +1,9 @@
 """The pattern host: the child process that loads plugin code and steps it.
 
-The daemon starts the host with one end of a SOCK_SEQPACKET pair. The host ends with the daemon and
-yields to the daemon (nice 10, first for the out-of-memory killer). Before the host loads plugin
-code it confines itself (`swarmd.pattern_host.sandbox`) and reports what the kernel denies. From
-then on only the daemon can change the host's limit of memory (`host_process`). The host imports
+The daemon starts the host with one end of a SOCK_SEQPACKET pair. The host ends with the daemon. It
+has a lower priority (nice 10), and the out-of-memory killer chooses it first. Before the host loads
+plugin code it confines itself (`swarmd.pattern_host.sandbox`) and reports the denied accesses. From
+then on only the daemon can change the host's memory limit (`host_process`). The host imports
 neither Zenoh nor asyncio.
 """
 
@@ -21,7 +21,7 @@ from typing import cast
 import msgspec
 from msgspec.structs import replace
 
-import swarmd.api  # noqa: F401  # all patterns import it: a first run need not wait for that
+import swarmd.api  # noqa: F401  # imported ahead for the first run, since all patterns import it
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Load, Loaded, PatternFailed
 from swarmd.core.processes import (
@@ -42,18 +42,19 @@ NICE = 10
 def main() -> None:
     """Entry of `python -m swarmd.pattern_host FD PARENT FOLDERS`.
 
-    The daemon's socket and id, and the folders that `confine` takes, readable and secret, as JSON.
+    FD: the socket to the daemon. PARENT: the daemon's process id. FOLDERS: the readable and the
+    secret folders of `confine`, as JSON.
     """
     run(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].encode())
 
 
 def run(fd: int, parent: int, folders: bytes) -> None:
-    """Be the host of the daemon `parent` until its socket `fd` closes; `folders` as in `main`."""
+    """Serve the daemon `parent` until the socket `fd` closes; `folders` as in `main`."""
     readable, secret = msgspec.json.decode(folders, type=tuple[list[str], list[str]])
     die_with_parent(parent)
     _lower_priority()
     os.set_inheritable(fd, False)
-    os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log, line by line
+    os.dup2(2, 1)  # prints of a pattern go to the daemon's log, line by line
     cast("io.TextIOWrapper", sys.stdout).reconfigure(line_buffering=True)
     limit_growth(LOAD_GROWTH, os.getpid())  # until the daemon sets it, at the first load
     sandbox = confine(map(Path, readable), map(Path, secret))
@@ -61,7 +62,7 @@ def run(fd: int, parent: int, folders: bytes) -> None:
         try:
             daemon.send(encode_sandbox(sandbox))
             _serve(daemon)
-        except ConnectionError:  # the daemon ended, perhaps with answers that it had not read
+        except ConnectionError:  # the daemon has ended, possibly with unread answers
             return
         except MemoryError:
             os._exit(OUT_OF_MEMORY)
@@ -89,6 +90,6 @@ def _serve(daemon: socket.socket) -> None:
 
 def _lower_priority() -> None:
     os.nice(NICE)
-    ask_for_slices(None)  # short ones are for the daemon, which started this process
+    ask_for_slices(None)  # undo the short slices inherited from the daemon
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")

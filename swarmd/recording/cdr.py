@@ -1,8 +1,8 @@
 """Writes ROS 2 messages as bytes: CDR, little-endian, in the field order of their definitions.
 
-rosbags writes the same bytes from objects that it wants built first; with both, a recorder took
-1.4 % of a core for one robot, with this 0.6 %. Alignment counts from the end of the four bytes that
-name the encoding (OMG DDSI-RTPS 2.5, 10.2; XCDR1).
+rosbags writes the same bytes, but from message objects that must be built first. A recorder of one
+robot took 1.4 % of a core with rosbags, and takes 0.6 % with this module. Alignment counts from the
+end of the four bytes that name the encoding (OMG DDSI-RTPS 2.5, 10.2; XCDR1).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class CdrWriter:
         return self.time(stamp).text(frame)
 
     def time(self, stamp: float) -> CdrWriter:
-        """A builtin_interfaces/Time in s; one beyond its range becomes its nearest bound."""
+        """A builtin_interfaces/Time of `stamp` in s, clipped to the range of that type."""
         seconds = math.floor(stamp)
         rest = round((stamp - seconds) * 1e9)
         if rest == 10**9:
@@ -110,7 +110,7 @@ class CdrWriter:
         return self
 
     def as_message(self, kind: str) -> Message:
-        """The message of a type; the package `swarmd_msgs` need not be named."""
+        """The message of type `kind`; the prefix of the package `swarmd_msgs` may be omitted."""
         name = kind if "/" in kind else f"swarmd_msgs/msg/{kind}"
         return Message(name, bytes(self.data))
 

@@ -1,16 +1,16 @@
-"""Offsets between the clocks of robots, from exchanges of datagrams. Pure.
+"""Estimates offsets between the clocks of robots from exchanges of datagrams. Pure.
 
-A robot notes when it sent a query and when the answer came, and the answer has the peer's time.
-The peer's clock then showed that time between the two moments, so that the offset lies within half
-of the round trip around its middle (Cristian, Probabilistic clock synchronization, Distributed
-Computing 3, 1989), however unequal the two ways were. Such intervals are what Marzullo's
-algorithm intersects (Marzullo, Owicki 1983). Of several exchanges the one with the shortest round
-trip counts (the clock filter of NTP, RFC 5905, section 10).
+A robot notes the times at which it sent a query and received the answer; the answer has the peer's
+time. The peer's clock showed that time between these two moments. So the offset lies within half
+the round trip around the middle (Cristian, Probabilistic clock synchronization, Distributed
+Computing 3, 1989), however unequal the delays of query and answer were. Marzullo's algorithm
+intersects such intervals (Marzullo, Owicki 1983). Of several exchanges in a window of time, the
+exchange with the shortest round trip is kept (the clock filter of NTP, RFC 5905, section 10).
 
-We fit a line through the kept exchanges, since clocks drift, and bound its error. NTP intersects
-intervals of many servers at one moment; here the past is known as a whole, and the clocks of two
-robots differ by a line. An exchange that the line contradicts shows that they do not, and enters
-the bound with the whole contradiction.
+Since clocks drift, we fit a line through the kept exchanges and bound the error of the line. We
+deviate from NTP, which intersects intervals of many servers at one moment: here all exchanges are
+known afterwards, and the clocks of two robots differ by a line. If an exchange contradicts the
+line, the whole contradiction is added to the bound.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Exchange(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockLine:
-    """The time in s on a second clock at time t of a first: t + offset + drift * (t - at)."""
+    """A line between two clocks: t s on the first is t + offset + drift (t - at) on the second."""
 
     at: float
     offset: float
@@ -70,8 +70,8 @@ class ClockLine:
     def error(self, time: float) -> float:
         """The bound of the error of `forward` at `time`, in s.
 
-        The error is a line, too, with a bound at each exchange. Between two exchanges the bound is
-        interpolated. Beyond all exchanges the bound grows with MAX_DRIFT.
+        The error is a line in time, too, and is bounded at each exchange. Between two exchanges the
+        bound is interpolated. Outside all exchanges the bound grows with MAX_DRIFT.
         """
         away = np.abs(time - self.times)
         by_one_exchange = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
@@ -94,7 +94,7 @@ def fit_line(times: Array, offsets: Array, round_trips: Array) -> ClockLine:
     offset = float(np.average(offsets, weights=weights))
     spread = times - at
     slope = float((weights * spread * (offsets - offset)).sum())
-    # The prior keeps two exchanges within seconds from showing a drift that no clock has.
+    # The prior on the drift: two exchanges within seconds would else give an impossible drift.
     drift = slope / (float((weights * spread**2).sum()) + MAX_DRIFT**-2)
     drift = min(max(drift, -MAX_DRIFT), MAX_DRIFT)
     misses = np.abs(offsets - offset - drift * spread)
@@ -103,9 +103,9 @@ def fit_line(times: Array, offsets: Array, round_trips: Array) -> ClockLine:
 
 
 def _shortest(times: Array, round_trips: Array) -> NDArray[np.intp]:
-    """The places of the exchanges with the shortest round trip of each window of time.
+    """The indices of the exchanges with the shortest round trip in each window of time.
 
-    The first and the last exchange are kept, too: beyond them the error grows.
+    The first and the last exchange are kept, too, since the error grows outside of them.
     """
     order = np.argsort(times, kind="stable")
     count = min(-(-len(order) // A_WINDOW), MAX_WINDOWS)
@@ -115,7 +115,7 @@ def _shortest(times: Array, round_trips: Array) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """The time on the reference clock at time t of this clock: begins + rate * (t - begin)."""
+    """A line to the reference clock: time t of this clock (s) is begins + rate (t - begin)."""
 
     begin: float  # the first time of the recordings, in s on this clock
     begins: float  # `begin` in s on the reference clock
@@ -129,22 +129,22 @@ class Alignment:
 
     @property
     def offset(self) -> float:
-        """By how much this clock is ahead of the reference clock at `begin`, in s."""
+        """The lead of this clock over the reference clock at `begin`, in s."""
         return self.begin - self.begins
 
     @property
     def drift(self) -> float:
-        """By how much this clock is faster than the reference, as a share."""
+        """The excess rate of this clock over the reference clock, as a share."""
         return 1.0 / self.rate - 1.0
 
 
 def align(
     exchanges: Iterable[Exchange], spans: Mapping[str, tuple[float, float]], reference: str
 ) -> dict[str, Alignment]:
-    """Alignments to the reference clock, by clock, along the path with the smallest error.
+    """Alignments to the reference clock, by clock, along the path with the least error (Dijkstra).
 
-    `spans`: first and last time of the recordings on each clock, in s. A clock in `spans` without a
-    path to the reference is left out of the answer.
+    `spans`: first and last time of the recordings on each clock, in s. A clock without a path of
+    exchanges to the reference is left out of the result.
     """
     lines = _lines(exchanges)
     near: dict[str, list[str]] = defaultdict(list)
@@ -171,7 +171,10 @@ def align(
 
 
 def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
-    """The line from the lower to the higher clock of each pair, by both directions of queries."""
+    """By pair of clock ids in sorted order: the line from the first to the second clock.
+
+    Queries in both directions count.
+    """
     measured: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
     for exchange in exchanges:
         if exchange.own == exchange.peer or exchange.returned < exchange.sent:
@@ -189,7 +192,7 @@ def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
 def _along(
     path: tuple[str, ...], lines: Mapping[tuple[str, str], ClockLine], span: tuple[float, float]
 ) -> Alignment:
-    """Follow a path back to its first clock, at both ends of a span."""
+    """The alignment along a path, from both ends of `span` back to the first clock."""
     ends, errors = list(span), [0.0, 0.0]
     rate = 1.0
     for after, before in zip(path[::-1], path[-2::-1], strict=False):

@@ -1,4 +1,4 @@
-"""Copies the recordings of robots to this machine, and goes on where an earlier copy ended."""
+"""Copies the recordings of robots to this machine, and resumes incomplete copies."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class Copy(NamedTuple):
     """A file that was copied from a robot."""
 
     path: Path
-    received: int  # bytes that came now
-    size: int  # bytes here
+    received: int  # bytes received in this call
+    size: int  # bytes of the copy
     is_whole: bool
-    fault: str = ""  # why the robot did not hand the file out, such as a file removed meanwhile
+    fault: str = ""  # why the robot refused the file, for instance a file that was removed
 
 
 def recordings_of(ask: Ask, robot: str) -> verbs.RecordingsReply:
@@ -56,7 +56,8 @@ def recordings_of(ask: Ask, robot: str) -> verbs.RecordingsReply:
 def note_clock(ask: Ask, robot: str, folder: Path) -> None:
     """Append an exchange between the clocks of operator and robot to `<folder>/clocks.jsonl`.
 
-    `record merge` uses it where robots did not hear each other. NetworkError without an answer.
+    `record merge` uses these exchanges for robots that did not hear each other. NetworkError
+    without an answer.
     """
     sent = boottime()
     reply = recordings_of(ask, robot)
@@ -83,12 +84,12 @@ def fetch(
     folder: Path,
     on_progress: Callable[[int, int], None] = lambda received, size: None,
 ) -> Copy:
-    """Copy a recording to `<folder>/<robot>/`; bytes that are there are not asked for again.
+    """Copy a recording to `<folder>/<robot>/`; present bytes are not copied again.
 
-    A copy that is not whole has the ending `.partial`, and can be read as a file that was cut off.
-    The recording of a robot that records on is copied up to its present end. A file of that name
-    that holds another recording is kept under another name. NetworkError if the robot does not
-    answer or sends damaged pieces, OSError if the disk fails; what came is kept.
+    An incomplete copy has the ending `.partial`, and can be read like a truncated file. A file that
+    the robot still writes is copied up to its present end. An earlier file of the same name from
+    another recording is renamed. NetworkError if the robot does not answer or sends damaged pieces,
+    OSError if the disk fails; received bytes are kept.
     """
     if not _is_name(file.name):
         raise NetworkError(f"{robot} lists {file.name!r}; expected the name of a recording")
@@ -101,7 +102,7 @@ def fetch(
     if path.exists():
         if file.crc is not None or path.stat().st_size >= file.size:
             return Copy(path, 0, path.stat().st_size, True)
-        path.rename(partial)  # of a recording that was cut off, and has grown again
+        path.rename(partial)  # the copy of a truncated recording, which has grown since
     received, fault = 0, ""
     with partial.open("ab") as copy:
         while copy.tell() < file.size and not fault:
@@ -121,13 +122,13 @@ def fetch(
 
 
 def _is_name(name: str) -> bool:
-    """True if a robot's name of a file is one here, and harmless on a terminal."""
+    """True if the name is a plain file name here, without control characters for a terminal."""
     is_alone = Path(name).name == name and name.isprintable()
     return is_alone and name.endswith(".mcap") and len(name.encode()) <= MAX_NAME
 
 
 def _is_part_of(here: Path, ask: Ask, robot: str, file: verbs.RecordingFile) -> bool:
-    """True if a file here is, or begins, the robot's file of that name."""
+    """True if the file `here` equals the robot's file, or its beginning."""
     size = here.stat().st_size
     if size > file.size:
         return False

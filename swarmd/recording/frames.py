@@ -1,7 +1,7 @@
-"""What a daemon sends to its recorder process: batches of entries, as MessagePack.
+"""The messages from a daemon to its recorder process: batches of entries, as MessagePack.
 
-Each entry has the time `at` in s on the robot's clock (CLOCK_BOOTTIME) at which the daemon handled
-it. Numpy arrays travel as bytes.
+`at` of each entry is the time in s, on the robot's clock (CLOCK_BOOTTIME), at which the daemon
+handled the entry. Numpy arrays are encoded as bytes.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ MAX_ENTRY = 130_000
 
 
 class Begin(Struct, frozen=True, array_like=True, tag="begin"):
-    """The first entry: where to write, and texts on the robot.
+    """The first entry: folder and name of the files, and texts on the robot (`about`).
 
-    `wall` in s since 1970 is the wall clock at `at`.
+    `wall`: the wall clock at `at`, in s since 1970.
     """
 
     at: float
@@ -40,7 +40,7 @@ class Begin(Struct, frozen=True, array_like=True, tag="begin"):
 class InputEntry(Struct, frozen=True, array_like=True, tag="input"):
     """An input of the robot, as `encode_input` gives it.
 
-    The scan in `data` has no bearings where it has those of the last scan of its kind.
+    A scan in `data` omits bearings and ages that equal those of the last scan of its kind.
     """
 
     at: float
@@ -48,7 +48,7 @@ class InputEntry(Struct, frozen=True, array_like=True, tag="input"):
 
 
 class MemoryEntry(Struct, frozen=True, array_like=True, tag="memory"):
-    """Part `part` of `parts` of all that the robot knows before its next input; see `remember`."""
+    """Part `part` of `parts` of the robot's memory before its next input; see `remember`."""
 
     at: float
     data: bytes
@@ -57,7 +57,7 @@ class MemoryEntry(Struct, frozen=True, array_like=True, tag="memory"):
 
 
 class DecisionEntry(Struct, frozen=True, array_like=True, tag="decision"):
-    """A decision of protection. `cause`: the input that was handled then."""
+    """A decision of protection. `cause`: the kind of the input that led to the decision."""
 
     at: float
     cause: str
@@ -101,7 +101,7 @@ class ClockEntry(Struct, frozen=True, array_like=True, tag="clock"):
 
 
 class DroppedEntry(Struct, frozen=True, array_like=True, tag="dropped"):
-    """So many entries before this one were dropped: the disk was slow."""
+    """`count` entries before this entry were dropped, since the disk was slow."""
 
     at: float
     count: int
@@ -121,7 +121,7 @@ Entry: TypeAlias = (
 
 
 class RecorderReport(Struct, frozen=True, array_like=True):
-    """What the recorder process tells: the file in work, bytes so far, and why it has ended."""
+    """A report of the recorder process: present file, bytes so far; `fault`: why it has ended."""
 
     path: str
     bytes: int
@@ -177,7 +177,7 @@ def without_geometry(scan: Scan) -> Scan:
 
 
 def with_geometry(scan: Scan, last: Scan | None) -> Scan | None:
-    """The scan with the bearings and ages of `last` if it has none; None if they are not known."""
+    """The scan, completed by bearings and ages of `last`; None if these are unknown."""
     if len(scan.bearings) or not len(scan.ranges):
         return scan
     return None if last is None else replace(scan, bearings=last.bearings, ages=last.ages)

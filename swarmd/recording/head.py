@@ -1,4 +1,4 @@
-"""What a recording tells of its robot, so that a replay can build the same robot."""
+"""The head of a recording, from which a replay can build the same robot."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from swarmd.protection.compatibility import Accepts
 
 
 class RecordingHead(Struct, frozen=True, kw_only=True):
-    """The robot, and the settings that decide what it does.
+    """The robot, and the settings that decide its behaviour.
 
-    `clock`: which clock, see `core/clock.py`. `machine`: its processor, such as x86_64. `layers`:
-    parameters by pattern and source, weakest first. `revision`, `generation`, `latches`, `goals`,
-    and `cleared`, the ids of latches that were reset: of the robot when the recording began.
+    `clock`: the id of the robot's clock, see `core/clock.py`. `machine`: the processor type, such
+    as x86_64. `layers`: parameters by pattern and source, weakest first. The fields from `revision`
+    on describe the robot when the recording began. `cleared`: the ids of reset latches.
     """
 
     robot: str
@@ -47,7 +47,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     goals: GoalRecord = GoalRecord()
 
     def texts(self) -> dict[str, str]:
-        """The head as texts for a file: the main ones readable, all of them in `head`."""
+        """The head as texts for a file: main fields in plain text, all fields in `head`."""
         payload = msgspec.msgpack.encode(self, enc_hook=_encoded)
         return {
             "robot": self.robot,
@@ -61,7 +61,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
 
 
 def head_of(about: Mapping[str, str], where: str) -> RecordingHead:
-    """The head in the texts of a file; ConfigError if it has none, or that of another version."""
+    """Decode the head in the texts of a file; ConfigError without a head of this version."""
     try:
         payload = base64.b64decode(about["head"])
         return msgspec.msgpack.decode(payload, type=RecordingHead, dec_hook=_decoded)

@@ -1,4 +1,4 @@
-"""The inputs of a robot in its recording, for a replay."""
+"""Decodes the recorded inputs of a robot, for a replay."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class InputReader:
     """Decodes the inputs of one recording: each message must pass through `read`, in order."""
 
     def __init__(self) -> None:
-        self._scans: dict[str, Scan] = {}  # the last geometry by topic of the scan
+        self._scans: dict[str, Scan] = {}  # by topic of the scan: the last geometry
 
     def has_geometry(self, topic: str) -> bool:
         """True if the directions of the rays of scans on `topic` are known."""
         return topic in self._scans
 
     def read(self, message: RecordedMessage) -> Input | None:
-        """The input of a message; None for another message. CodecError if it is malformed."""
+        """The input in a message; None if the message has no input. CodecError if malformed."""
         if message.topic.endswith(GEOMETRY):
             geometry = messages.message_on(message.topic, message.kind, message.payload)
             self._scans[message.topic.removesuffix(GEOMETRY)] = messages.geometry_of(geometry)

@@ -1,6 +1,6 @@
-"""The limits of the files of a recording; `writer.py` keeps to them.
+"""The size limits of the files of a recording, which `writer.py` applies.
 
-Imports no numpy: the settings hold them, too.
+This module imports no numpy, since the settings use these limits, too.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from msgspec import Struct
 
 
 class FileLimits(Struct, frozen=True, array_like=True):
-    """When a new file begins: after `file_bytes` or `file_seconds`.
+    """A new file begins after `file_bytes` or `file_seconds`.
 
-    `keep_bytes`: of all files of a robot; the oldest are removed beyond it.
+    `keep_bytes`: the limit for all files of a robot; beyond it the oldest files are removed.
     """
 
     file_bytes: int = 2**26

@@ -27,7 +27,7 @@ MAX_TIME = 2**64 - 1  # ns in a file
 
 @dataclass(slots=True)
 class Source:
-    """The files that one robot recorded on one clock; all times are in s on this clock."""
+    """The files that a robot recorded on one clock (until a reboot); times in s on this clock."""
 
     robot: str
     clock: str
@@ -48,7 +48,7 @@ class Recordings:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A source on the timeline; `alignment` None: unaligned, by the robot's own wall clock."""
+    """A source on the timeline; `alignment` None: placed by the robot's own wall clock."""
 
     source: Source
     alignment: Alignment | None
@@ -111,9 +111,9 @@ def survey(paths: Sequence[Path]) -> Recordings:
 
 
 def place(recordings: Recordings, reference: str | None = None) -> list[Placed]:
-    """Each source on the clock of robot `reference`, by default that of the first source.
+    """Align each source to the clock of the robot `reference`, by default of the first source.
 
-    The source of the reference comes first. ConfigError if there is no such robot.
+    The source of the reference is first in the result. ConfigError if there is no such robot.
     """
     sources = recordings.sources
     names = [source.robot for source in sources]
@@ -135,7 +135,7 @@ def write_merged(placed: Sequence[Placed], path: Path) -> int:
     """Write all messages to `path` in the order of the timeline; returns their number.
 
     The timeline is the wall clock of the first source. A topic `/scan` of tb3-01 becomes
-    `/tb3-01/scan`. OSError if the disk fails; a file that is not whole is removed.
+    `/tb3-01/scan`. OSError if the disk fails; the incomplete file is then removed.
     """
     reference = placed[0].source.about
     streams = [messages_of(source, reference) for source in placed]
@@ -165,8 +165,8 @@ def _write(writer: Writer, messages: Iterable[Timed]) -> int:
 def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]:
     """The messages of a source on the timeline of `reference`, with its name in their topics.
 
-    The inputs for a replay are left out, since a merged file cannot be replayed. One file at a time
-    is in memory.
+    The inputs for a replay are left out, since a merged file cannot be replayed. Only one file at a
+    time is in memory.
     """
     wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])
     alignment, robot = placed.alignment, placed.source.robot
@@ -184,7 +184,7 @@ def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]
 
 
 def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:
-    """The table of estimates, for people, programs and the file."""
+    """The table of clock estimates, for display and for the merged file."""
     names = {source.source.clock: source.source.robot for source in placed}
     return [source.row(names) for source in placed]
 

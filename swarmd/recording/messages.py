@@ -1,8 +1,8 @@
 """The ROS 2 messages of a recording: definitions, and conversion from and to swarmd's values.
 
-A value that ROS has a message for is written as that message; the others have definitions of
-their own in `swarmd_msgs`. All are in CDR, the encoding of ROS 2, with their definitions in the
-file, so that a viewer needs nothing installed.
+A value is written as the ROS message for such values; values without a ROS message have definitions
+in the package `swarmd_msgs`. All messages are in CDR, the encoding of ROS 2. The file contains all
+definitions, so that a viewer needs no installed packages.
 """
 
 from __future__ import annotations
@@ -142,14 +142,14 @@ def scan_message(scan: Scan) -> Message:
 
 
 def geometry_message(scan: Scan) -> Message:
-    """The exact directions and ages of a scan's rays; no ages where the sensor gives none."""
+    """The exact directions and ages of a scan's rays; without ages if the scan has none."""
     ages = _EMPTY if scan.ages is None else scan.ages
     cdr = CdrWriter().header(scan.stamp, "scan").array(scan.bearings).array(ages)
     return cdr.doubles(scan.range_min, scan.range_max).as_message("ScanGeometry")
 
 
 def scan_of(message: Any, seq: int, geometry: Any | None) -> Scan:
-    """The scan of a LaserScan with its geometry; None: by the message's own rounded angles."""
+    """The scan of a LaserScan with its geometry; None: use the rounded angles of the message."""
     with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
         ranges, stamp = message.ranges.astype(np.float64), stamp_of(message)
     if geometry is not None:
@@ -175,7 +175,7 @@ def odometry_message(odometry: Odometry) -> Message:
 
 
 def odometry_of(message: Any) -> Odometry:
-    """The odometry of a nav_msgs/Odometry; its yaw within 1e-15 rad, and within one turn."""
+    """The odometry of a nav_msgs/Odometry; the yaw is exact to 1e-15 rad, modulo one turn."""
     return Odometry(stamp_of(message), _pose_of(message.pose.pose), twist_of(message.twist.twist))
 
 
@@ -274,7 +274,7 @@ def text_message(json: str, stamp: float) -> Message:
 
 
 def bytes_message(data: bytes, stamp: float) -> Message:
-    """MessagePack that only a replay reads."""
+    """Bytes in MessagePack that only a replay reads."""
     return CdrWriter().header(stamp, "").array(data).as_message("Bytes")
 
 

@@ -1,8 +1,8 @@
-"""The recorder process: takes batches from a daemon and writes them to the disk.
+"""The recorder process: takes batches from a daemon and writes them to disk.
 
-`python -m swarmd.recording.process SOCKET PARENT`. A process of its own, so that a slow disk, a
-full one, or the work of writing never delays the daemon. It ends when the daemon closes the socket
-or ends, and finishes its file then.
+`python -m swarmd.recording.process SOCKET PARENT`. The recorder is a process of its own, so that a
+slow or full disk, or the work of writing, never delays the daemon. When the daemon closes the
+socket or ends, the recorder finishes its file and ends.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class Converter:
         self._begin = begin
         wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
         self._offset = wall - boot
-        self._scans: dict[str, Scan] = {}  # the last one by topic, with its geometry
-        self._memory: list[frames.MemoryEntry] = []  # the parts so far
+        self._scans: dict[str, Scan] = {}  # by topic: the last scan, with its geometry
+        self._memory: list[frames.MemoryEntry] = []  # the received parts of the present memory
         self._robot = begin.about.get("robot", "")
         self.writer = RecordingWriter(
             Path(begin.folder),
@@ -93,7 +93,7 @@ class Converter:
         """Write an input for a replay, and the message that viewers read."""
         try:
             input = events.decode_input(entry.data)
-        except CodecError:  # beyond a bound; the replay tells
+        except CodecError:  # a value beyond its bound; a replay reports it
             self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
             return
         if isinstance(input, events.ScanInput | events.RangesInput):
@@ -130,7 +130,7 @@ class Converter:
     def _scan(
         self, entry: frames.InputEntry, input: events.ScanInput | events.RangesInput, stamp: float
     ) -> None:
-        """Write the geometry of a scan only where it changes, and the scan."""
+        """Write a scan, and first its geometry if that has changed."""
         topic, is_new = f"/{events.tag_of(input)}", len(input.scan.bearings) > 0
         scan = frames.with_geometry(input.scan, self._scans.get(topic))
         if scan is None:
@@ -149,9 +149,10 @@ def _said(sender: str, channel: str, value: Value) -> dict[str, Value]:
 
 
 def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
-    """Take batches until the other end is closed, and finish the file.
+    """Take batches until the daemon closes the socket, then finish the file.
 
-    An OSError of the file is reported and raised: the daemon may read no report any more.
+    An OSError of the file is reported to the daemon, and raised, since the daemon may have stopped
+    reading reports.
     """
     converter: Converter | None = None
     reported = -REPORT_PERIOD
@@ -186,14 +187,14 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
 
 
 def _received(link: socket.socket) -> bytes:
-    """The next batch, an empty one while nothing comes; no bytes once the other end is closed."""
+    """The next batch; an empty batch after CHUNK_TIME; no bytes once the socket is closed."""
     while True:
         try:
             return link.recv(1 << 18)
         except TimeoutError:
             return b"\x90"
         except ConnectionResetError:
-            continue  # the daemon ended with a report unread: what it sent before comes next
+            continue  # the daemon ended with an unread report: its last batches follow
 
 
 def _report(link: socket.socket, path: str, written: int, fault: str = "") -> None:
@@ -202,7 +203,7 @@ def _report(link: socket.socket, path: str, written: int, fault: str = "") -> No
 
 
 def main() -> None:
-    """Take the socket that the daemon has opened."""
+    """Entry of the process: serve the socket that the daemon has opened."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the daemon closes the socket
     os.nice(10)

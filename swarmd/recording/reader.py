@@ -1,9 +1,9 @@
-"""Reads a recording, also if it was cut off or damaged, and whatever the MCAP format permits.
+"""Reads a recording (MCAP), also if the file was cut off or damaged.
 
-The MCAP library gives up at the first bad record, or reads on in a damaged one. This reader takes
-each chunk whose checksum is right or that has none, and leaves out the others. It never needs the
-index or the summary at the end of a file. A recording may come from a stolen robot: its chunks are
-unpacked one by one, within a ratio to the size of the file.
+The MCAP library gives up at the first bad record, or reads on inside a damaged record. This reader
+takes each chunk whose checksum is right or absent, and leaves out all other chunks. It never needs
+the index or the summary at the end of a file. A recording may come from a stolen robot: chunks are
+unpacked one by one, up to MAX_RATIO times the size of the file.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _METADATA, _DATA_END 
 )
 _ABOUT = struct.Struct("<HIQQ")  # channel, sequence and times of a message
 _HEAD = struct.Struct("<BQ")  # the code of a record and the size of its content
-_KNOWN = range(1, 16)  # the format permits others but 0, which are passed over
+_KNOWN = range(1, 16)  # record codes; greater codes are permitted and skipped, 0 is not
 _COMPRESSIONS = ("", "lz4", "zstd")
-_OBJECT = 200  # bytes of the objects that are made of a record
+_OBJECT = 200  # bytes of the Python objects for a record
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedMessage:
     """One message: its topic, type, time in ns since 1970, sequence and bytes.
 
-    `kind`: empty without a schema; with an encoding other than CDR, its name follows.
+    `kind`: the message type; empty without a schema. The name of an encoding other than CDR is
+    appended.
     """
 
     topic: str
@@ -49,9 +50,10 @@ class RecordedMessage:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """What a file holds. `fault`: what is missing or damaged, with its place; empty if whole.
+    """The content of a file. `fault`: the missing or damaged part and its place; empty if whole.
 
-    `about`: texts on its robot, or of a merged file on all; then `robots` are those on each robot.
+    `about`: texts on the robot. In a merged file `about` concerns all robots, and `robots` has the
+    texts on each robot.
     """
 
     path: Path
@@ -62,9 +64,9 @@ class RecordedFile:
 
 
 def read_file(path: Path) -> RecordedFile:
-    """All that can be read of a file.
+    """Read the undamaged content of a file.
 
-    ConfigError if it is no recording, or unpacks to more than MAX_RATIO times its size.
+    ConfigError if the file is no recording, or unpacks to more than MAX_RATIO times its size.
     """
     try:
         data = path.read_bytes()
@@ -86,7 +88,7 @@ def read_file(path: Path) -> RecordedFile:
 
 
 class _BeyondRatioError(Exception):
-    """A file unpacks to more than it may."""
+    """A file unpacks to more than MAX_RATIO times its size."""
 
 
 class _Reader:
@@ -94,17 +96,17 @@ class _Reader:
         self._data = memoryview(data)
         self._whole = data
         self._left = MAX_RATIO * len(data) + MAX_SPARE
-        self._work = 4 * self._left  # bytes to look at, also in what only seems to be a chunk
+        self._work = 4 * self._left  # budget of bytes to examine, also in false chunks
         self._schemas: dict[int, str] = {0: ""}
         self._channels: dict[int, tuple[str, int, str]] = {}
         self._found: list[tuple[int, int, int, bytes]] = []
-        self._count: int | None = None  # of messages, by the summary
+        self._count: int | None = None  # count of messages, as the summary states
         self.about: dict[str, str] = {}
         self.robots: dict[str, dict[str, str]] = {}
         self.fault = ""
 
     def read(self) -> None:
-        """Take each record; after a damaged record go on with the next whole chunk."""
+        """Take each record; after a damaged record continue at the next whole chunk."""
         data = self._data
         at = len(MAGIC)
         is_over = False
@@ -136,10 +138,10 @@ class _Reader:
         return messages
 
     def _record_at(self, at: int) -> tuple[int, int]:
-        """The code of the record at a byte, and where it ends; the code is 0 if none is there."""
+        """The code and the end of the record at the byte `at`; code 0 if no record is there."""
         data = self._data
         code, _, end = next(_records(data, at), (0, 0, 0))
-        # In a damaged file any bytes may seem to be a record of another kind.
+        # In a damaged file arbitrary bytes may look like a record of an unknown code.
         is_known = code in _KNOWN or data[end:] == MAGIC or any(_records(data, end))
         return (code, end) if is_known else (0, 0)
 
@@ -179,7 +181,7 @@ class _Reader:
             self._found.append((channel, sequence, at, bytes(body[22:])))
         elif code == _SCHEMA:
             (number,) = struct.unpack_from("<H", body)
-            # The first one wins: those of chunks have a checksum, those of the summary have none.
+            # The first record counts: records in chunks have a checksum, the summary's have none.
             self._schemas.setdefault(number, _string(body, 2)[0])
         elif code == _CHANNEL:
             number, schema = struct.unpack_from("<HH", body)
@@ -195,7 +197,7 @@ class _Reader:
                 self.robots.setdefault(name.partition("/")[2], {}).update(_map(body, place))
 
     def _next_chunk(self, at: int) -> int:
-        """The first byte from `at` on where a whole chunk begins; the end if there is none."""
+        """The first byte from `at` on at which a whole chunk begins; the end of file without."""
         data = self._data
         while (at := self._whole.find(_CHUNK, at)) >= 0:
             size = int.from_bytes(data[at + 1 : at + 9], "little")
@@ -208,7 +210,7 @@ class _Reader:
         return len(data)
 
     def _chunk_data(self, body: memoryview) -> memoryview | None:
-        """The records of a chunk; None if it is damaged. Its checksum is that of the records."""
+        """The unpacked records of a chunk, checked by the checksum; None if damaged."""
         size, crc = struct.unpack_from("<QI", body, 16)
         compression, place = _string(body, 28)
         (length,) = struct.unpack_from("<Q", body, place)
@@ -232,7 +234,7 @@ class _Reader:
 
 
 def _records(data: memoryview, at: int = 0) -> Iterator[tuple[int, int, int]]:
-    """The code of each record, and where its content begins and ends, until one is cut off."""
+    """(code, begin, end of content) of each record, up to the first truncated record."""
     size = len(data)
     while at + 9 <= size:
         code, length = _HEAD.unpack_from(data, at)
@@ -243,12 +245,12 @@ def _records(data: memoryview, at: int = 0) -> Iterator[tuple[int, int, int]]:
 
 
 def _stated_size(packed: memoryview, compression: str) -> int | None:
-    """How many bytes a chunk unpacks to by its own head; None: unknown, -1: damaged.
+    """The unpacked size in bytes that a chunk states; None: unknown, -1: damaged.
 
-    The libraries would take memory for whatever size is stated.
+    The decompression libraries would allocate any stated size.
     """
     if compression == "zstd":
-        import zstandard  # of the extra `record`, which a daemon may lack
+        import zstandard  # in the extra `record`, which a daemon may lack
 
         with suppress(zstandard.ZstdError):
             size = int(zstandard.get_frame_parameters(packed).content_size)
@@ -264,7 +266,7 @@ def _stated_size(packed: memoryview, compression: str) -> int | None:
 
 
 def _unpacked(packed: memoryview, compression: str, size: int) -> bytes | memoryview | None:
-    """At most so many bytes of a chunk; None if they are damaged."""
+    """At most `size` unpacked bytes of a chunk; None if the chunk is damaged."""
     if compression == "zstd":
         import zstandard
 
@@ -300,10 +302,10 @@ def _map(body: memoryview, place: int) -> Mapping[str, str]:
 
 
 def clock_of(about: Mapping[str, str], at: int) -> float:
-    """The time on the robot's clock in s of a time `at` in ns of its recording.
+    """The time on the robot's clock in s for the time `at` of its recording in ns.
 
-    To the bit what `boottime` gave: a deadline of the robot falls into the same tick again.
-    ConfigError if the recording does not tell its clock: these texts have no checksum.
+    Equal to the bit to the value of `boottime`, so that each deadline falls into the same tick as
+    in the run. ConfigError if the texts do not give the clock: texts have no checksum.
     """
     try:
         return (at - int(about["wall_ns"]) + int(about["boot_ns"])) / 1e9

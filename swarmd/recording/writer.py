@@ -1,8 +1,8 @@
 """Writes the recording of one robot: MCAP files that survive a kill and a power cut.
 
-A file has chunks of CHUNK bytes. The writer writes a chunk to the disk (fsync) as soon as it is
-full or CHUNK_TIME old, so that a power cut loses at most that. It begins a new file after a size
-or an age, and keeps an index beside each finished file. Each file can be read without the others.
+A file has chunks of CHUNK bytes. The writer writes a chunk to disk (fsync) as soon as the chunk is
+full or CHUNK_TIME old, so that a power cut loses at most one chunk. The writer begins a new file
+after a size or an age, and writes an index beside each finished file. Each file can be read alone.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ METADATA = "swarmd"
 
 
 class Channels:
-    """The channels of a file; each is registered with its type when its first message comes."""
+    """The channels of a file; each is registered with its type at its first message."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
@@ -52,10 +52,10 @@ class Channels:
 class RecordingWriter:
     """Writes `<folder>/<name>-<number>.mcap`; not for several threads.
 
-    `about` holds texts on the robot, which each file repeats. `latched` topics have their last
-    message repeated at the start of each file. `limits` hold for the files of this name in the
-    folder: the oldest files are removed when a new file begins. OSError if the disk fails; call
-    `abandon` then.
+    `about`: texts on the robot, which each file repeats. `latched`: topics whose last message is
+    repeated at the start of each file. `limits` apply to the files of this name in the folder: the
+    oldest files are removed when a new file begins. After an OSError (the disk fails) the caller
+    must call `abandon`.
     """
 
     def __init__(
@@ -92,14 +92,14 @@ class RecordingWriter:
         self.flush_if_due(at)
 
     def flush_if_due(self, at: int) -> None:
-        """Write what was added if the chunk is full or CHUNK_TIME old."""
+        """Write the added messages if the chunk is full or CHUNK_TIME old."""
         if self._file is None or not self._pending:
             return
         if at - self._written_at >= CHUNK_TIME * 1e9 or self._pending >= CHUNK:
             self.flush(at)
 
     def flush(self, at: int) -> None:
-        """Write what was added to the disk, as a chunk of its own."""
+        """Write the added messages to disk, as a chunk."""
         if self._file is None:
             return
         self._writer.flush()  # type: ignore[no-untyped-call]
@@ -135,7 +135,7 @@ class RecordingWriter:
         self.dropped = 0
 
     def abandon(self) -> None:
-        """Close the file as it is."""
+        """Close the file without its end and index."""
         if self._file is not None:
             file, self._file = self._file, None
             with suppress(OSError):
@@ -183,7 +183,7 @@ class RecordingWriter:
             oldest.with_suffix(".index.json").unlink(missing_ok=True)
 
     def _unused(self) -> Path:
-        """The name of the next file; its number is above those of all others."""
+        """The path of the next file, with a number above all present files."""
         taken = [path.stem.rpartition("-")[2] for path in self._folder.glob(f"{self._name}-*.mcap")]
         last = max((int(number) for number in taken if number.isdecimal()), default=0)
         self._number = max(self._number, last) + 1

@@ -1,9 +1,9 @@
-"""Repeats a recorded run: the same inputs at the same times, through the same `Robot`.
+"""Replays a recorded run: the same inputs at the same times, through the same `Robot`.
 
-Protection is fed with the events of the recorded pattern host, and the pattern with the inputs
-that the robot hands to it, so that a difference of one does not become one of the other. The robot
-begins with the memory that the recording has of it. Without that memory, and with other settings,
-a new robot begins, and the recording must begin outside a run.
+The robot gets the recorded events of the pattern host, and the pattern here gets the inputs that
+the robot hands out. So a difference in the pattern causes no difference in protection, and vice
+versa. The robot begins with its recorded memory. Without a memory, or with other settings, the
+replay begins with a new robot, and the recording must begin outside a run.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from swarmd.robot.settings import EarlierLives, RobotSettings
 
 @dataclass(slots=True)
 class Compared:
-    """Commands of the replay compared with the recorded commands."""
+    """The comparison of commands of the replay with recorded commands."""
 
     count: int = 0
     equal: int = 0  # commands that are equal to the bit
@@ -63,7 +63,7 @@ class Compared:
             self.first = at
 
     def include(self, more: Compared) -> None:
-        """Add the comparison of another recording."""
+        """Add the numbers of another comparison."""
         self.count += more.count
         self.equal += more.equal
         self.largest = max(self.largest, more.largest)
@@ -71,7 +71,7 @@ class Compared:
 
     @property
     def share(self) -> float:
-        """The share of equal commands; 1 without any."""
+        """The share of equal commands; 1 without commands."""
         return self.equal / self.count if self.count else 1.0
 
     @property
@@ -82,7 +82,7 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Parity:
-    """How the commands of a replay compare with those of its recording."""
+    """The comparison of a replay with its recording."""
 
     safe: Compared  # commands of protection
     requested: Compared  # commands of the pattern
@@ -91,10 +91,10 @@ class Parity:
 
 
 class Replay:
-    """One robot that repeats a recording, from its recorded memory or from the recording's head.
+    """A robot that replays a recording, from its recorded memory or from the recording's head.
 
-    `platform`: in place of the recorded platform. `origins`: where each pattern is found, as in
-    `Load`. `recalls`: the recorded memory can be read.
+    `platform`: replaces the recorded platform. `origins`: by pattern its place, as in `Load`.
+    `recalls`: begin with the recorded memory, which is readable.
     """
 
     def __init__(
@@ -107,8 +107,8 @@ class Replay:
         recalls: bool = False,
     ) -> None:
         self._about, self._recalls = about, recalls
-        self._waits = recalls  # for the next memory
-        self._has_pattern = not recalls  # the pattern has been stepped since it was loaded
+        self._waits = recalls  # skip inputs until the next recorded memory
+        self._has_pattern = not recalls  # the pattern here was stepped from its load on
         self._head, self._platform = head, platform or head.platform
         self._robot: Robot
         self._loader = PatternLoader({})
@@ -119,7 +119,9 @@ class Replay:
         self._begin: float | None = None
         self._actions: Actions | None = None
         self._notes: dict[str, None] = {}
-        self._has_parted = False  # one of the two robots ran while the other did not
+        self._has_parted = (
+            False  # the replayed robot ran while the recorded one did not, or reverse
+        )
         self.safe, self.requested = Compared(), Compared()
 
     def _make_robot(self, now: float) -> Robot:
@@ -140,7 +142,7 @@ class Replay:
         )
 
     def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
-        """Repeat all messages, in the order in which they were recorded."""
+        """Replay all messages, in the order in which they were recorded."""
         last = 0.0
         for message in recorded:
             now = clock_of(self._about, message.at)
@@ -153,7 +155,7 @@ class Replay:
                 self._take(message, now)
             except (CodecError, msgspec.MsgspecError) as error:
                 self._note(f"{message.topic} could not be read: {error}")
-            except Exception as error:  # fields of a memory may hold any values
+            except Exception as error:  # a damaged memory may give fields of any value
                 if not self._recalls or isinstance(error, SwarmError):
                     raise
                 raise ConfigError(
@@ -163,7 +165,8 @@ class Replay:
         return Parity(self.safe, self.requested, last, tuple(self._notes))
 
     def _take(self, message: RecordedMessage, now: float) -> None:
-        input = self._inputs.read(message)  # the directions of rays hold on
+        # Also while inputs are skipped: the ray directions of a scan are needed for later scans.
+        input = self._inputs.read(message)
         if message.topic == "/dropped":
             at = now - (self._begin or now)
             self._waits = self._recalls
@@ -185,16 +188,16 @@ class Replay:
         if isinstance(input, RequestInput):
             request = input.request
             if isinstance(request, StopRequest) and now - request.age < (self._begin or 0.0):
-                return  # a late copy: the robot had carried it out before the recording began
+                return  # a late copy of a request that was executed before the recording began
         if isinstance(input, HostInput) and isinstance(input.event, Stepped):
             self._compare_requested(input.event, now)
-        with np.errstate(all="ignore"):  # the numbers of a memory may be any
+        with np.errstate(all="ignore"):  # a damaged memory may contain any numbers
             actions = self._robot.step(input, now)
         if actions is not None:
             self._carry_out(actions)
 
     def _compare_requested(self, event: Stepped, now: float) -> None:
-        """Compare the pattern's answer with the recorded one, which the robot gets."""
+        """Compare the answer of the pattern here with the recorded answer `event`."""
         if not self._has_pattern:
             self._note(
                 "a recording has no memory of the pattern that runs when it begins or goes on after"
@@ -209,7 +212,7 @@ class Replay:
             self._note("the pattern of the replay did not step where the recorded one did")
 
     def _carry_out(self, actions: Actions) -> None:
-        """Hand the robot's command for the pattern host to the pattern here."""
+        """Hand the robot's host command to the executor of the pattern here."""
         self._actions = actions
         command = actions.host
         if command is None or isinstance(command, KillHost | StartTrial):
@@ -245,7 +248,7 @@ class Replay:
 
 
 def recordings_of(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
-    """The files by recording: each begins anew with another life of the daemon, or after a stop."""
+    """The files grouped by recording; a restart of the daemon, or a stop, ends a recording."""
     recordings: dict[tuple[str | None, ...], list[RecordedFile]] = {}
     for file in files:
         key = tuple(file.about.get(name) for name in ("head", "wall_ns", "boot_ns"))
@@ -258,7 +261,7 @@ def repeat(
     origins: Mapping[str, tuple[str, bool]],
     platform: Platform | None = None,
 ) -> tuple[RecordingHead, Parity]:
-    """Repeat the files of one recording, in their order; ConfigError if that cannot be done."""
+    """Replay the files of one recording in order; ConfigError if the replay is impossible."""
     where, about = str(files[0].path), files[0].about
     if about.get("kind") == "merged":
         raise ConfigError(f"{where}: merged; expected the robot's own recording")
@@ -309,7 +312,7 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
 
 
 def _other_program(head: RecordingHead) -> str:
-    """The differences between the recording program and this one that may move last bits, or ""."""
+    """The differences between the recording program and this one that may change last bits."""
     there = {"version": head.version, "kernels": head.kernels, "processor": head.machine}
     here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
     texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]
@@ -317,7 +320,7 @@ def _other_program(head: RecordingHead) -> str:
 
 
 def total(parities: Iterable[Parity]) -> Parity:
-    """The parity of several recordings together; `first` is that of the first that differs."""
+    """The sum of several parities; `first`: of the first recording with a difference."""
     safe, requested = Compared(), Compared()
     seconds = 0.0
     notes: dict[str, None] = {}
@@ -337,7 +340,10 @@ def _state_in(decision: RecordedMessage, where: str) -> str:
 
 
 def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> None:
-    """ConfigError without a decision, or with a `fault` if the first one is of a running robot."""
+    """ConfigError if there is no decision, or if the memory has a `fault` and the robot runs.
+
+    The state of the robot is that of the first decision.
+    """
     first = next((message for message in recorded if message.topic == "/decision"), None)
     if first is None:
         raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")

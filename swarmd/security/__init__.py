@@ -1,1 +1,1 @@
-"""Identities of a swarm with their roles: rosters, certificates, and the keys of datagrams."""
+"""Identities of a secured swarm: rosters with roles, certificates, and the keys of datagrams."""

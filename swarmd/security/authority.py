@@ -1,8 +1,8 @@
-"""The certificate authority of a swarm, in a folder of the operator that made it.
+"""The certificate authority of a swarm, in a folder on an operator's machine.
 
-Certificates are X.509 with ECDSA P-256 (RFC 5280, FIPS 186-5): the common name is the name on the
-roster, and the extended key usage is that of both ends of a link. They are valid from 1970 on,
-since a robot without a battery-backed clock boots in the past.
+Certificates are X.509 with ECDSA P-256 (RFC 5280, FIPS 186-5). The common name is the name on the
+roster. The extended key usage covers both ends of a TLS link (server and client). Certificates are
+valid from 1970 on, since a robot without a battery-backed clock boots in the past.
 """
 
 from __future__ import annotations
@@ -44,24 +44,28 @@ _BEGIN = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
 
 
 class Generation(Struct, frozen=True, array_like=True):
-    """A signed roster and the secret of the swarm that belongs to it."""
+    """A signed roster, and the secret of the swarm for the roster's generation."""
 
     secret: bytes
     roster: bytes
 
 
 class IssueRecord(Struct, frozen=True, array_like=True):
-    """`expires`: of a name's newest certificate; `generation`: the newest roster it surely has."""
+    """What was issued to a name.
+
+    `expires`: the end of its newest certificate, in s since 1970. `generation`: the newest roster
+    that the name has for certain.
+    """
 
     expires: int
     generation: int
 
 
 class AuthorityState(Struct, frozen=True, kw_only=True):
-    """All that changes in an authority but keys: one file, so that it changes as a whole.
+    """The changing state of an authority, private keys aside; one file, so changes are atomic.
 
-    `master`: from which the answer secrets of robots derive. `days`: of new certificates.
-    `revoked`: when the last certificate of a removed name ends, in s since 1970.
+    `master`: the secret from which the answer secrets of robots derive. `days`: the life of new
+    certificates. `revoked`: by removed name, the end of its last certificate in s since 1970.
     """
 
     master: bytes
@@ -73,10 +77,10 @@ class AuthorityState(Struct, frozen=True, kw_only=True):
 
 
 class Authority:
-    """The authority in `folder`; `create` makes a new one. ConfigError if it cannot be read.
+    """The authority in `folder`; `create` makes a new authority. ConfigError if it is unreadable.
 
-    Several processes may change it at a time: each change builds on the last one of any of them.
-    `roster` is the roster that this process read or made last.
+    Several processes may change an authority: each change is locked, and continues from the last
+    change of any process. `roster`: the roster that this process read or made last.
     """
 
     def __init__(self, folder: Path, passphrase: bytes | None = None) -> None:
@@ -98,10 +102,10 @@ class Authority:
     ) -> Authority:
         """Make an authority with an empty roster; `change` adds names.
 
-        The passphrase encrypts the private keys of the authority and of the names in its folder;
-        without a passphrase these keys are not encrypted. The secrets of datagrams in the file
-        STATE never are: mode 0600 alone protects them. `days`: the life of new certificates.
-        ConfigError if the folder exists.
+        The passphrase encrypts the private keys of the authority and of the names in its folder.
+        Without a passphrase these keys are not encrypted. The secrets of datagrams in the file
+        STATE are never encrypted: only mode 0600 protects them. `days`: the life of new
+        certificates. ConfigError if the folder exists.
         """
         check_id(swarm, "swarm")
         try:
@@ -133,8 +137,9 @@ class Authority:
     ) -> Roster:
         """Write the next generation of the roster, with a new secret for datagrams.
 
-        ConfigError for a name that is on the roster already, or is not, and for a new name whose
-        earlier certificate was revoked and has not ended: that would be valid again.
+        ConfigError for an added name that is on the roster, or a removed name that is not.
+        ConfigError also for an added name with a revoked certificate that has not ended: that
+        certificate would be valid again.
         """
         with self._locked():
             self._state, self.roster = self._read_state()
@@ -154,7 +159,7 @@ class Authority:
         for name in remove:
             if old.role_of(name) is None:
                 raise ConfigError(f"{name} is not on the roster of {old.swarm}")
-        self._remove_keys(add)  # of an earlier holder of the name
+        self._remove_keys(add)  # the keys of an earlier holder of the name
         kept = {name: old.role_of(name) for name in old.names if name not in remove} | add
         operators = [name for name, role in kept.items() if role is Role.OPERATOR]
         secret = os.urandom(datagram_keys.SECRET_BYTES)
@@ -191,9 +196,10 @@ class Authority:
         return roster
 
     def issue(self, name: str, *, days: float | None = None, is_recorded: bool = True) -> Issued:
-        """A new certificate for a name of the roster, and what belongs to it.
+        """A new identity (certificate, key, roster) for a name of the roster.
 
-        `is_recorded` False: it may not reach the name; see `note_issued`.
+        `is_recorded` False: the certificate may not reach the name; the caller calls `note_issued`
+        once it does.
         """
         days = self._state.days if days is None else days
         role = self.roster.role_of(name)
@@ -229,9 +235,9 @@ class Authority:
         return issued
 
     def note_issued(self, issued: Issued) -> None:
-        """Remember that a name has, or gets, this certificate.
+        """Record that a name has, or will get, this certificate.
 
-        ConfigError if the name was revoked since it was issued.
+        ConfigError if the name was revoked after the certificate was issued.
         """
         name = issued.info.name
         with self._locked():
@@ -239,16 +245,16 @@ class Authority:
             if roster.role_of(name) is None:
                 raise ConfigError(f"{name} was revoked just now by another command")
             old = state.issued.get(name)
-            # A bundle that is not installed yet changes nothing in what the robot has.
+            # A bundle may not be installed yet: the recorded generation stays as it is.
             generation = self.roster.generation if old is None else old.generation
             self._note(state, {name: IssueRecord(issued.info.expires, generation)})
 
     def record_of(self, name: str) -> IssueRecord | None:
-        """The newest certificate of a name; None: none was made yet."""
+        """The record of the newest certificate of a name; None without a certificate."""
         return self._state.issued.get(name)
 
     def note_taken(self, names: Iterable[str]) -> None:
-        """Remember that these names have the generation of `roster`."""
+        """Record that these names have the generation of `roster`."""
         own = self.roster.generation
         with self._locked():
             state, _ = self._read_state()
@@ -260,7 +266,7 @@ class Authority:
             self._note(state, records)
 
     def roster_of(self, name: str, generation: int) -> RosterFile | None:
-        """What a name held at an earlier generation; None if it is not kept any more."""
+        """Roster and keys of a name at an earlier generation; None if no longer kept."""
         for state in (self._state.now, *reversed(self._state.past)):
             roster = read_roster(state.roster, self.public_key)
             if roster.generation == generation:
@@ -268,7 +274,7 @@ class Authority:
         return None
 
     def keys_of(self, name: str) -> datagram_keys.DatagramKeys:
-        """The keys of datagrams that a name of the roster holds."""
+        """The datagram keys for a name of the roster."""
         return self._keys(name, self.roster, self.secret)
 
     def _keys(self, name: str, roster: Roster, swarm_secret: bytes) -> datagram_keys.DatagramKeys:
@@ -300,7 +306,7 @@ class Authority:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other processes from changing the authority in the block."""
+        """Lock the authority in the block against changes by other processes."""
         handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX)
@@ -309,7 +315,7 @@ class Authority:
             os.close(handle)
 
     def _read_state(self) -> tuple[AuthorityState, Roster]:
-        """What the last change of any process left. ConfigError if it cannot be read."""
+        """The present state on disk and its roster. ConfigError if it cannot be read."""
         path = self.folder / STATE
         try:
             state = msgspec.msgpack.decode(path.read_bytes(), type=AuthorityState)
@@ -324,7 +330,7 @@ class Authority:
         self._state = state
 
     def _note(self, newest: AuthorityState, records: Mapping[str, IssueRecord]) -> None:
-        """Add records to the newest state on the disk; `roster` stays that of this process."""
+        """Add records to the newest state on disk; `roster` of this process stays the same."""
         issued = {**newest.issued, **records}
         if issued != newest.issued:
             write_private(
@@ -341,7 +347,7 @@ class Authority:
         return self.folder / NAMES / f"{name}.key"
 
     def _key_of(self, name: str) -> ec.EllipticCurvePrivateKey:
-        """The private key of a name, made when it is first needed."""
+        """The private key of a name; made and stored at the first call."""
         path = self._key_path(name)
         if path.exists():
             return load_key(path, self._passphrase)

@@ -1,8 +1,8 @@
-"""A bundle: one file with an identity and the settings of its swarm, to be carried to a machine.
+"""A bundle: one file with an identity and the settings of its swarm, for transfer to a machine.
 
 Layout: a line of text with the format, the SHA-256 digest of the rest, and the rest as msgpack. The
-digest finds damage. A bundle holds a private key, and is as secret as that key. It holds no file
-names, so that an installation writes only files of fixed names.
+digest detects damage. A bundle contains a private key, and is as secret as that key. A bundle
+contains no file names: an installation writes only files of fixed names.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _DIGEST_BYTES = 32
 
 
 class Bundle(Issued, frozen=True, kw_only=True):
-    """An identity with the swarm's settings: keys of swarm.yaml, which its reader checks."""
+    """An identity with `settings`: keys of swarm.yaml, which the installation must check."""
 
     settings: dict[str, object] = field(default_factory=dict)
 
@@ -53,10 +53,10 @@ def pack_bundle(bundle: Bundle) -> bytes:
 
 
 def unpack_bundle(data: bytes) -> OpenedBundle:
-    """The bundle in `data`, after checks of digest, roster, name, role and generation of keys.
+    """Decode a bundle, and check digest, roster, name, role and generation of the keys.
 
-    The roster's signature must be that of the authority which the bundle names. CodecError, whose
-    text is one line, if a check fails or `data` is no bundle of this format.
+    The authority that the bundle names must have signed the roster. CodecError in one line if a
+    check fails, or if `data` is no bundle of this format.
     """
     if len(data) > MAX_BUNDLE:
         raise CodecError(f"more than {MAX_BUNDLE} bytes: not a bundle")
@@ -95,5 +95,5 @@ def read_bundle(path: Path) -> OpenedBundle:
 
 
 def write_bundle(path: Path, bundle: Bundle) -> None:
-    """Write a bundle, readable by its owner alone, whole or not at all."""
+    """Write a bundle, readable only by the owner, whole or not at all."""
     write_private(path, pack_bundle(bundle))

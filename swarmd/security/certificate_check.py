@@ -1,6 +1,6 @@
-"""Checks a certificate against its key and its authority with Python's `ssl`, which robots have.
+"""Checks a certificate against its key and its authority, by Python's `ssl` module.
 
-A robot without keys does not import `ssl`.
+Every robot has this module. A robot without keys does not import it.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ class CertificateFacts:
 def check_certificate(certificate: Path, key: Path, authority: Path) -> CertificateFacts:
     """Read a certificate, and verify its key and the signature of the authority.
 
-    The check is a handshake in memory, as of a link. ConfigError in one line if a part does not
-    fit. The clock must be within the life of the authority: not before 1970, not after its end.
+    The check is a TLS handshake in memory, as between the ends of a link. ConfigError in one line
+    if key, certificate and authority do not match. The wall clock must lie within the life of the
+    authority: not before 1970, not after its end.
     """
     import ssl
 
@@ -58,7 +59,7 @@ def _no_passphrase() -> str:
 
 
 def _peer_of(client: ssl.SSLContext, server: ssl.SSLContext) -> dict[str, Any]:
-    """The certificate of the server as the client has verified it. Raises SSLError."""
+    """The server's certificate after the client has verified it. Raises SSLError."""
     import ssl
 
     to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()

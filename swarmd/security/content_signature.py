@@ -1,10 +1,10 @@
 """Signatures of goals, manifests of pushed patterns and rosters: ECDSA with P-256 and SHA-256.
 
-FIPS 186-5. A signature has 64 bytes, `r || s`, big endian. The private key of an operator also
-proves its links by TLS, and that of an authority signs certificates: what is signed begins with the
-purpose, so that no signature of one kind is one of another kind. (r, n - s) is valid as well, by
-the equation alone; only the smaller s counts, so that a second signature of one content needs the
-key.
+FIPS 186-5. A signature has 64 bytes, `r || s`, big endian. The same private key also signs TLS
+handshakes (operator) or certificates (authority). So the signed bytes begin with the purpose, and
+no signature of one kind is valid as a signature of another kind. For each signature (r, s) the pair
+(r, n - s) satisfies the equation, too. Only the smaller s is accepted: nobody can make a second
+signature of the same content without the key.
 """
 
 from __future__ import annotations
@@ -39,14 +39,17 @@ def sign(key: EllipticCurvePrivateKey, purpose: Purpose, content: bytes) -> byte
 
 
 def has_form(signature: bytes) -> bool:
-    """True if these bytes may be a signature: of its length, with the smaller s."""
+    """True if these bytes have the form of a signature: 64 bytes, with the smaller s."""
     return len(signature) == SIGNATURE_BYTES and int.from_bytes(signature[32:], "big") <= ORDER // 2
 
 
 def is_signed_by(
     public_key: bytes | None, purpose: Purpose, content: bytes, signature: bytes
 ) -> bool:
-    """True if `signature` is that of `content` by the holder of `public_key`, `x || y`."""
+    """True if the holder of `public_key` (`x || y`) has made `signature` of `content`.
+
+    False without a key.
+    """
     if public_key is None or not has_form(signature):
         return False
     from cryptography.exceptions import InvalidSignature

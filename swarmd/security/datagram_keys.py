@@ -1,12 +1,15 @@
-"""The symmetric keys that sign datagrams, and how they derive from the secrets of a swarm. Pure.
+"""The symmetric keys that sign datagrams, and their derivation from the swarm's secrets. Pure.
 
-Beacons and messages are too many for asymmetric signatures, so that a key signs for a class of
-readers: a reader that verifies could also sign, but only toward the same class. A robot signs each
-group datagram once for robots, once for operators and once for viewers. An operator or viewer
-signs with a key of its own name. A robot signs its answers to an operator with a key of that pair.
+Beacons and messages are too frequent for asymmetric signatures. A symmetric key therefore signs for
+a class of readers. A reader can verify with this key, and could also forge a signature, but only
+towards readers of the same class.
 
-Keys derive by keyed BLAKE2b (RFC 7693) from the swarm's secret, which changes with each generation
-of the roster and which robots alone hold, and from a secret of each robot.
+1. A robot signs each datagram to all three times: for robots, for operators and for viewers.
+2. An operator or viewer signs with the key of its own name.
+3. A robot signs its answer to an operator or viewer with the key of this pair.
+
+Keys are derived by keyed BLAKE2b (RFC 7693) from the swarm's secret and from a secret of each
+robot. The swarm's secret changes with each generation of the roster, and only robots have it.
 """
 
 from __future__ import annotations
@@ -25,11 +28,11 @@ Secret = Annotated[bytes, Meta(max_length=SECRET_BYTES)]
 
 
 class DatagramKeys(Struct, frozen=True, kw_only=True):
-    """What one name holds at one generation of the roster; empty: not for its role.
+    """The keys of a name at one generation of the roster; a key that its role lacks is empty.
 
-    `secret`: the swarm's, of robots. `robots`, `operators`, `viewers`: the keys of the classes.
-    `own`: with which an operator or viewer signs. `answer_secret`: of this robot. `answers`: the
-    keys of an operator or viewer with each robot.
+    `secret`: the swarm's secret, for robots. `robots`, `operators`, `viewers`: the keys of the
+    three classes. `own`: the key with which an operator or viewer signs. `answer_secret`: the
+    secret of this robot. `answers`: by robot, the key of the pair with this operator or viewer.
     """
 
     generation: int
@@ -42,7 +45,7 @@ class DatagramKeys(Struct, frozen=True, kw_only=True):
     answers: dict[str, Key] = {}
 
     def of_name(self, name: str) -> bytes:
-        """The key with which the operator or viewer `name` signs; for robots."""
+        """The key with which the operator or viewer `name` signs; only a robot can derive it."""
         return derive(self.secret, f"name/{name}")
 
     def answer_to(self, name: str) -> bytes:
@@ -62,7 +65,7 @@ def robot_secret(master: bytes, robot: str) -> bytes:
 
 
 def robot_keys(generation: int, secret: bytes, answer_secret: bytes) -> DatagramKeys:
-    """The keys of a robot at a generation with that secret of the swarm."""
+    """The keys of a robot; `secret`: the swarm's secret of this generation."""
     return DatagramKeys(
         generation=generation,
         secret=secret,
@@ -87,6 +90,9 @@ def reader_keys(
 
 
 def reader_digest(keys: DatagramKeys) -> bytes:
-    """SHA-256 of the keys of an operator or viewer that change with the roster, which holds it."""
+    """SHA-256 of the keys of an operator or viewer that change with the roster.
+
+    The roster contains this digest.
+    """
     content = keys.generation, keys.operators, keys.viewers, keys.own
     return hashlib.sha256(msgspec.msgpack.encode(content)).digest()

@@ -1,7 +1,7 @@
 """The identity of a robot, operator or viewer: a folder with its certificate and keys.
 
-Files, readable by their owner alone: `identity.json`, `certificate.pem`, `key.pem`,
-`authority.pem` and `roster`. No cryptography is needed to read them.
+The files, readable only by the owner, are `identity.json`, `certificate.pem`, `key.pem`,
+`authority.pem` and `roster`. Reading them needs no cryptography.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
 
 
 class IdentityInfo(Struct, frozen=True, kw_only=True):
-    """What `identity.json` holds. `expires`: of the certificate, in s since 1970 (UTC)."""
+    """The content of `identity.json`. `expires`: end of the certificate, s since 1970 (UTC)."""
 
     swarm: Id
     name: Id
@@ -48,7 +48,7 @@ class RosterFile(Struct, frozen=True, array_like=True):
 
 
 class Issued(Struct, frozen=True, kw_only=True):
-    """An identity as its authority hands it out: a certificate for a name, and its private key."""
+    """An identity as the authority issues it: certificate, private key, roster and keys."""
 
     info: IdentityInfo
     certificate: Pem
@@ -83,7 +83,7 @@ class Identity:
 
     @property
     def role(self) -> Role:
-        """What it may do."""
+        """The role of the name, which decides its permissions."""
         return self.info.role
 
     @property
@@ -116,14 +116,14 @@ def user_folder(environ: Mapping[str, str] = os.environ) -> Path | None:
 
 
 def identity_folders(swarm: str, environ: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
-    """Where the identity for a swarm may be: that of the user, then that of the machine."""
+    """The folders that may contain an identity for a swarm: of the user, then of the machine."""
     user = user_folder(environ)
     system = SYSTEM_FOLDER / swarm
     return (system,) if user is None else (user / "identities" / swarm, system)
 
 
 def find_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Identity | None:
-    """The identity of this user or machine for a swarm, if there is one. See `load_identity`."""
+    """The identity of this user or machine for a swarm, or None; errors as `load_identity`."""
     for folder in identity_folders(swarm, environ):
         if (folder / INFO).exists():
             return load_identity(folder)
@@ -133,9 +133,10 @@ def find_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Identi
 def choose_identity(
     swarm: str, folder: Path | None, *, insecure: bool, environ: Mapping[str, str] = os.environ
 ) -> Identity | None:
-    """The identity for a swarm: in `folder`, else found; None without one, or if `insecure`.
+    """The identity in `folder`, else the installed identity for the swarm.
 
-    ConfigError in one line if it cannot be read, or is of another swarm.
+    None without an identity, or if `insecure`. ConfigError in one line if the identity cannot be
+    read, or belongs to another swarm.
     """
     if insecure and folder is not None:
         raise ConfigError("identity and insecure exclude each other; give one of them")
@@ -151,7 +152,7 @@ def choose_identity(
 
 
 def check_asker(identity: Identity | None) -> None:
-    """Raise ConfigError for the identity of a robot: robots take questions of others only."""
+    """Raise ConfigError for the identity of a robot: robots do not answer questions of robots."""
     if identity is not None and identity.role is Role.ROBOT:
         raise ConfigError(
             f"identity {identity.folder} is of the robot {identity.name}; swarmctl needs that of an"
@@ -164,8 +165,8 @@ def load_identity(folder: Path) -> Identity:
     try:
         info = msgspec.json.decode(_read(folder / INFO), type=IdentityInfo)
         stored = msgspec.msgpack.decode(_read(folder / ROSTER), type=RosterFile)
-        # Verified when it was written. A process that can change it can change the authority as
-        # well, and the signature would take swarmctl 20 ms at each start.
+        # The roster was verified when it was written. A process that can change this file can also
+        # change the authority's key, and the check would take swarmctl 20 ms at each start.
         roster = stored_roster(stored.roster)
         for name in (CERTIFICATE, KEY, AUTHORITY):
             _read(folder / name)
@@ -188,9 +189,10 @@ def load_identity(folder: Path) -> Identity:
 
 
 def _read(path: Path) -> bytes:
-    """The content of a file. OSError if it is a device or a queue, which may never end.
+    """The content of a file. OSError for a device or a pipe, whose content may never end.
 
-    Root follows a link only in a folder of its own: another account could lead it anywhere.
+    As root, a link is followed only in a folder that root owns: another account could make a link
+    to any file.
     """
     is_foreign = os.geteuid() == 0 and path.parent.stat().st_uid != 0
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (os.O_NOFOLLOW if is_foreign else 0)
@@ -201,7 +203,7 @@ def _read(path: Path) -> bytes:
 
 
 def as_of(identity: Identity, file: RosterFile) -> Identity:
-    """The identity with another roster, in memory. CodecError if that is not valid."""
+    """A copy of the identity with another roster, in memory. CodecError if it is not valid."""
     roster = read_roster(file.roster, identity.info.authority)
     return replace(
         identity, roster=roster, datagram_keys=file.datagram_keys, signed_roster=file.roster
@@ -214,5 +216,5 @@ def write_roster(folder: Path, roster: RosterFile) -> None:
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Write a file that only its owner can read, whole or not at all, and to the disk."""
+    """Write a file to disk that only the owner can read, whole or not at all."""
     write_whole(path, content, 0o600)

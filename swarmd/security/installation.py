@@ -1,4 +1,4 @@
-"""Puts the identity of a bundle into place, whole or not at all."""
+"""Installs the identity of a bundle into its folder, whole or not at all."""
 
 from __future__ import annotations
 
@@ -52,17 +52,17 @@ def installed(folder: Path) -> Identity | None:
 
 @contextmanager
 def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
-    """Put the bundle's identity into `folder` for the block; an error in it brings back the old.
+    """Replace the identity in `folder`; an error in the block restores the old identity.
 
-    Key and certificate are checked before anything is replaced. A link at its place is replaced,
-    not followed. ConfigError, OSError.
+    Key and certificate are checked before anything is replaced. If `folder` is a link, the link is
+    replaced and not followed. ConfigError, OSError.
     """
     draft = folder.with_name(f".{folder.name}.partial")
     backup = folder.with_name(f".{folder.name}.before")
     is_in_place = False
     try:
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if backup.exists() and not folder.exists():  # an earlier installation was cut off
+        if backup.exists() and not folder.exists():  # an earlier installation was interrupted
             backup.rename(folder)
         for leftover in (draft, backup):
             remove_whole(leftover)

@@ -1,7 +1,7 @@
 """The roster: the names of a swarm with their roles, signed by its certificate authority. Pure.
 
-A roster has a generation. A greater one replaces a smaller one, and never the other way round. Its
-signature is that of `content_signature.py`.
+A roster has a generation. A roster of a greater generation replaces one of a smaller generation,
+never the reverse. `content_signature.py` has the signature.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ Signature = Annotated[bytes, Meta(max_length=SIGNATURE_BYTES)]
 
 
 class Role(StrEnum):
-    """What a name may do: a robot writes its own subtree, an operator asks, a viewer reads."""
+    """The role of a name.
+
+    A robot publishes below its own Zenoh key, an operator sends requests, a viewer only reads.
+    """
 
     ROBOT = "robot"
     OPERATOR = "operator"
@@ -37,11 +40,11 @@ class Role(StrEnum):
 
 
 class Roster(Struct, frozen=True, kw_only=True):
-    """The names of a swarm. `operators`: with the public keys that sign goals and pushed patterns.
+    """The names of a swarm. `operators`: with their public keys, for goals and pushed patterns.
 
-    `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive. `readers`:
-    `reader_digest` of the keys of each operator and viewer, so that a robot which hands them over
-    cannot change them.
+    `secret_digest`: SHA-256 of the secret from which the datagram keys derive. `readers`: by
+    operator and viewer, the `reader_digest` of its keys. By this digest a name detects keys that
+    were changed by the robot that hands them over.
     """
 
     swarm: Id
@@ -58,7 +61,7 @@ class Roster(Struct, frozen=True, kw_only=True):
         return (*self.robots, *self.operators, *self.viewers)
 
     def role_of(self, name: str) -> Role | None:
-        """The role of a name; None if it is not on the roster."""
+        """The role of a name; None if the name is not on the roster."""
         if name in self.robots:
             return Role.ROBOT
         if name in self.operators:
@@ -67,7 +70,7 @@ class Roster(Struct, frozen=True, kw_only=True):
 
 
 class SignedRoster(Struct, frozen=True, array_like=True):
-    """A roster as its bytes, and the authority's signature of them."""
+    """The bytes of a roster, and the authority's signature of these bytes."""
 
     content: Annotated[bytes, Meta(max_length=MAX_ROSTER)]
     signature: Signature
@@ -89,9 +92,9 @@ def pack_roster(content: bytes, signature: bytes) -> bytes:
 
 
 def same_bytes(data: bytes, known: bytes) -> bytes:
-    """`data` as `pack_roster` writes it; `known` if both are signed rosters of one content.
+    """`known` if both are signed rosters of equal content, else `data` as `pack_roster` writes it.
 
-    Another encoding or signature of a roster is the same roster. CodecError if malformed.
+    So another encoding or signature of the same roster counts as equal. CodecError if malformed.
     """
     signed = _decoded(data)[0]
     if known and _decoded(known)[0].content == signed.content:
@@ -100,12 +103,12 @@ def same_bytes(data: bytes, known: bytes) -> bytes:
 
 
 def stored_roster(data: bytes) -> Roster:
-    """The roster in `data`, whose signature was verified before it was stored. CodecError."""
+    """The roster in `data`, without a check: it was verified before it was stored. CodecError."""
     return _decoded(data)[1]
 
 
 def read_roster(data: bytes, authority: bytes) -> Roster:
-    """The roster in `data`, signed by the authority with that public key. CodecError otherwise."""
+    """The roster in `data`; CodecError unless the authority with that public key signed it."""
     signed, roster = _decoded(data)
     if not is_signed_by(authority, Purpose.ROSTER, signed.content, signed.signature):
         raise CodecError("a roster without a valid signature of this swarm's authority")
@@ -118,5 +121,5 @@ def _decoded(data: bytes) -> tuple[SignedRoster, Roster]:
 
 
 def digest_of(secret: bytes) -> bytes:
-    """SHA-256 of the secret of a swarm, as the roster holds it."""
+    """SHA-256 of the secret of a swarm, as in `Roster.secret_digest`."""
     return hashlib.sha256(secret).digest()

@@ -1,8 +1,8 @@
-"""Taking a roster, and a renewed certificate, into an identity that is there already.
+"""Takes a roster, or a renewed certificate, into an installed identity.
 
-What an identity takes is checked against its authority alone; the sender does not matter. A
-smaller generation never replaces a greater one. The key of an operator or viewer with a robot is
-not on the roster: it is taken from the authority, in a bundle, or from that robot.
+Rosters and certificates are checked only against the authority; any sender may hand them over. A
+smaller generation never replaces a greater generation. The pair key of an operator or viewer with a
+robot is not on the roster: it comes from the authority, in a bundle, or from that robot.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ from swarmd.security.roster import MAX_ROSTER, Role, Roster, digest_of, read_ros
 
 
 class SharedRoster(Struct, frozen=True, array_like=True):
-    """A signed roster on its way: with the secret for a robot, with its keys for a reader."""
+    """A signed roster for transfer, with the swarm's secret (to a robot) or keys (to a reader).
+
+    A reader is an operator or viewer.
+    """
 
     roster: bytes
     secret: Secret = b""
@@ -51,11 +54,11 @@ class TakenRoster:
     identity: Identity
     is_changed: bool  # False if the identity had this roster
     text: str  # the change in words
-    fault: str = ""  # why the roster is not on the disk: a restart then forgets it
+    fault: str = ""  # why the roster could not be written to disk, so that a restart forgets it
 
     @property
     def is_revoked(self) -> bool:
-        """True if the roster does not have this name in its role."""
+        """True if the roster lacks this name, or has it in another role."""
         return is_revoked(self.identity)
 
 
@@ -63,7 +66,7 @@ _shared = msgspec.msgpack.Decoder(SharedRoster)
 
 
 def is_revoked(identity: Identity) -> bool:
-    """True if the identity's own roster does not have its name in its role."""
+    """True if the identity's roster lacks its name, or has the name in another role."""
     return identity.roster.role_of(identity.name) is not identity.role
 
 
@@ -72,11 +75,11 @@ def take_roster(
 ) -> TakenRoster:
     """Check a roster and a certificate, and write them into the identity's folder.
 
-    `giver`: the robot that handed it over, as its link has proved: an operator or viewer takes the
-    key with that robot, and with no other one. A disk that cannot be written keeps no robot from
-    what its authority decided; see `TakenRoster`. CodecError if the roster is not signed by the
-    authority or does not fit; ConfigError if the certificate does not. It takes about 20 ms and
-    writes to the disk.
+    `giver`: the robot that handed the roster over, as its link has proved. An operator or viewer
+    takes from this robot only the pair key with this robot. If the disk cannot be written, the
+    roster counts in memory all the same (`TakenRoster.fault`). CodecError if the roster is not
+    signed by the authority, is of another swarm, or is older. ConfigError if the certificate does
+    not match. Takes about 20 ms and writes to disk.
     """
     roster = read_roster(shared.roster, identity.info.authority)
     signed = same_bytes(shared.roster, identity.signed_roster)
@@ -117,17 +120,17 @@ def take_roster(
 
 
 def read_shared(data: bytes) -> SharedRoster:
-    """What a peer shared. CodecError if it cannot be read."""
+    """Decode a roster that a peer handed over. CodecError if malformed."""
     if len(data) > 2 * MAX_ROSTER:
         raise CodecError(f"a shared roster of {len(data)} bytes")
     return decode(_shared, data, "a shared roster")
 
 
 def share_roster(identity: Identity, asker: str) -> bytes | None:
-    """What the robot `identity` hands to `asker`, whose name its link has proved; None: nothing.
+    """The bytes that the robot `identity` hands to `asker`, whose name the link has proved.
 
-    A robot gets the swarm's secret; an operator or viewer its own keys, of which this robot can
-    make those with itself only.
+    A robot gets the swarm's secret. An operator or viewer gets its own keys, and of its pair keys
+    only the key with this robot. None for a name that is not on the roster.
     """
     keys, role = identity.datagram_keys, identity.roster.role_of(asker)
     if role is None or is_revoked(identity):
@@ -147,13 +150,13 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
 
 
 def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
-    """The identity with these keys with robots, each of which handed over its own; writes them.
+    """Add pair keys with robots to the identity, and write them; each robot sent its own key.
 
-    A disk that cannot be written forgets them, and they are asked for again.
+    Keys that cannot be written to disk are asked for again after a restart.
     """
     keys = _with_answers(identity.datagram_keys, identity.roster, answers)
     try:
-        stored = load_identity(identity.folder)  # another process may have written meanwhile
+        stored = load_identity(identity.folder)  # another process may have written new keys
         if stored.signed_roster == identity.signed_roster:
             whole = _with_answers(stored.datagram_keys, stored.roster, answers)
             write_roster(identity.folder, RosterFile(stored.signed_roster, whole))
@@ -163,14 +166,14 @@ def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
 
 
 def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, bytes]) -> DatagramKeys:
-    """The keys with those with robots, without robots that are not on the roster."""
+    """`keys` with the pair keys `answers` of the robots that are on the roster."""
     known = {**keys.answers, **answers}
     kept = {n: key for n, key in known.items() if n in roster.robots and len(key) == KEY_BYTES}
     return msgspec.structs.replace(keys, answers=kept)
 
 
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
-    """The keys of the identity at the generation of `roster`; none for a name not on `roster`."""
+    """The keys of the identity at the generation of `roster`; empty for a name not on it."""
     role, old = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:
         return DatagramKeys(generation=roster.generation)
@@ -192,10 +195,11 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
 
 
 def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:
-    """Replace the certificate of an identity, once it is checked against key and authority.
+    """Check a certificate against key and authority, and replace the identity's certificate.
 
-    None if the certificate ends before the present certificate, which is kept: an old certificate,
-    sent again, would end the links of a robot early. ConfigError if the certificate does not fit.
+    None, and no change, if the certificate ends before the present certificate: an old certificate
+    that is sent again would end the links of a robot early. ConfigError if the certificate does not
+    match.
     """
     draft = identity.folder / f".{CERTIFICATE}.new"
     try:

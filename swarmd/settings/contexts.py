@@ -1,4 +1,4 @@
-"""Contexts of an operator: named sets of network options, of which one is in use.
+"""Contexts of an operator: named sets of network options; `swarmctl` uses the chosen context.
 
 They are in `contexts.yaml` in the folder of the user's configuration::
 
@@ -31,7 +31,7 @@ ENVIRONMENT = "SWARM_CONTEXT"
 
 
 class Context(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Network options as `swarmctl` takes them; None or empty: not set.
+    """The network options of a context, as `swarmctl` takes them; None or empty: not set.
 
     `config` and `identity` are absolute paths.
     """
@@ -46,7 +46,7 @@ class Context(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
 
 
 class Contexts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """The contexts of a user by name, and the one in use."""
+    """The contexts of a user by name; `use`: the name of the context in use."""
 
     use: str | None = None
     contexts: dict[str, Context] = {}
@@ -58,26 +58,26 @@ class Contexts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, om
         raise ConfigError(f"{unknown('context', name, self.contexts)}; see `swarmctl context list`")
 
     def with_use(self, name: str) -> Contexts:
-        """The same with this one in use. ConfigError if there is no such context."""
+        """A copy with the context `name` in use. ConfigError if there is no such context."""
         self.get(name)
         return Contexts(use=name, contexts=self.contexts)
 
     def with_context(self, name: str, context: Context) -> Contexts:
-        """The same with this context added or replaced. ConfigError for a wrong name or value."""
+        """A copy with `context` added or replaced. ConfigError for a wrong name or value."""
         check_id(name, "context")
         for _, fault in _faults_of(context, ()):
             raise ConfigError(fault)
         return Contexts(use=self.use, contexts={**self.contexts, name: context})
 
     def without(self, name: str) -> Contexts:
-        """The same without this context. ConfigError if there is no such context."""
+        """A copy without the context `name`. ConfigError if there is no such context."""
         self.get(name)
         left = {known: context for known, context in self.contexts.items() if known != name}
         return Contexts(use=None if self.use == name else self.use, contexts=left)
 
 
 def contexts_path(environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Where the contexts of this user are; None without a home."""
+    """The path of this user's contexts file; None without a home."""
     folder = user_folder(environ)
     return None if folder is None else folder / "contexts.yaml"
 
@@ -86,7 +86,7 @@ def load_contexts(path: Path | None) -> Contexts:
     """The contexts in a file, empty without one. ConfigError names the first fault."""
     if path is None or not path.exists():
         return Contexts()
-    from swarmd.settings.layered import Layered  # YAML, which most commands do without
+    from swarmd.settings.layered import Layered  # imported late: most commands need no YAML
     from swarmd.settings.yamlfile import read, shown
 
     return Layered((shown(path), read(path))).build(Contexts, _check)

@@ -1,7 +1,7 @@
 """The options common to all drivers, and the output of an idle robot.
 
-They stand in the platform's file under `drivers.<name>` or in `driver_options`; the driver receives
-only the other options.
+The common options are set in the platform's file under `drivers.<name>`, or in `driver_options`.
+The driver does not receive the common options.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ Timeout = Annotated[float, Meta(ge=0.1, le=2.0)]
 class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The options common to all drivers.
 
-    - `command_timeout`: how the base stops when commands end. `base`: by itself. A number: by
-      itself after so many s. `none`: never, so that the watchdog sends zero. By default `none`, of
-      a simulated driver `base`. A value shorter than the base's own is wrong: a robot whose daemon
-      is lost drives on for longer than assumed.
-    - `idle_output`: with `zeros`, zeros are sent to an idle robot at every tick. With `silent` no
-      command is sent to an idle robot, so that a joystick can drive; then nothing stops the robot.
+    - `command_timeout`: how the base stops when commands end. `base`: the base stops by itself. A
+      number: the base stops by itself after this many s. `none`: the base never stops, so the
+      watchdog sends zero. The default is `none`, and `base` for a simulated driver. A number below
+      the true timeout of the base is wrong: after the end of its daemon the robot drives on for
+      longer than assumed.
+    - `idle_output`: `zeros` sends zero to an idle robot at every tick. `silent` sends no command to
+      an idle robot, so that a joystick can drive; then nothing stops the robot.
     """
 
     command_timeout: Timeout | Literal["base", "none"] | None = None
@@ -55,7 +56,7 @@ class IdleOutputFilter:
         self._since: float | None = None
 
     def allows(self, twist: Twist, is_idle: bool, now: float) -> bool:
-        """True if this command is to be sent at `now` (s)."""
+        """True if the command `twist` must be sent at `now` (s)."""
         if not self._is_silent:
             return True
         if not (is_idle and twist.is_zero):
@@ -79,9 +80,9 @@ def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
 
 
 def stops_after(options: Mapping[str, Value], what: str) -> float:
-    """Seconds after which a real base with these options stops by itself; inf if it never does.
+    """The s after which a real base with these options stops by itself; inf if it never does.
 
-    0.5 s for `command_timeout: base`, which does not say when.
+    0.5 s is assumed for `command_timeout: base`, which gives no time.
     """
     command_timeout = base_options(options, what).command_timeout
     if command_timeout is None or command_timeout == "none":

@@ -1,4 +1,4 @@
-"""The settings that travel in bundles, and the files into which their installation writes them."""
+"""The settings in a bundle, and the files into which an installation writes these settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swarmd.settings.yamlfile import Data, read, shown, text_of
 
 SWARM_YAML = "swarm.yaml"
 """The settings of a swarm, beside the identity of an operator and in the authority's folder."""
-# Keys that belong to a machine and not to its swarm: an installation keeps those that are there.
+# Keys that belong to a machine and not to its swarm: an installation keeps their present values.
 OWN_KEYS = (
     "interface",
     "listen",
@@ -27,7 +27,10 @@ _REPLACED = ("id", "swarm_file", "identity", "insecure")
 
 @dataclass(frozen=True, slots=True)
 class DraftedFile:
-    """A file as it would be written. `kept`: keys of the machine; `dropped`: keys that end."""
+    """The content of a file to write.
+
+    `kept`: keys of the machine that stay. `dropped`: keys of the present file that are removed.
+    """
 
     path: Path
     data: Data
@@ -35,7 +38,7 @@ class DraftedFile:
     dropped: tuple[str, ...]
 
     def write(self) -> None:
-        """Write it, whole or not at all; a file that was there is kept as `<name>.before`."""
+        """Write the file, whole or not at all; an earlier file becomes `<name>.before`."""
         if self.path.exists():
             before = self.path.with_name(f"{self.path.name}.before")
             write_private(before, self.path.read_bytes())
@@ -47,8 +50,8 @@ def swarm_settings(
 ) -> dict[str, Any]:
     """The checked keys of swarm.yaml for a swarm. ConfigError names the source of a wrong key.
 
-    The roster is left out: the signed roster of an identity has the names. So are `identity` and
-    `insecure`, which are of one machine.
+    `roster` is left out, since the signed roster of an identity has the names. `identity` and
+    `insecure` are left out, since they belong to a single machine.
     """
     given = {key: value for key, value in overrides.items() if value}
     sources: list[tuple[str, Mapping[str, Any]]] = [("command line", {"swarm": swarm, **given})]
@@ -62,9 +65,9 @@ def swarm_settings(
 
 
 def checked_settings(name: str, swarm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a bundle, of which `name` is the file. ConfigError if a key is wrong.
+    """The checked settings of the bundle in the file `name`. ConfigError if a key is wrong.
 
-    Keys that `swarm_settings` leaves out are refused: no bundle has them, unless it was changed.
+    Keys that `swarm_settings` leaves out are refused: only a manipulated bundle has such keys.
     """
     if refused := sorted(_OF_ONE_MACHINE & settings.keys()):
         raise ConfigError(f"{name}: a bundle does not set {', '.join(refused)}; make a new one")
@@ -77,9 +80,9 @@ def checked_settings(name: str, swarm: str, settings: Mapping[str, Any]) -> dict
 def draft_daemon_file(
     path: Path, robot: str, settings: Mapping[str, Any], overrides: Mapping[str, object]
 ) -> DraftedFile:
-    """The daemon's own file for a robot: settings of the swarm and what the machine had of its own.
+    """The daemon's own file for a robot: the settings of the swarm, and the kept machine keys.
 
-    ConfigError if the file that is there is wrong, or the result is.
+    ConfigError if the present file or the result is wrong.
     """
     old = read(path) if path.exists() else {}
     kept = {key: old[key] for key in OWN_KEYS if key in old and key not in _REPLACED}
@@ -95,5 +98,5 @@ def draft_daemon_file(
 
 
 def write_yaml(path: Path, data: Mapping[str, Any], comment: str) -> None:
-    """Write settings as YAML, readable by their owner alone, whole or not at all."""
+    """Write settings as YAML, readable only by the owner, whole or not at all."""
     write_private(path, f"# {comment}\n{text_of(dict(data))}".encode())

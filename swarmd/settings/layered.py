@@ -1,7 +1,7 @@
-"""Configuration merged from several sources and read into typed structs.
+"""Merges configuration from several sources and reads it into typed structs.
 
-Each fault is one line: source, key, value, what was expected, and the nearest valid key where a key
-is unknown.
+Each fault is one line with source, key, value and expected value. For an unknown key the line names
+the most similar valid key.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ T = TypeVar("T", bound=Struct)
 class Layered:
     """Sources of one mapping, strongest first. Mappings merge by key, lists are replaced.
 
-    A key that no source holds is reported as missing in `home`, by default the strongest source.
+    A missing key is reported as missing in the source `home`, by default the strongest source.
     """
 
     def __init__(self, *sources: tuple[str, Mapping[str, Any]], home: str | None = None) -> None:
@@ -38,7 +38,7 @@ class Layered:
             self.data = _merge(self.data, data)
 
     def source(self, *keys: str | int) -> str | None:
-        """The name of the strongest source that holds the key; None if none does."""
+        """The name of the strongest source with this key; None without such a source."""
         return next((name for name, data in self._sources if _holds(data, keys)), None)
 
     def error(self, keys: Sequence[str | int], text: str) -> ConfigError:
@@ -55,11 +55,11 @@ class Layered:
 
 
 def read(data: Any, kind: Any, check: Check | None = None) -> tuple[Any, list[Fault]]:
-    """The value of a type, and all faults of the data in its order.
+    """Read `data` as the type `kind`; returns the value, and all faults in the order of the data.
 
-    Of several struct types in a union, the one is read whose tag is a key of the data. Faulty items
-    of lists and mappings are left out, and faulty fields of the outermost struct; a struct within
-    it is left out as a whole. None if nothing is left.
+    In a union of structs, the struct is read whose tag is a key of the data. Faulty items of lists
+    and mappings are left out, and faulty fields of the outermost struct. An inner struct with a
+    faulty field is left out as a whole. The value is None if nothing is left.
     """
     reader = _Reader(check)
     is_struct = isinstance(data, dict) and _is_struct(kind)
@@ -68,7 +68,7 @@ def read(data: Any, kind: Any, check: Check | None = None) -> tuple[Any, list[Fa
 
 
 def fault_at(keys: Keys, text: str) -> Fault:
-    """A fault whose line is the key followed by a text that starts with a verb."""
+    """A fault whose line is the key, then `text`, which starts with a verb."""
     return keys, f"{dotted(keys)} {text}".lstrip()
 
 
@@ -111,7 +111,7 @@ class _Reader:
         self._check = check
 
     def read(self, data: Any, kind: Any, keys: Keys) -> Any:
-        """The value without faulty items; _INVALID if nothing is left."""
+        """The value without faulty items, adding each fault; _INVALID if nothing is left."""
         arms = [(plain, limits) for plain, limits in _arms(kind) if _is_shaped(plain, data)]
         structs = [plain for plain, _ in arms if _is_struct(plain)]
         if structs:
@@ -133,7 +133,7 @@ class _Reader:
         return values if get_origin(plain) is list else tuple(values)
 
     def outermost(self, data: Data, kind: type[Struct]) -> Any:
-        """The struct without its faulty fields; _INVALID if one of them is required."""
+        """The struct without its faulty fields; _INVALID if a faulty field is required."""
         values = self._fields(data, kind, ())
         return self._made(kind, values, (), is_clean=not self.faults)
 

@@ -1,4 +1,4 @@
-"""Platforms: the file of one kind of robot, its schema and its checks."""
+"""Reads the platform file (one kind of robot): its schema and its checks."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def load_platform(name: str, near: Path | None = None) -> Platform:
 
 
 def platform_sources(name: str, near: Path | None = None) -> tuple[tuple[str, Data], ...]:
-    """The file of a platform and those that it extends, each with its name, strongest first."""
+    """The file of a platform and the files that it extends, each with its name, strongest first."""
     files = read_extended(_find(name, near or Path()), _find)
     return tuple((shown(path), data) for path, data in files)
 
@@ -298,7 +298,7 @@ def _check_sensors(file: PlatformFile) -> Iterator[Fault]:
 
 
 def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
-    """Distances of protection must be ranges that the sensor measures."""
+    """Check that distances of protection lie within the ranges that the sensor measures."""
     scan, protection = file.scan, file.protection
     places: dict[Keys, float | None] = {
         ("protection", "presets", name, "threshold"): preset.threshold
@@ -323,7 +323,7 @@ def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
 
 
 def _check_ring(file: PlatformFile) -> Iterator[Fault]:
-    """A ring is measured at once, and nothing remembers what is in its blind zone."""
+    """Check a ring: it measures all rays at once, and reports near returns (no memory has them)."""
     ring = file.ranges
     if ring is None:
         if "ranges" in file.provides:
@@ -346,7 +346,7 @@ def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
 
 
 def _check_sight(platform: Platform) -> Iterator[Fault]:
-    """The sensor must see early and far enough to stop; only mode `barrier` says how far."""
+    """Check that the sensor's rate and range suffice to stop; mode `barrier` gives the range."""
     scan, limits = platform.scan, platform.limits
     barrier = barrier_settings(platform)
     yield from _check_rate(scan, "scan")
@@ -388,7 +388,7 @@ def _shape_fault(points: list[Point]) -> str:
     if any(turn <= 0.0 for turn in turns):
         corner = next(i for i, turn in enumerate(turns) if turn <= 0.0) + 1
         return f"does not turn left at corner {corner % len(points)}"
-    if sum(turns) > 3.0 * math.pi:  # once around is 2 pi; a star goes around twice
+    if sum(turns) > 3.0 * math.pi:  # a simple polygon turns by 2 pi in all, a star by 4 pi
         return "crosses itself"
     return ""
 

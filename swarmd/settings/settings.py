@@ -42,11 +42,14 @@ _MAX_SOURCE_LENGTH = 64  # of a source in a status
 class DaemonSettings:
     """The checked settings of one daemon.
 
-    `platform_name` is the configured name, or the absolute path of a file. `labels` are those of
-    this robot, `label_members` the robots of every label. All daemons of a user share `state_dir`;
-    `<state_dir>/<swarm>/<id>` belongs to this one. `recording` names its folder. With an
-    `identity` the swarm is secured; `is_insecure`: insecure by intent. `provenance`: key -> file,
-    `--option`, `$VARIABLE`, `host name`, `identity` or `default`.
+    - `platform_name`: the configured name, or the absolute path of a file.
+    - `labels`: of this robot. `label_members`: the robots of every label.
+    - `state_dir`: shared by all daemons of a user; `<state_dir>/<swarm>/<id>` belongs to this
+      daemon.
+    - `recording`: with the absolute path of its folder.
+    - `identity`: the swarm is secured if set. `is_insecure`: the lack of keys is intended.
+    - `provenance`: by key its source: file, `--option`, `$VARIABLE`, `host name`, `identity` or
+      `default`.
     """
 
     id: str
@@ -76,9 +79,9 @@ class DaemonSettings:
         return granted_zones(self.touch)
 
     def pattern_layers(self, pattern: str, labels: tuple[str, ...] | None = None) -> Layers:
-        """The parameters configured for a pattern by source, weakest first; empty ones left out.
+        """The configured parameters of a pattern by source, weakest first, without empty sources.
 
-        Sources: `platform`, `label <name>` in the order of `labels` (None: those of the file),
+        Sources: `platform`, `label <name>` in the order of `labels` (None: the labels of the file),
         `robot`.
         """
         labelled = self.parameters.labels
@@ -141,7 +144,7 @@ def load_daemon_settings(
 
 
 def _check_identity(robot: str, identity: Identity | None, file: swarmfile.DaemonFile) -> None:
-    """ConfigError if the identity is not of this robot, or is missing where one is required."""
+    """ConfigError if the identity belongs to another robot, or a required identity is missing."""
     if identity is None:
         if file.profile != "dev" and not file.insecure:
             raise ConfigError(
@@ -182,7 +185,7 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 
 
 def _read(options: Mapping[str, Value]) -> set[str]:
-    """The inputs that a driver with these options reads besides: patterns may need them."""
+    """The additional inputs that a driver with these options provides to patterns."""
     readings = options.get("readings")
     inputs = {word for word in OPTION_INPUTS if options.get(word)}
     if options.get("shared_pose"):
@@ -198,9 +201,9 @@ def _read(options: Mapping[str, Value]) -> set[str]:
 
 
 def state_folder(environ: Mapping[str, str]) -> Path:
-    """The folder of what a daemon or a user keeps; ConfigError without a home."""
+    """The folder for state files of a daemon or user; ConfigError without a home."""
     service = environ.get("STATE_DIRECTORY", "").partition(":")[0]
-    if os.path.isabs(service):  # of systemd
+    if os.path.isabs(service):  # set by systemd
         return Path(service)
     base = environ.get("XDG_STATE_HOME", "")
     if os.path.isabs(base):  # the XDG specification: relative paths are ignored

@@ -1,6 +1,6 @@
 """The schemas of swarm.yaml and of a daemon's own file, and their checks.
 
-Imports no numpy: swarmctl reads swarm.yaml too, for the network settings of the swarm.
+This module imports no numpy: swarmctl reads swarm.yaml, too, for the network settings of the swarm.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     @property
     def content(self) -> dict[str, Any]:
-        """The fields of a goal that wants this."""
+        """The fields of the `Goal` for this section."""
         return {
             "pattern": self.pattern,
             "params": self.params,
@@ -178,13 +178,13 @@ def load_swarm(
 def identity_of(
     layers: Layered, file: SwarmFile, config: Path | None, environ: Mapping[str, str]
 ) -> Identity | None:
-    """The identity that the settings name, or that there is for the swarm."""
+    """The identity that the settings name, else the installed identity for the swarm, or None."""
     folder = path_of(layers, "identity", file.identity, config)
     return choose_identity(file.swarm, folder, insecure=file.insecure, environ=environ)
 
 
 def path_of(layers: Layered, key: str, value: str | None, config: Path | None) -> Path | None:
-    """The path; relative to the file that holds it, or to the working directory."""
+    """The path of a key's value: relative to the file with this key, else to the current folder."""
     if value is None:
         return None
     is_ours = config is not None and layers.source(key) == shown(config)
@@ -194,7 +194,7 @@ def path_of(layers: Layered, key: str, value: str | None, config: Path | None) -
 def layered(
     config: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str]
 ) -> Layered:
-    """All sources: overrides that are not None, the file, what it includes, `$SWARM`, defaults."""
+    """All sources, strongest first: overrides, the file, its included file, `$SWARM`, defaults."""
     sources: list[tuple[str, Mapping[str, Any]]] = [
         (_OPTIONS.get(key, f"--{key.replace('_', '-')}"), {key: value})
         for key, value in overrides.items()
@@ -209,7 +209,7 @@ def layered(
 
 
 def check(file: Any, _: Keys) -> Iterator[Fault]:
-    """Faults of a DaemonFile: names that no key may hold, and impossible network settings."""
+    """Faults of a DaemonFile: names that no Zenoh key may have, and wrong network settings."""
     if isinstance(file, DaemonFile):
         yield from file.faults()
         yield from _check_names(file)
@@ -288,7 +288,7 @@ def _targets(word: str) -> tuple[str, ...]:
 
 
 def _expanded(keys: Keys, word: str) -> tuple[tuple[str, ...], list[Fault]]:
-    """The names of a word of the roster or of a label, and its fault if there is one."""
+    """The names that a word of the roster or of a label stands for, and the faults of the word."""
     try:
         return expand_names(word), []
     except ConfigError as error:

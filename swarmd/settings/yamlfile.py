@@ -1,6 +1,6 @@
-"""YAML files read strictly; each error is one line with file and line number.
+"""Reads YAML files strictly; each error is one line with file and line number.
 
-Plain values are those of YAML 1.2's core schema. Duplicate keys, keys that are not text, tags, and
+Plain values follow YAML 1.2's core schema. Duplicate keys, keys that are not text, tags, and
 anchors (a file could refer to itself) are refused. `swarmd.settings.layered` checks the values.
 """
 
@@ -34,7 +34,7 @@ def read(path: Path) -> Data:
         data = yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:
         raise ConfigError(f"{name}{_yaml_fault(error, text)}") from error
-    except (ValueError, RecursionError) as error:  # such as a thousand brackets
+    except (ValueError, RecursionError) as error:  # for instance a thousand nested brackets
         raise ConfigError(f"{name}: is not YAML that can be read: {error}") from error
     if data is None:
         return {}
@@ -69,7 +69,7 @@ def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tup
 
 
 def read_value(text: str) -> Any:
-    """The value that the text has in a file; ConfigError if it is not valid YAML."""
+    """The value of a text that is read as YAML; ConfigError if the text is not valid YAML."""
     try:
         return yaml.load(text, Loader=_StrictLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -79,7 +79,7 @@ def read_value(text: str) -> Any:
 
 
 def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
-    """The line of each key and list item of a file; {} if the file cannot be read any more."""
+    """The line of each key and list item of a file; {} if the file can no longer be read."""
     lines: dict[tuple[str | int, ...], int] = {}
 
     def walk(node: yaml.Node | None, keys: tuple[str | int, ...]) -> None:
@@ -100,10 +100,10 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
 
 
 def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
-    """The data as YAML which `read` reads as the same data: text such as 08 is in quotes.
+    """The data as YAML that `read` reads back unchanged: text such as 08 is quoted.
 
-    `flow`: all in brackets; None: the innermost lists and mappings. ConfigError for a path that is
-    not UTF-8.
+    `flow`: True writes all in brackets, None only the innermost lists and mappings. ConfigError for
+    a path that is not UTF-8.
     """
     text: str = yaml.dump(
         data,
@@ -189,13 +189,13 @@ class _StrictLoader(_Loader):  # type: ignore[misc]  # a base chosen at run time
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes what both `_StrictLoader` and a reader of YAML 1.1 read back, without anchors."""
+    """Writes YAML that `_StrictLoader` and readers of YAML 1.1 read alike, without anchors."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
     def represent_text(self, text: str) -> Any:
-        # Outside of double quotes, readers fold what YAML 1.1 takes for the end of a line.
+        # Outside of double quotes readers fold the characters that YAML 1.1 counts as line ends.
         style = None if text.isprintable() else '"'
         return self.represent_scalar(_TAG + "str", as_text(text), style)
 
@@ -218,7 +218,7 @@ _StrictLoader.add_constructor(_TAG + "float", _StrictLoader.construct_number)
 
 
 def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
-    """The line, what is wrong there, and what to do, as far as the line shows it."""
+    """The line number, the fault in that line, and a remedy if the line shows it."""
     if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
         return f": is not YAML: {' '.join(str(error).split())}"
     begin = error.context_mark
@@ -235,7 +235,7 @@ def _yaml_fault(error: yaml.YAMLError, content: bytes) -> str:
 
 
 def _fault_of_indent(lines: list[str]) -> str:
-    """What is wrong at the beginning of the last of these lines, in which YAML found a fault."""
+    """The fault in the indent of the last line, in which the parser found an error."""
     *above, line = lines or [""]
     if "\t" in line[: len(line) - len(line.lstrip())]:
         return "the line begins with a tab; indent it with spaces"

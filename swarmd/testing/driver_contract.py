@@ -63,7 +63,10 @@ class Rig(Protocol):
         """Make the base publish a scan and an odometry, each with the next stamp."""
 
     def commands(self) -> Sequence[Twist]:
-        """Commands that reached the base since the last call, oldest first; at least the newest."""
+        """The commands that reached the base since the last call, oldest first.
+
+        The newest command must be included; older commands may be missing.
+        """
 
     def close(self) -> None:
         """End the base."""
@@ -74,9 +77,9 @@ class ScriptedRig(Protocol):
     """A rig whose base publishes what the test gives it."""
 
     def publish_scan(self, scan: Scan) -> None:
-        """Make the base publish this scan: its rays, sequence and stamp.
+        """Make the base publish rays, sequence number and stamp of this scan.
 
-        The bearings are regular; the range limits do not count.
+        The bearings are regular; the range limits of the scan are ignored.
         """
 
     def publish_odometry(self) -> None:
@@ -107,18 +110,18 @@ class DetachableRig(Protocol):
 
 @runtime_checkable
 class HazardRig(Protocol):
-    """A rig whose base tells of one hazard."""
+    """A rig whose base reports one hazard."""
 
     hazard: Hazard
-    hazard_options: Mapping[str, Value]  # with which a driver hears of it
+    hazard_options: Mapping[str, Value]  # the options with which a driver reads the hazard
 
     def publish_hazard(self, *, is_present: bool) -> None:
-        """Make the base tell whether it senses the hazard; nothing else."""
+        """Make the base publish only whether it senses the hazard."""
 
 
 @dataclass(slots=True)
 class CollectingSink:
-    """A sink that records everything. `taken`: by kind what each input of a sensor has."""
+    """A sink that records everything. `taken`: by kind, the values of the sensor inputs."""
 
     taken: defaultdict[str, list[Any]] = field(default_factory=lambda: defaultdict(list))
     messages: list[tuple[str, str, bytes]] = field(default_factory=list)
@@ -146,7 +149,7 @@ class CollectingSink:
 
     @property
     def odometries(self) -> list[Odometry]:
-        """What the odometer has measured."""
+        """The readings of odometry."""
         return self.taken["odometry"]
 
     def take(self, input: SensorInput) -> None:
@@ -197,9 +200,9 @@ class DriverHarness:
         self.rig.commands()
 
     async def command(self, twist: Twist | None = None, *, is_stopped: bool = False) -> Twist:
-        """The next command that reaches the base, which stays silent.
+        """The next command that reaches the base; the base publishes nothing meanwhile.
 
-        `twist` is sent, and again every SETTLE_TIME: a driver drops what has waited for too long.
+        `twist` is sent now and every SETTLE_TIME, since a driver drops a command that waited long.
         """
         taken: list[Twist] = []
         loop, due = asyncio.get_running_loop(), -math.inf
@@ -262,7 +265,7 @@ async def _running(rig: Rig, driver: Driver, sink: CollectingSink) -> AsyncItera
     try:
         yield harness
     finally:
-        await harness.end()  # it takes what the driver raised, which would be logged at any time
+        await harness.end()  # retrieves an exception of the driver, which would be logged late
 
 
 def _connected(story: Callable[[Any, DriverHarness], Awaitable[None]]) -> Callable[[Any], None]:
@@ -344,7 +347,7 @@ class DriverContract:
     async def test_the_first_command_is_zero_and_the_next_as_sent(
         self, harness: DriverHarness
     ) -> None:
-        """A base that comes back must not start with a command of the meantime."""
+        """A base that returns must not start with a command that was sent during its absence."""
         *zeros, moving = await _moving(harness, -0.2)
         assert zeros
         assert all(twist.is_zero for twist in zeros)
@@ -380,7 +383,7 @@ class DriverContract:
     async def test_a_base_that_vanishes_and_returns_gets_zero_first(
         self, harness: DriverHarness
     ) -> None:
-        """As after silence, but with cut links: the driver reconnects by itself."""
+        """As after a silence, but with cut links: the driver reconnects by itself."""
         rig = _detachable(harness)
         for seq in range(3):
             harness.driver.send(Twist(0.1), seq, seq)
@@ -392,7 +395,7 @@ class DriverContract:
         assert (await harness.command(Twist(0.1))).is_zero
 
     def test_a_hazard_is_told_and_its_end_and_its_silence(self) -> None:
-        """A driver that hears nothing of hazards says so: the robot is held."""
+        """A driver whose source of hazards is silent reports NOT_HEARD, which holds the robot."""
         rig = self.rig()
         if not isinstance(rig, HazardRig):
             rig.close()
@@ -420,14 +423,14 @@ class DriverContract:
 
     @_connected
     async def test_garbage_is_counted_and_survived(self, harness: DriverHarness) -> None:
-        """No bytes from outside end a driver or hide what follows them."""
+        """Malformed bytes neither end a driver nor hide the messages after them."""
         rig, sink = _scripted(harness), harness.sink
 
         def received() -> tuple[int, int]:
             return len(sink.scans), len(sink.odometries)
 
         before = -1, -1
-        while before != received():  # what was published may still arrive
+        while before != received():  # earlier messages may still arrive
             before = received()
             await asyncio.sleep(SETTLE_TIME)
 
@@ -454,7 +457,7 @@ class DriverContract:
 
     @_connected
     async def test_the_number_of_rays_may_change(self, harness: DriverHarness) -> None:
-        """A real LDS-02 changes it all the time; ranges and bearings agree in each scan."""
+        """A real LDS-02 changes the number in each scan; ranges and bearings agree in length."""
         rig = _scripted(harness)
         n = len(_bearings(harness))
         for seq, count in enumerate((n, n + 3, n - 2, n + 1), 1000):
@@ -469,7 +472,7 @@ class DriverContract:
     async def test_a_ring_of_range_sensors_is_a_scan_of_its_own(
         self, harness: DriverHarness
     ) -> None:
-        """It comes to `ranges`, advances, and changes no scan of the lidar."""
+        """Scans of the ring arrive as `ranges`, advance, and change no scan of the lidar."""
         rig, sink = harness.rig, harness.sink
         spec = rig.platform.ranges
         if spec is None or not isinstance(rig, RingRig):
@@ -496,7 +499,7 @@ class DriverContract:
 
     @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 3.2), (50.0, 1.0)])
     def test_slow_and_fast_sensors_are_not_lost(self, rate: float, seconds: float) -> None:
-        """One scan a second is no silence, and fifty are no flood."""
+        """One scan a second does not count as silence, nor fifty scans as a flood."""
 
         async def story(harness: DriverHarness) -> None:
             rig, sink = _scripted(harness), harness.sink
@@ -506,7 +509,7 @@ class DriverContract:
             numbers = itertools.count()
 
             async def arrives() -> bool:
-                """Whether half of the scans of some seconds arrive: the newest counts, not each."""
+                """Whether at least half of the scans arrive: a newer scan may replace an older."""
                 known = len(sink.scans)
                 begin = loop.time()
                 sent = 0
@@ -525,7 +528,7 @@ class DriverContract:
 
             for _ in range(_MAX_CHECKS):
                 if has_arrived := await arrives():
-                    break  # else again: on a busy machine a newer scan overtakes one that waits
+                    break  # on a busy machine newer scans replace waiting scans: try again
             assert has_arrived
             assert sink.is_up
             assert "lost" not in sink.order[sink.order.index("up") :]
@@ -535,7 +538,7 @@ class DriverContract:
     def test_check_finds_the_base_and_moves_nothing(self) -> None:
         """`swarmd --check` is safe for a robot on a table.
 
-        It measures rates: where the machine halts this process for seconds, it is made again.
+        The check measures rates; it is repeated if the machine has suspended this process.
         """
 
         async def run() -> None:
@@ -593,7 +596,7 @@ class DriverContract:
     async def test_a_command_just_before_the_end_does_not_outlive_it(
         self, harness: DriverHarness
     ) -> None:
-        """The last zero comes after every command, however shortly it was sent before."""
+        """The last zero follows every command, also a command sent just before the end."""
         for seq in range(5):
             harness.driver.send(Twist(0.1), seq, seq)
         await harness.end()
@@ -603,7 +606,7 @@ class DriverContract:
     async def test_the_last_command_is_zero_if_the_sink_raises(
         self, harness: DriverHarness
     ) -> None:
-        """The driver sends zero after an exception too."""
+        """The driver sends zero also after an exception."""
         await harness.end()
         sink = _RaisingSink()
         async with harness.run_again(sink) as again:
@@ -614,7 +617,7 @@ class DriverContract:
 
     @_connected
     async def test_sending_to_a_lost_base_does_not_block(self, harness: DriverHarness) -> None:
-        """A command that cannot be sent is dropped at once, so that the tick goes on."""
+        """A command that cannot be sent is dropped at once, without delay of the tick."""
         await _moving(harness)
         _detachable(harness).disconnect()
         began = time.monotonic()
@@ -624,7 +627,7 @@ class DriverContract:
         _detachable(harness).reconnect()
 
     def test_leaves_no_task_file_or_process_behind(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """It runs again after its end; no session or helper outlives `run`, but to send zero."""
+        """A driver can run again; only a helper that sends zero may outlive `run`."""
         mark = uuid.uuid4().hex
 
         async def story(harness: DriverHarness) -> None:
@@ -649,7 +652,7 @@ class DriverContract:
 
 
 async def _moving(harness: DriverHarness, angular: float = 0.0) -> list[Twist]:
-    """Command until the base moves; the commands that have reached it, up to the first to move."""
+    """Send commands until the base gets a command to move; returns all commands up to it."""
     taken: list[Twist] = []
 
     def moves() -> bool:
@@ -664,7 +667,7 @@ async def _moving(harness: DriverHarness, angular: float = 0.0) -> list[Twist]:
 
 
 async def _ends_with_zero(harness: DriverHarness, taken: list[Twist]) -> None:
-    """The last command that reaches the base is zero, and stays the last."""
+    """Assert that the last command that reaches the base is zero, and stays the last."""
 
     def stands() -> bool:
         taken.extend(harness.rig.commands())
@@ -677,9 +680,9 @@ async def _ends_with_zero(harness: DriverHarness, taken: list[Twist]) -> None:
 
 
 async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges: Array) -> Scan:
-    """The driver's scan with these ranges, spread evenly; TimeoutError if none comes.
+    """The driver's scan with these ranges at regular bearings; TimeoutError if none arrives.
 
-    It is published again every second: a message that waits for too long may be dropped.
+    The scan is published again every second, since a message that waits long may be dropped.
     """
     spec, bearings = harness.rig.platform.scan, _regular(harness, len(ranges))
     scan = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
@@ -712,20 +715,20 @@ def _bearings(harness: DriverHarness) -> Array:
 
 
 def _regular(harness: DriverHarness, count: int) -> Array:
-    """(count,) bearings in rad, evenly around from the sensor's first."""
+    """(count,) regular bearings in rad over one turn, from the sensor's first bearing."""
     first = float(_bearings(harness)[0])
     return np.asarray(first + 2.0 * np.pi / count * np.arange(count), dtype=np.float64)
 
 
 def _scripted(harness: DriverHarness) -> ScriptedRig:
-    """The rig, if its base can be made to publish anything; else the test is skipped."""
+    """The rig as a ScriptedRig; skips the test for any other rig."""
     if not isinstance(harness.rig, ScriptedRig):
         pytest.skip("this rig is no ScriptedRig")
     return harness.rig
 
 
 def _detachable(harness: DriverHarness) -> DetachableRig:
-    """The rig, if its base can be taken away; else the test is skipped."""
+    """The rig as a DetachableRig; skips the test for any other rig."""
     if not isinstance(harness.rig, DetachableRig):
         pytest.skip("this rig is no DetachableRig")
     return harness.rig
@@ -747,13 +750,13 @@ def _marked_processes(mark: str) -> list[int]:
         try:
             if wanted in environ.read_bytes().split(b"\0"):
                 pids.append(int(environ.parent.name))
-        except OSError:  # it has ended meanwhile, or belongs to another user
+        except OSError:  # the process has ended, or belongs to another user
             continue
     return [pid for pid in pids if is_running(pid)]
 
 
 def _open_files() -> int:
-    """How many files, sockets and pipes this process holds."""
+    """The count of open files, sockets and pipes of this process."""
     return len(os.listdir("/proc/self/fd"))
 
 
@@ -763,7 +766,7 @@ class _RaisingSink(CollectingSink):
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Record it; RuntimeError if the base was up before."""
+        """Record the state; RuntimeError if the base was up before."""
         was_up = self.is_up
         super().state(is_up, text, hold=hold, gets_zero=gets_zero)
         if was_up and not is_up:

@@ -1,4 +1,4 @@
-"""Forbids what a pattern's step must not call: files, sockets, processes, clocks, shared chance."""
+"""Forbids calls in a pattern's step: files, sockets, processes, clocks, shared random state."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def forbidden_imports(source: bytes) -> Iterator[tuple[int, str]]:
 
 @contextlib.contextmanager
 def no_side_effects(module: str) -> Iterator[None]:
-    """Within it these calls of this thread raise AssertionError, also by names the module imported.
+    """In the block, forbidden calls of this thread raise AssertionError.
 
-    Calls of other threads go through.
+    Names that `module` has imported are guarded, too. Calls of other threads pass.
     """
     thread = threading.get_ident()
     own = vars(sys.modules[module]) if module in sys.modules else {}

@@ -54,9 +54,9 @@ from swarmd.testing.no_side_effects import no_side_effects
 from swarmd.testing.scans import busy_scans, mirrored, odd_scans, read_only, reordered
 
 _NAME = "pattern under contract"
-# Sums over the rays in another order differ by rounding.
+# A sum over the rays in another order differs by rounding.
 _TOLERANCE = 1e-6
-# Commands beyond the platform's limits are clipped; the paper's law asks for 1.57 times them.
+# Commands beyond the platform's limits are clipped; the law of a paper asks for 1.57 times these.
 _MAX_LIMIT_RATIO = 2.0
 # A step may take this share of its period; a robot's computer is several times slower.
 _MAX_STEP_SHARE = 0.1
@@ -75,7 +75,7 @@ _REPORTED = (bool, int, float, str, np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
-    """One pattern on one platform; a combined pattern finds parts in `plugin_dir` too."""
+    """One pattern on one platform; a combined pattern also finds parts in `plugin_dir`."""
 
     kind: type[Pattern[Any]]
     platform: Platform
@@ -83,7 +83,7 @@ class Subject:
     plugin_dir: Path | None = None
 
     def make(self, seed: int = 0) -> Pattern[Any]:
-        """A fresh object; its generator has this seed."""
+        """A new pattern object whose random generator has this seed."""
         return assemble(
             _NAME,
             (("test", self.params),),
@@ -94,14 +94,14 @@ class Subject:
         ).pattern
 
     def run(self, scans: Sequence[Scan | None], *, seed: int = 0) -> list[Outputs]:
-        """The outputs of a fresh object, two steps a scan, with neighbours that send messages."""
+        """The outputs of a new object: two steps for each scan, with messages of neighbours."""
         pattern = self.make(seed)
         return self.steps(pattern, self.story(pattern, scans))
 
     def steps(self, pattern: Pattern[Any], story: Iterable[Inputs]) -> list[Outputs]:
-        """The outputs for these inputs, as the pattern host would pass them on.
+        """The outputs for these inputs, as the pattern host passes them on.
 
-        AssertionError if a step calls what it must not; PluginError if its outputs are of a wrong
+        AssertionError if a step makes a forbidden call; PluginError if its outputs have a wrong
         type.
         """
         with no_side_effects(self.kind.__module__):
@@ -137,7 +137,7 @@ _DETECTIONS = Detection("robot", 0.5, 1.0, "robot-2"), Detection("box", -0.2)
 
 
 class _Readings(dict[str, float]):
-    """The readings that a pattern needs; the error for another one names the remedy."""
+    """The readings that a pattern needs; the error for any other name gives the remedy."""
 
     def __missing__(self, name: str) -> NoReturn:
         raise KeyError(f"the reading {name!r} is not in `needs`; add 'reading:{name}' to it")
@@ -186,7 +186,7 @@ class PatternContract:
 
     @classmethod
     def subject(cls, platform: str) -> Subject:
-        """The pattern on a platform that provides all that it needs."""
+        """The pattern on a platform that provides all its `needs`."""
         known = _platform(platform)
         provides = known.provides | cls.pattern.needs
         return Subject(cls.pattern, replace(known, provides=provides), cls.params, cls.plugin_dir)
@@ -217,7 +217,7 @@ class PatternContract:
             with no_side_effects(subject.kind.__module__):
                 raw = pattern.step(inputs)
             outputs = checked_outputs(raw, pattern.channels)
-            for key, shown in raw.report.items():  # the pattern host leaves other values out
+            for key, shown in raw.report.items():  # the pattern host leaves out other types
                 assert isinstance(shown, _REPORTED), f"report {key} is a {type(shown).__name__}"
             unknown = set(outputs.messages) - set(pattern.channels)
             assert not unknown, f"sends on {unknown}, which is not in channels"
@@ -225,7 +225,7 @@ class PatternContract:
                 encode_value(value)
 
     def test_odd_scans_give_sane_commands(self, subject: Subject) -> None:
-        """Whatever the lidar gives, alone or after other scans: finite and bounded commands."""
+        """Commands are finite and bounded for each odd scan, alone and after other scans."""
         odd = odd_scans(subject.platform)
         for name, scan in odd.items():
             with _under(name):
@@ -235,7 +235,7 @@ class PatternContract:
             _check_sane(subject.run(mix), subject.platform)
 
     def test_the_same_seed_gives_the_same_run(self, subject: Subject) -> None:
-        """Nothing but inputs and `context.rng` changes a run."""
+        """Only inputs and `context.rng` influence a run."""
         _check_repeatable(subject, busy_scans(subject.platform, 60))
 
     def test_memory_is_kept_in_self(self, subject: Subject) -> None:
@@ -279,12 +279,12 @@ class PatternContract:
         assert median <= limit, text
 
     def test_mirrored_scans_give_mirrored_commands(self, subject: Subject) -> None:
-        """Left and right are treated alike, if the pattern claims so with `is_symmetric`."""
+        """A pattern with `is_symmetric` answers a mirrored scan by the mirrored command."""
         if not subject.kind.is_symmetric:
             return
         scans = busy_scans(subject.platform, 30)
         _check_repeatable(subject, scans[:5])
-        # Where nothing is seen, chance may decide, the same chance on both sides.
+        # Without a return the random generator may decide, equally on both sides.
         for scan in (scan for scan in scans if np.isfinite(scan.ranges).any()):
             here = subject.run([scan] * 3)[-1].twist
             there = subject.run([mirrored(scan)] * 3)[-1].twist
@@ -294,7 +294,7 @@ class PatternContract:
                 _check_close(here, swapped, f"mirrored scan {scan.seq}")
 
     def test_the_order_of_rays_means_nothing(self, subject: Subject) -> None:
-        """Rays may start anywhere and come in any order; their bearings count."""
+        """Rays may come in any order; only their bearings count."""
         _check_repeatable(subject, busy_scans(subject.platform, 5))
         rng = np.random.default_rng(1)
         for scan in busy_scans(subject.platform, 20):
@@ -303,7 +303,7 @@ class PatternContract:
             _check_close(here or Twist(), there or Twist(), f"reordered scan {scan.seq}")
 
     def test_parameters_can_be_set_while_it_runs(self, subject: Subject) -> None:
-        """`update` between two steps neither raises nor stops it."""
+        """`update` between two steps neither raises nor stops the pattern."""
         pattern = subject.make()
         story = list(subject.story(pattern, busy_scans(subject.platform, 10)))
         subject.steps(pattern, story[:10])
@@ -323,14 +323,14 @@ class PatternContract:
 
 @cache
 def _loader(plugin_dir: Path | None) -> PatternLoader:
-    """Finds the parts of combined patterns, by the names known at the first call."""
+    """The loader of the parts of combined patterns; names are read at the first call."""
     return PatternLoader(places_of(pattern_names(plugin_dir)))
 
 
 def _messages(pattern: Pattern[Any], index: int) -> tuple[Message, ...]:
-    """Messages of neighbours at every fifth step: of each channel's type, sensible or odd.
+    """Messages of neighbours at every fifth step: usual and odd values of each channel's type.
 
-    The host drops what is not of the channel's type before a pattern sees it.
+    Values of other types are omitted, since the host drops them.
     """
     if index % 5:
         return ()
@@ -344,7 +344,7 @@ def _messages(pattern: Pattern[Any], index: int) -> tuple[Message, ...]:
 
 @contextmanager
 def _under(circumstances: str) -> Iterator[None]:
-    """Add the circumstances to what is raised."""
+    """Add the circumstances as a note to an exception of the block."""
     try:
         yield
     except Exception as error:
@@ -370,7 +370,7 @@ def _check_close(here: Twist, there: Twist, what: str) -> None:
 
 
 def _check_repeatable(subject: Subject, scans: Sequence[Scan | None]) -> None:
-    """AssertionError if two runs with one seed differ; then no other comparison means anything."""
+    """AssertionError if two runs with equal seeds differ; all further comparisons assume this."""
     first, second = (subject.run(scans, seed=7) for _ in range(2))
     hint = "; chance comes from self.context.rng, and memory belongs on self"
     _check_same(first, second, "two runs with one seed differ", hint)
@@ -387,7 +387,7 @@ def _check_same(
 
 
 def _shared_values(kind: type[Pattern[Any]]) -> dict[str, bytes]:
-    """The values of a pattern's module and of its classes, as far as they have an encoding."""
+    """The encoded values of a pattern's module and classes; values that cannot be encoded aside."""
     module = sys.modules[kind.__module__]
     owners = [("", vars(module))] + [
         (f"{name}.", dict(vars(member)))
@@ -399,7 +399,7 @@ def _shared_values(kind: type[Pattern[Any]]) -> dict[str, bytes]:
         for name, value in values.items():
             if name.startswith("__") or isinstance(value, ModuleType | FunctionType | type):
                 continue
-            # What has no encoding, such as a descriptor, is no memory.
+            # A value that cannot be encoded, such as a descriptor, is no memory.
             with suppress(TypeError, AttributeError, pickle.PicklingError):
                 encoded[f"{place}{name}"] = pickle.dumps(value)
     return encoded
