@@ -101,7 +101,10 @@ def stream_of(scene: Scene, seed: int) -> corpus.Stream:
 
 
 def busiest(events: list[corpus.Event]) -> list[corpus.Event]:
-    """The part of so many decisions, from a scan on, of which most are limited."""
+    """The part of `events` with the most limited decisions.
+
+    A part begins with a scan and has DECISIONS decisions and their scans.
+    """
     begins = [n for n, event in enumerate(events) if event.requested is None]
     length = DECISIONS + DECISIONS // 7
     parts = [events[n : n + length] for n in begins if n + length <= len(events)]
@@ -109,12 +112,12 @@ def busiest(events: list[corpus.Event]) -> list[corpus.Event]:
 
 
 def limited(events: Sequence[corpus.Event]) -> int:
-    """How many decisions limit the request."""
+    """The number of decisions in which protection limits the request."""
     return sum(event.is_active for event in events)
 
 
 def kind_of(platform: Platform) -> str:
-    """The kind whose file gives the outline and the sensor."""
+    """The platform file with the outline and the sensor of a platform."""
     return next(kind for kind in ("burger", "waffle_pi", "jackal") if kind in platform.name)
 
 
