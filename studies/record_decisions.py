@@ -1,8 +1,8 @@
 """Records decisions of mode `barrier` in adverse scenes, which tests replay.
 
-`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py anew: of
-each scene the robot and the seconds with most limited decisions, as the code decides. Inputs
-are rounded, so that the file is small.
+`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py. The file
+has, for each scene, the inputs and decisions of the robot and of the seconds with the most limited
+decisions. Inputs are rounded, so that the file is small.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FURTHEST = 4.0  # m: returns beyond constrain no robot
 
 
 class Recording:
-    """An arbiter that notes what it is given."""
+    """An arbiter that records its inputs."""
 
     def __init__(self, arbiter: Barrier) -> None:
         self.mode, self.clearance = arbiter.mode, arbiter.clearance
