@@ -32,7 +32,7 @@ def cpu_seconds(pid: int) -> float:
 
 
 class Window:
-    """CPU of each process in a window, by its role, in % of one core; and the loop's p99 in s."""
+    """A window: CPU by role of the process in % of one core, and lateness in s."""
 
     def __init__(self, swarm: Swarm, seconds: float) -> None:
         (daemon,) = swarm.daemons.values()

@@ -1,8 +1,8 @@
 """ROS 1 nodes for the benchmark of driver `ros1`, under the system's Python.
 
-`robot NAMESPACE...` sends a scan of 360 rays to one namespace after the other, each with its number
-as the first range, and prints `namespace seconds` from there to the first command that came back.
-`plain` is what a node in rospy alone would be: subscribe, potential field, publish.
+`robot NAMESPACE...` sends a scan of 360 rays to each namespace in turn. The first range of a scan
+is the number of the scan. The node prints `namespace seconds`: the time from a scan to its first
+command. `plain` is a node in rospy alone: it subscribes, computes a potential field, and publishes.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """A Zenoh program beside a swarm, with Zenoh's own defaults, for `benchmarks/network_scale.py`.
 
-`python -m benchmarks.zenoh_program SWARM NAME ROBOTS [PATTERN/CHANNEL JSON]` prints, as a line of
-JSON, the seconds from `open` until that many robots have answered it (`all`). With a channel it
-puts the value there twice a second, and `taken` is the time from `open` until a robot that runs
-chat has heard it. It ends with its standard input.
+`python -m benchmarks.zenoh_program SWARM NAME ROBOTS [PATTERN/CHANNEL JSON]` prints a line of JSON.
+`all`: seconds from `open` until ROBOTS robots have answered. With a channel, the program puts the
+JSON value on the channel twice a second. `taken`: seconds from `open` until a robot that runs chat
+has received a value. The program ends at the end of its standard input.
 """
 
 from __future__ import annotations

@@ -399,7 +399,7 @@ def columns_of(trace: Trace) -> dict[str, Any]:
 
 
 def pandas() -> Any:
-    """The module; SwarmError with the command that installs it."""
+    """The module pandas; without it SwarmError with the command that installs pandas."""
     try:
         return import_module("pandas")
     except ImportError as error:

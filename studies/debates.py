@@ -68,7 +68,7 @@ def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:
 
 
 def rounds_of(debate: Debate) -> float:
-    """The first round in which all robots held one opinion; inf without one."""
+    """The number of the first round in which all robots held one opinion; inf: no such round."""
     for number in range(int(debate.rounds.min(axis=1).max()) + 1):
         is_then = debate.rounds == number
         if not is_then.any(axis=0).all():

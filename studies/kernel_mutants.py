@@ -82,7 +82,7 @@ def mutate(node: ast.AST) -> str:
 
 
 def sample(count: int, seed: int) -> list[tuple[str, int]]:
-    """The drawn mutants: a kernel's path and the number of the place in it."""
+    """The drawn mutants, each as the kernel's path and the index of the changed place in it."""
     every = [
         (path, number)
         for path in TESTS

@@ -1,9 +1,9 @@
-"""What a learned policy gains, and what protection does to it: `python -m studies.learning`.
+"""Return of learned policies, and the effect of protection on them: `python -m studies.learning`.
 
-Four Waffle Pis in 4 x 4 m, 20 s, as in examples/learning; the seeds are not those of its training.
-Prints a table: the return (by how many m the mean distance to the centroid fell), the share of
-decisions in which protection changed the request, and contacts in a robot-minute, each as the mean
-over seeds with its 95 % interval.
+Four Waffle Pis in 4 x 4 m, 20 s, as in examples/learning, with seeds
+that the training did not use. Prints a table: the return (the decrease in m of the mean distance to
+the centroid), the share of decisions in which protection changed the request, and contacts per
+robot-minute, each as the mean over seeds with its 95 % interval.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ Act = Callable[[Observation], Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """(seeds,) of each: the return in m, the share of limited decisions, contacts a minute."""
+    """The results of runs, (seeds,) each."""
 
-    returns: Array
-    limited: Array
-    contacts: Array
+    returns: Array  # m
+    limited: Array  # share of decisions in which protection changed the request
+    contacts: Array  # per robot-minute
 
 
 def shipped() -> PolicyNetwork:
@@ -55,7 +55,7 @@ def random_actions(seed: int = 0) -> Act:
 
 
 def measure(act: Act, seeds: Sequence[int], mode: str = "barrier") -> Found:
-    """Runs of the environment with these actions in a mode of protection."""
+    """Run the environment with the actions of `act`, once for each seed, in a protection mode."""
     env = swarmd.env(
         "aggregation",
         set={**ROOM, "platforms.waffle_pi.protection.mode": mode},

@@ -1,7 +1,8 @@
-"""Pictures of the page, to look at: light and dark, 3 to 200 robots, four widths, and each panel.
+"""Screenshots of the page for review: light and dark, 3 to 200 robots, four widths, each panel.
 
-`make screens` writes them to `build/screens`. The robots are fed, in all states. With `--figure
-FILE` it writes the picture of the docs instead, which shows a simulated world.
+`make screens` writes them to `build/screens`. The robots' messages are generated, with robots in
+all states. With `--figure FILE` this program writes the figure of the docs instead, which shows a
+simulated world.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Records decisions of mode `barrier` in adverse scenes, which tests replay.
 
-`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py anew: of
-each scene the robot and the seconds with most limited decisions, as the code decides. Inputs
-are rounded, so that the file is small.
+`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py. The file
+has, for each scene, the inputs and decisions of the robot and of the seconds with the most limited
+decisions. Inputs are rounded, so that the file is small.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FURTHEST = 4.0  # m: returns beyond constrain no robot
 
 
 class Recording:
-    """An arbiter that notes what it is given."""
+    """An arbiter that records its inputs."""
 
     def __init__(self, arbiter: Barrier) -> None:
         self.mode, self.clearance = arbiter.mode, arbiter.clearance
@@ -101,7 +101,10 @@ def stream_of(scene: Scene, seed: int) -> corpus.Stream:
 
 
 def busiest(events: list[corpus.Event]) -> list[corpus.Event]:
-    """The part of so many decisions, from a scan on, of which most are limited."""
+    """The part of `events` with the most limited decisions.
+
+    A part begins with a scan and has DECISIONS decisions and their scans.
+    """
     begins = [n for n, event in enumerate(events) if event.requested is None]
     length = DECISIONS + DECISIONS // 7
     parts = [events[n : n + length] for n in begins if n + length <= len(events)]
@@ -109,12 +112,12 @@ def busiest(events: list[corpus.Event]) -> list[corpus.Event]:
 
 
 def limited(events: Sequence[corpus.Event]) -> int:
-    """How many decisions limit the request."""
+    """The number of decisions in which protection limits the request."""
     return sum(event.is_active for event in events)
 
 
 def kind_of(platform: Platform) -> str:
-    """The kind whose file gives the outline and the sensor."""
+    """The platform file with the outline and the sensor of a platform."""
     return next(kind for kind in ("burger", "waffle_pi", "jackal") if kind in platform.name)
 
 

@@ -1,8 +1,8 @@
 """The generated parts of pages: plugins, YAML files, schemas, command lines and docstrings.
 
-A page has a line with the name of the part, which `conf.py` replaces on the site. `make reference`
-runs this file, which writes all pages with their parts below `build/pages`. `make names` runs it
-with `--names`, which writes `NAMES` again.
+A page has a line with the name of a part. On the site, `conf.py` replaces this line by the part.
+`make reference` runs this file, which then writes all pages with their parts below `build/pages`.
+`make names` runs this file with `--names`, which writes the file `NAMES`.
 """
 
 from __future__ import annotations
@@ -121,7 +121,10 @@ def films() -> Iterator[str]:
 
 
 def comparison() -> Iterator[str]:
-    """What each pattern needs and sends, its first outcome and what breaks it, from its page."""
+    """Tables by pattern: inputs and messages, the first outcome, and what breaks the pattern.
+
+    Outcomes and breaks are taken from the pattern's page.
+    """
     inputs, outcomes, breaks = [], [], []
     for row in describe_patterns((), None, _PLATFORM):
         page = ROOT / "patterns" / row["name"] / "page.md"
@@ -142,7 +145,10 @@ def comparison() -> Iterator[str]:
 
 
 def _first_outcome(text: str) -> tuple[str, str, str, str]:
-    """What, wanted, reached and from, of the first row of the first table; empty without one."""
+    """The cells what, wanted, reached and from of the first row of the first table of a page.
+
+    Empty without a table.
+    """
     lines = [line.strip()[1:-1] for line in text.splitlines() if line.startswith("|")]
     table = [[cell.strip() for cell in line.split(" | ")] for line in (*lines[:1], *lines[2:3])]
     if len(table) < 2 or "wanted" not in table[0][:-1] or len(table[0]) != len(table[1]):
@@ -380,7 +386,7 @@ def _example(name: str) -> str:
 
 
 def _roles(plane: str, name: str, message: str = "query") -> str:
-    """Which roles a robot lets send `message` on a key of its own, by its access rules."""
+    """The roles whose senders a robot's access rules let send `message` on a key of the robot."""
     roster = Roster(
         swarm="lab",
         generation=1,
@@ -520,7 +526,7 @@ def filled(text: str) -> str:
 
 
 def public_names() -> str:
-    """A line for each public class, function, command, key and struct, with what it takes."""
+    """A line with the signature or the fields of each public class, function, command and key."""
     lines = []
     for name in _NAMED:
         text = part(name)

@@ -192,9 +192,10 @@ def tune(
 
 @contextmanager
 def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
-    """Functions to call with each look at a race, each step, and the progress of its runs.
+    """The callbacks `on_look`, `on_step` and `on_progress` of `tune`, which show the progress.
 
-    A terminal shows a table of the best candidates; other outputs get a line for each of both.
+    A terminal shows a table of the best candidates. Any other output gets a line for each look and
+    for each step.
     """
     if not sys.stderr.isatty():
 
@@ -239,8 +240,8 @@ def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
 def table(look: Look, note: str, width: int) -> Table:
     """The best candidates: their values, the mean over their runs, and the number of runs.
 
-    A column for each value if these fit into `width` characters, else one column for all, of which
-    the best candidate's stand below the table in full.
+    Each value has a column if all columns fit into `width` characters. Else one column has all
+    values, shortened, and the values of the best candidate are below the table in full.
     """
     from rich.console import Console
     from rich.table import Table

@@ -195,7 +195,7 @@ def _check_options() -> None:
 
 
 def need(*modules: str, extra: str = "sim,plot") -> None:
-    """PluginError with the command that installs it, for the first module that is missing."""
+    """PluginError for the first missing module, with the command that installs the module."""
     for module in modules:
         if find_spec(module) is None:
             raise PluginError(
@@ -233,9 +233,9 @@ def warn_of_few(counts: Iterable[int]) -> None:
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:
-    """A new folder of `base`, with the first free name; ConfigError if none can be made.
+    """Make a folder in `base` with the first free name; ConfigError if that fails.
 
-    The end of the verb removes it, and `base` if it was new, as far as nothing is in them.
+    When the verb ends, the folder is removed if it is empty, and so is `base` if it was new.
     """
     was_there = base.exists()
     for name in names:

@@ -21,9 +21,9 @@ FIRST_ESTIMATE = 2.0  # s of progress before there is an estimate
 def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress]:
     """A function to call with the progress of an experiment.
 
-    A terminal shows a bar; other outputs get a line for the first estimate and for each tenth. The
-    time left follows from the robot-seconds that were simulated since the first report of progress:
-    runs need not end for it, and the start of workers does not count.
+    A terminal shows a bar. Any other output gets a line for the first estimate, and for each tenth.
+    The time left is estimated from the robot-seconds simulated since the first report of progress.
+    So the estimate needs no finished run, and the start of workers does not count.
     """
     start: tuple[float, float] | None = None  # time, and work that was done before
 

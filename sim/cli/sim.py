@@ -102,8 +102,8 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
             for robot in spec.robots:
                 if robot not in up or not up[robot].health.driver_up:
                     warn(f"{robot} is not up yet; its log: {spec.folder}/{robot}.log")
-            _print_usage(spec)
             with suppress(KeyboardInterrupt):
+                _print_usage(spec)
                 _report_ends(fleet)
             click.echo("ending all")
 
@@ -117,10 +117,11 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
     with Fleet(spec) as fleet, world_page(fleet, page):
         config = daemon_config(spec, next(iter(spec.robots)), fleet.ready)
         names = list(spec.robots)
-        click.echo(f"{len(names)} bases are up: {names[0]} to {names[-1]}")
         shown = {key: config[key] for key in ("platform", "driver", "driver_options")}
-        print_section("In the file of each daemon:", [(key, str(v)) for key, v in shown.items()])
+        lines = [(key, str(value)) for key, value in shown.items()]
         with suppress(KeyboardInterrupt):
+            click.echo(f"{len(names)} bases are up: {names[0]} to {names[-1]}")
+            print_section("In the file of each daemon:", lines)
             _report_ends(fleet)
         click.echo("ending the world")
 

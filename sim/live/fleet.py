@@ -256,7 +256,7 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
 
 
 def _detections(spec: FleetSpec, robot: str) -> dict[str, bool]:
-    """{"detections": True} for a robot of driver `simulated` with a detector, else {}."""
+    """{DETECTIONS: True} for a robot of driver `simulated` with a detector, else {}."""
     if spec.emulator is not None:
         return {}
     name, live = spec.robots[robot], spec.scenario

@@ -26,7 +26,7 @@ class LiveScenario:
     scenario: Scenario
 
     def write(self, folder: Path) -> None:
-        """Write the effective scenario and its platforms, with the sensors that it adds."""
+        """Write the effective scenario, and its platforms with the sensors that it adds."""
         scenario = self.scenario
         (folder / SCENARIO_FILE).write_text(json.dumps(scenario.effective, indent=1))
         (folder / "platforms").mkdir(exist_ok=True)

@@ -124,7 +124,7 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
 
 
 def joined(parts: Iterable[Started]) -> Started:
-    """Several starts as one."""
+    """The results of several starts, joined."""
     starts = list(parts)
     return Started(
         tuple(sorted(robot for start in starts for robot in start.robots)),

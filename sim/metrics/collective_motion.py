@@ -48,11 +48,11 @@ def millings(trace: Trace) -> Array:
 
 
 def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
-    """(T,) the path length in m of the centroid until each instant, in steps of `every` s.
+    """(T,) the path length in m of the centroid up to each instant, in steps of `every` s.
 
-    Ours: a swarm that mills or disperses is fast, but its centroid hardly moves. Steps of a second
-    suppress jitter of the positions. A step in which the set of present robots changes, or is
-    empty, adds nothing.
+    Ours: in a swarm that mills or disperses, robots are fast but the centroid hardly moves. Steps
+    of a second suppress jitter of the positions. A step in which the set of present robots changes,
+    or is empty, adds nothing.
     """
     is_present, centre = presence(trace), centroids(trace)
     lengths = np.zeros(len(trace.t))

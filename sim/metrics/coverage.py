@@ -1,4 +1,7 @@
-"""The floor that a swarm has covered, and the area that it spans. Only present robots count."""
+"""Metrics of the floor that a swarm has covered, and of its convex hull.
+
+Only present robots count.
+"""
 
 from __future__ import annotations
 

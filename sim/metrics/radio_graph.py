@@ -95,7 +95,7 @@ def _is_complete(trace: Trace) -> bool:
 
 
 def _sight(trace: Trace) -> LineOfSight | None:
-    """The obstacles of the radio, if it needs line of sight and the trace names its arena."""
+    """The obstacles that block the radio; None without line of sight or without a known arena."""
     radio = trace.meta.get("radio")
     if not isinstance(radio, Mapping) or not radio.get("line_of_sight"):
         return None

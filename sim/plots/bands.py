@@ -277,7 +277,7 @@ def shares_of(runs: Sequence[Series]) -> Bands:
 
 
 def smoothed(run: Series, seconds: float) -> Series:
-    """The run's running mean over so many seconds around each instant; NaN stays NaN."""
+    """The running mean of a run over a window of `seconds` around each instant; NaN stays NaN."""
     t, values = run
     is_known = np.isfinite(values)
     sums = np.concatenate(([0.0], np.cumsum(np.where(is_known, values, 0.0))))

@@ -39,13 +39,13 @@ MARKS = {BOTH: ("X", CONTACT_COLOUR), ONE: ("P", "0.6"), NONE: ("o", "white"), O
 def trajectories_figure(
     trace: Trace, title: str = "", *, fields: Sequence[Field] = (), width: float | None = None
 ) -> Figure:
-    """A picture of a run seen from above, with the scalar fields of its scenario.
+    """A figure of a run seen from above, with the scalar fields of its scenario.
 
-    Up to 20 robots have a colour and a line in the legend each; the paths of more are coloured by
-    time. Footprints are hollow at the start and filled at the end, with a line from the axle to
-    the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts
-    and how many robots were moving. `width`: in inches, for a paper, which does not name robots.
-    SwarmError if matplotlib is not installed or there is nothing to draw.
+    Each of up to 20 robots has a colour and a line in the legend. With more robots, colours show
+    the time. Footprints are hollow at the start and filled at the end, with a line from the axle to
+    the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts,
+    and how many robots were moving in each. `width`: in inches, for a paper; robots are then not
+    named. SwarmError if matplotlib is not installed or there is nothing to draw.
     """
     scene.check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
@@ -212,9 +212,9 @@ def overview_figure(
 ) -> Figure:
     """Small pictures of up to 25 runs, each with its name.
 
-    A run whose trace is None is an empty frame that says so. Drawn as by `trajectories_figure`, but
-    without legends and to one scale. `note` is text below. `width`: in inches, for a paper.
-    SwarmError if there is no run.
+    The runs are drawn as by `trajectories_figure`, but without legends and at one scale. A run
+    whose trace is None has an empty frame with a note. `note`: a text below the figure. `width`: in
+    inches, for a paper. SwarmError without a run.
     """
     if not runs:
         raise SwarmError("there is no run: nothing to draw")

@@ -1,4 +1,4 @@
-"""The figures of a report: those of `swarmctl exp plot`, as data URLs."""
+"""The figures of a report, drawn as by `swarmctl exp plot`, as data URLs."""
 
 from __future__ import annotations
 

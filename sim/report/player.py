@@ -1,6 +1,7 @@
 """The player of one run in a report: the modules of the page of a swarm, and the run as data.
 
-The run is sampled: poses as 16-bit numbers, and the values of each robot where they change.
+The run is sampled. Poses are 16-bit numbers. A sample of a robot's values has the values that
+changed since the previous sample.
 """
 
 from __future__ import annotations
@@ -87,7 +88,10 @@ def player_of(source: Source) -> Player:
 
 
 def script() -> str:
-    """One module script: the modules of the page and the player, each in a function of its own."""
+    """The JavaScript of the player as one module script.
+
+    Each module of the page, and the player, is a function of the script.
+    """
     page = files("swarmd.view") / "page"
     sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]
     own = (files("swarmd.sim.report") / "page" / "player.js").read_text(encoding="utf-8")

@@ -1,7 +1,8 @@
-"""Reads scenarios from files and checks all that can be checked without a run.
+"""Reads scenarios from files, with all checks that need no run.
 
-Weakest to strongest: the extended file, the file, overrides. `Scenario.effective` holds the result
-in plain values, platforms included, and gives the same scenario without files.
+Precedence: overrides replace values of the file, which replace values of the file that it extends.
+`Scenario.effective` holds the complete result in plain values, with platforms, from which
+`scenario_of` makes an equal scenario without files.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ def _field_event(
 ) -> ScheduledEvent:
     """The event that replaces fields by name; ConfigError for a reading that is not known yet.
 
-    Robots have sensors for the readings of the scenario's fields alone.
+    Robots have sensors for the scenario's own fields alone.
     """
     known = {name for field in fields_of(layers, file.fields) for name in channels_of(field)}
     fields = fields_of(layers, section.fields or (), keys)

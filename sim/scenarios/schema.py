@@ -75,11 +75,10 @@ class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Robots of one platform: `count` named `<prefix>-01` and on, or the ids of `robots`.
+    """Robots of one platform: `count` robots named `<prefix>-01` and on, or the ids in `robots`.
 
-    The robots run `pattern` from the start, except robots that join later, which need a run event.
-    `parameters` apply whenever `pattern` runs. `touch` grants patterns touch zones, as a daemon's
-    file does.
+    The robots run `pattern` from the start. Robots that join later need a run event. `parameters`
+    apply whenever `pattern` runs. `touch` grants touch zones to patterns, as in a daemon's file.
     """
 
     platform: str = "waffle_pi"
@@ -95,10 +94,10 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Exactly one of the actions of `schedule.ACTIONS`, `at` a time.
 
-    stop, estop, reset, join, leave and kill name robots, a group or `all`. run names a pattern and
-    param holds values; both act on `targets` (default: all). place names a box. remove names a box,
-    or robots whose daemons are killed and which leave the arena for good. fields holds fields that
-    take the place of all fields with their names.
+    stop, estop, reset, join, leave and kill name robots, a group or `all`. run names a pattern, and
+    param has parameter values; both act on `targets` (default: all). place names a box. remove
+    names a box, or robots: their daemons are killed, and the robots leave the arena for good.
+    fields has fields that replace the fields of the same names.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]
@@ -121,13 +120,14 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The whole file. `platforms`: values above those of a platform's own file, or a new platform.
+    """The whole file.
 
-    `start` is for all groups without one of their own, together. `parameters` are for all robots
-    by pattern, below those of a group. `accepts_unseen` and `accepts_faster` are as in swarm.yaml.
-    `plugin_dir` is relative to the file. `pseudo_reality`: bounds of keys of `realism` and `radio`,
-    within which each seed draws its values: `{realism.lidar.dropout: [0, 0.1]}`, or true for the
-    bounds of `pseudo_reality.BOUNDS`.
+    `platforms` overrides values of a platform's own file, or describes a new platform. `start`
+    applies to all groups without a `start` of their own together. `parameters`, by pattern, apply
+    to all robots; those of a group go before. `accepts_unseen` and `accepts_faster` are as in
+    swarm.yaml. `plugin_dir` is relative to the file. `pseudo_reality` has bounds of keys of
+    `realism` and `radio`, within which each seed draws values: `{realism.lidar.dropout: [0, 0.1]}`,
+    or true for the bounds of `pseudo_reality.BOUNDS`.
     """
 
     name: str | None = None

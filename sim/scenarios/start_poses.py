@@ -56,9 +56,10 @@ class StartPoses:
     parts: Sequence[StartGroup]
 
     def __call__(self, seed: int) -> Array:
-        """Poses (n, 3) x, y in m and yaw in rad; seeded layouts are placed last, in random order.
+        """Poses (n, 3) x, y in m and yaw in rad.
 
-        Their groups and robots may stand in the file in any order.
+        Random layouts are placed last, in a random order of groups and robots, so that the order in
+        the file has no effect.
         """
         placement = self.check()
         seeded = [part for part in self.parts if layout_of(part.start) in _SEEDED]
@@ -82,9 +83,10 @@ def layout_of(start: StartSection) -> str:
 
 
 def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]:
-    """The sources, strongest first, without start keys that a stronger source's layout lacks.
+    """The sources, strongest first, without start keys that do not fit a stronger source's layout.
 
-    So a file can change the layout of the file that it extends without removing its keys.
+    So a file can change the layout of the file that it extends without removing the old layout's
+    keys.
     """
     kept: list[tuple[str, Data]] = []
     layouts: dict[str, str] = {}

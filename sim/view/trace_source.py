@@ -38,7 +38,7 @@ _NO_LINKS: Sequence[tuple[int, int]] = ()
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A trace, and those parts of its scenario that no trace has: fields and platforms by name."""
+    """A trace with the scenario's fields and its platforms by name, which a trace does not hold."""
 
     trace: Trace
     fields: Sequence[Field] = ()
@@ -336,10 +336,10 @@ def source_of(place: Path, seed: int | None = None, variant: str | None = None) 
 
 
 def runs_of(place: Path, seed: int | None = None, variant: str | None = None) -> Runs:
-    """The runs of an experiment's folder, or the trace of a demo's folder or in a file.
+    """The runs of an experiment's folder, of a demo's folder, or of a trace file.
 
-    `first` is the first run of `seed` and `variant`. ConfigError in one line if there is no trace,
-    or such a run is not among them; `load` raises it for a damaged trace.
+    `first` is the first run with this `seed` and `variant`. ConfigError in one line without a trace
+    or without such a run. `load` raises ConfigError for a damaged trace.
     """
     if place.is_dir() and (place / MANIFEST).exists():
         return _experiment(place, seed, variant)

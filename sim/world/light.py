@@ -52,7 +52,7 @@ class LightField(FieldKind, frozen=True, kw_only=True, tag="light"):
 
 
 class Shadows:
-    """What hides lamps from a robot: the arena and the outlines of other bodies."""
+    """The obstacles between lamps and a robot: the arena and the outlines of all other bodies."""
 
     def __init__(self, shapes: Sequence[Array], arena: Arena) -> None:
         """`shapes` (k, 2): the outline of each body in its own frame."""

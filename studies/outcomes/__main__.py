@@ -1,7 +1,7 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
-Prints a table; ends with 1 if one is not reached. `--keep` keeps the values of each run beside the
-pattern, and writes the table of its page.
+Prints a table. Exit code 1 if an outcome is not reached. `--keep` writes the values of each run
+beside the pattern, and the table of the pattern's page.
 `tests/studies/test_outcomes.py` tests a few seeds.
 """
 
