@@ -99,7 +99,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     @property
     def scan_topic(self) -> str:
-        """The name of the lidar's topic: `scan` where none is given."""
+        """The name of the lidar's topic; `scan` without option `scan`."""
         return self.scan or "scan"
 
     @property
@@ -192,7 +192,7 @@ class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields
         own = {"ROS_MASTER_URI": self.master_uri, **({"ROS_IP": self.ip} if self.ip else {})}
         environ = {**os.environ, **own}
         if self.ip:
-            environ.pop("ROS_HOSTNAME", None)  # it would win
+            environ.pop("ROS_HOSTNAME", None)  # rospy would use it in place of ROS_IP
         return environ
 
 
@@ -206,9 +206,9 @@ def read_options(
     robot: str,
     platform: Platform | None = None,
 ) -> O:
-    """The options, `{robot}` filled in; ConfigError names the option that is wrong.
+    """The options with `{robot}` replaced; ConfigError names the option that is wrong.
 
-    `platform` None: whether the options fit it is not looked at.
+    `platform`: the options must fit it; None: this is not checked.
     """
     read = Layered((f"driver {driver}", options)).build(kind)
     own_name = re.sub(r"[^A-Za-z0-9_]", "_", robot)
@@ -236,9 +236,9 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
-    """The options that a zero sender needs: it shall start although a `.msg` file has gone."""
+    """The options that a zero sender needs; it must start even if a `.msg` file is missing."""
     of_sensors = {*ENTRY_KINDS, "message_path"}
-    return {name: one for name, one in options.items() if name not in of_sensors}
+    return {name: value for name, value in options.items() if name not in of_sensors}
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:
