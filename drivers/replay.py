@@ -66,7 +66,12 @@ class _Recording:
 
 
 class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`file`: a recording (.mcap). `speed`: 1 is real time. `loop`: play it again and again."""
+    """The options of driver `replay`.
+
+    - `file`: a recording (.mcap).
+    - `speed`: 1 is real time.
+    - `loop`: play the recording again and again.
+    """
 
     file: str
     speed: Annotated[float, Meta(ge=0.05, le=100.0)] = 1.0

@@ -77,8 +77,9 @@ class Namespaces:
     def candidates(self, alike: Collection[str]) -> Candidates:
         """The proposals for a missing topic; `alike`: the topics with its type.
 
-        1. With option `namespace`: the topics in it; while nothing of it is there, all namespaces.
-        2. Without: the topics, unless several namespaces could be the robot's; then these.
+        1. With option `namespace`: the topics in it, and all namespaces while nothing of it is
+           there.
+        2. Without: the topics, or all candidate namespaces if there are several.
         """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:

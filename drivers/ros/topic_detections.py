@@ -35,13 +35,15 @@ _DEFAULT_SIZE = 0.1  # m, of a tag without option `size`
 class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `detections`.
 
-    `type`: Detection2DArray or Detection3DArray of vision_msgs, or AprilTagDetectionArray of
-    apriltag_msgs. `at` m and `bearing_deg`: place and direction of the camera in the base frame.
-    `frame`: the axes of positions: `optical` x right and z ahead, or `body` x ahead and y left.
-    `image_width` pixels and `field_of_view_deg`, horizontal, are those of images without
-    distortion; `size` m: the side of the tags, or the height of the objects, which gives their
-    distance. `kinds`: kinds by class or id of an object, in place of its class. `stale_after`: s
-    without a message after which nothing is known.
+    - `type`: Detection2DArray or Detection3DArray of vision_msgs, or AprilTagDetectionArray of
+      apriltag_msgs.
+    - `at`, `bearing_deg`: position in m and direction of the camera in the base frame.
+    - `frame`: the axes of positions: `optical` (x right, z forward) or `body` (x forward, y left).
+    - `image_width`, `field_of_view_deg`: pixels, and the horizontal angle, of images without
+      distortion.
+    - `size`: m, the side of the tags or the height of the objects; the distance follows from it.
+    - `kinds`: the kind of an object by its class or id, in place of its class.
+    - `stale_after`: s without a message after which the objects are not known.
     """
 
     topic: Text

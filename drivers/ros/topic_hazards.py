@@ -40,13 +40,15 @@ Meaning = Annotated[str, Meta(min_length=1, max_length=100)]
 class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `hazards`.
 
-    `field`: a number in a message of `type`, as in `readings`; with `list` in each message of that
-    list. `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or for
-    each number its hazard. A hazard is a kind, and the place where that is known: `bump`,
-    `bump front left`. `place_field`: a text that names the place, such as `header.frame_id`.
-    `stale_after`: s without a message after which the robot is held, as for a hazard.
-    `never`: for a topic that is published on change. Its last message counts while its publisher
-    is there; the robot is held before the first message.
+    - `field`: a number in a message of `type`, as in `readings`.
+    - `list`: a list in the message, each of whose items has the field.
+    - `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or a
+      mapping from numbers to hazards. A hazard is a kind, and its place if known: `bump`, or
+      `bump front left`.
+    - `place_field`: a text in the message that names the place, such as `header.frame_id`.
+    - `stale_after`: s without a message after which the robot is held, as for a hazard. `never` is
+      for a topic that is published on change: its last message counts while its publisher is there,
+      and the robot is held before the first message.
     """
 
     topic: Text

@@ -1,4 +1,4 @@
-"""Base classes of the options `readings`, `hazards` and `detections`: entries and their values."""
+"""Base classes of the options with entries (`topic_entries.py`): an entry, and all values."""
 
 from __future__ import annotations
 

@@ -515,9 +515,10 @@ class RosDriver:
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
         """Detect changes of hub, topics and base, each _PERIOD; `opened`: s of the session's begin.
 
-        The first change of this order is acted on: hub gone, hub started again, silent topics, a
-        fault of the commands, another command type (all close the gate); a conflict, a change of
-        the link (both only reported); else a zero is repeated if it is due after a loss.
+        Only the first change of this order is acted on. These close the gate: hub gone, hub started
+        again, silent topics, a fault of the commands, another command type. These are only
+        reported: a conflict, a change of the link. Otherwise a zero that is due after a loss is
+        repeated.
         """
         hubs, before = linked_hubs(session), self._hubs
         self._hubs = hubs or before
