@@ -15,9 +15,9 @@ from swarmd.core.threads import hand_over
 class LatestSamples:
     """Calls `take(name, payload)` on the loop with the newest sample of each name.
 
-    After a stall of the loop, older samples are outdated, and a queue of them would delay the
-    newest. `dropped(what)` is called once for each dropped sample: `<name>:overtaken` by a newer
-    one, or `<name>:key` if it came on another key.
+    A sample that waits while a newer sample of its name arrives is dropped: after a stall of the
+    loop a queue of outdated samples would delay the newest. `dropped(what)` is called for each
+    dropped sample: `<name>:overtaken`, or `<name>:key` for a sample on another key.
     """
 
     def __init__(

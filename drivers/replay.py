@@ -1,4 +1,4 @@
-"""A recording in place of a robot: its inputs in their order and at their pace.
+"""Driver `replay`: plays the inputs of a recording, in their order and at their pace.
 
 Commands are counted and move nothing.
 """
@@ -53,11 +53,11 @@ _SCANS: Mapping[str, type[ScanInput | RangesInput]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class _Recording:
-    """Inputs with their times in s since the first one. `fault`: what is missing or damaged."""
+    """The inputs of a recording."""
 
     about: Mapping[str, str]
-    entries: tuple[tuple[float, _Played], ...]
-    fault: str
+    entries: tuple[tuple[float, _Played], ...]  # s since the first input, and the input
+    fault: str  # what is missing or damaged; empty if the recording is whole
 
     @property
     def duration(self) -> float:
@@ -66,7 +66,12 @@ class _Recording:
 
 
 class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`file`: a recording (.mcap). `speed`: 1 is real time. `loop`: play it again and again."""
+    """The options of driver `replay`.
+
+    - `file`: a recording (.mcap).
+    - `speed`: 1 is real time.
+    - `loop`: play the recording again and again.
+    """
 
     file: str
     speed: Annotated[float, Meta(ge=0.05, le=100.0)] = 1.0
@@ -81,7 +86,7 @@ class ReplayDriver:
     def __init__(
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> None:
-        """Not playing yet; ConfigError if an option or the recording is wrong."""
+        """Read the recording; ConfigError if an option or the recording is wrong."""
         self._options = Layered(("driver replay", options)).build(ReplayOptions)
         self._path = _named(self._options.file)
         self._recording = _read(self._path)
@@ -91,7 +96,7 @@ class ReplayDriver:
         self.taken: deque[Twist] = deque(maxlen=MAX_COMMANDS)
 
     async def run(self, sink: Sink) -> None:
-        """Play it, once or in a loop, until cancelled."""
+        """Play the recording, once or in a loop, until cancelled."""
         if self._recording.fault:
             log.warning("%s: %s; what is whole is played", self._path, self._recording.fault)
         try:
@@ -139,11 +144,11 @@ class ReplayDriver:
         return tuple(findings)
 
     async def _play(self, sink: Sink, rounds: int) -> None:
-        """One round; stamps and sequences of later rounds continue those of the one before."""
+        """Play one round; stamps and sequences continue those of the round before."""
         loop, speed = asyncio.get_running_loop(), self._options.speed
         begin, shift = loop.time(), rounds * (self._span + LOOP_PAUSE)
         for at, input in self._recording.entries:
-            # Also when late: playback that is behind must not block the loop.
+            # Sleep even for 0 s: playback that is late must not block the loop.
             await asyncio.sleep(max(begin + at / speed - loop.time(), 0.0))
             if not isinstance(input, DriverInput):
                 sink.take(_moved(input, shift, rounds * self._after))
@@ -168,7 +173,7 @@ class ReplayDriver:
 
 
 def _moved(input: SensorInput, shift: float, ahead: int) -> SensorInput:
-    """The input of a later round: `shift` s and `ahead` scans after that of the first."""
+    """The input with its stamp moved by `shift` s, and its sequence by `ahead`."""
     value = _value(input)
     changes: dict[str, Any] = {}
     if hasattr(value, "stamp"):
@@ -205,9 +210,10 @@ def _read(path: Path) -> _Recording:
             f"{path}: no inputs of a driver are in it ({recorded.fault or 'whole'});"
             " record it again"
         )
-    # A robot whose driver measures no neighbors was given all members, which are no measurement.
-    told = [input.neighbors for _, input in timed if isinstance(input, NeighborsInput)]
-    is_measured = any(robot.distance is not None for robots in told for robot in robots)
+    # A driver that measures no neighbors has recorded all members without distances: these inputs
+    # are not played.
+    lists = [input.neighbors for _, input in timed if isinstance(input, NeighborsInput)]
+    is_measured = any(robot.distance is not None for robots in lists for robot in robots)
     begin = min(at for at, _ in timed)
     entries = [
         ((at - begin) * 1e-9, input)
@@ -216,15 +222,15 @@ def _read(path: Path) -> _Recording:
     ]
     first = next((n for n, (_, input) in enumerate(entries) if isinstance(input, ScanInput)), 0)
     if not any(isinstance(input, DriverInput) for _, input in entries[:first]):
-        entries.insert(0, (0.0, DriverInput(True, "")))  # it was connected before
+        entries.insert(0, (0.0, DriverInput(True, "")))  # the base was connected before
     return _Recording(recorded.about, tuple(entries), recorded.fault)
 
 
 def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]:
-    """The time in ns and the input of each message that has one of a driver.
+    """The time in ns and the input of each message that holds an input of a driver.
 
-    Of a damaged recording those that can be read; scans whose exact directions are lost have the
-    rounded ones that viewers read.
+    Messages of a damaged recording that cannot be read are left out. A scan whose exact bearings
+    are lost gets the rounded bearings of the message that viewers read.
     """
     reader = InputReader()
     for message in recorded.messages:
@@ -243,9 +249,9 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """The sequence after its last scan's, and the span of its stamps in s.
+    """The greatest sequence of a scan plus 1, and the span of the stamps in s.
 
-    The largest span of one kind: the clocks of two kinds may differ.
+    The span is measured for each kind of input, whose clocks may differ; the greatest counts.
     """
     sequences, stamps = [0], defaultdict[str, list[float]](list)
     for _, input in recording.entries:

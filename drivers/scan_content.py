@@ -17,11 +17,11 @@ _FAR_SENSOR, _MANY_RAYS = 1.0, 8
 
 
 class ScanContent:
-    """The last scan of a sensor, and how often its ranges repeated those of the scans before.
+    """The last scan of a sensor, and the number of scans in a row that repeated earlier scans.
 
-    A scan repeats if its ranges are those of one of the last COMPARED_SCANS, as in conditioning.
+    A scan repeats if its ranges equal those of one of the last COMPARED_SCANS, as in conditioning.
     `last`: None before the first scan. `count`: of scans. `has_measured`: False while all ranges of
-    all scans were 0, of a sensor that has returns in an ordinary room: its motor may not turn yet.
+    all scans are 0 although the sensor would have returns in a room: its motor may not turn yet.
     """
 
     def __init__(self, spec: ScanSpec, section: str = "scan") -> None:

@@ -1,4 +1,4 @@
-"""The line of `swarmd --check` that tells how late scans arrive."""
+"""The finding of `swarmd --check` on the delay of scans."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ def scan_delay_finding(
     scan: Scan | None,
     spec: ScanSpec,
 ) -> Finding:
-    """The delay declared and measured, from arrivals and stamps; `scan` is one of the scans."""
+    """Compares the measured delay of scans with the platform's `scan.latency`.
+
+    `scans`, `odometries`: pairs of arrival and stamp in s. `scan`: one of the scans.
+    """
     figure = delay_by_stamps(scans, odometries, scan, spec)
     if figure.delay is None:
         text = f"not measured: {figure.text}; declared {spec.latency:.3f} s"

@@ -38,9 +38,11 @@ _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
 class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`endpoint`: where the world listens. `radio`: the world carries the patterns' messages.
+    """The options of driver `simulated`.
 
-    `detections`: the world sends the objects that the robot recognises.
+    - `endpoint`: the address at which the simulated world listens.
+    - `radio`: the world carries the messages of patterns.
+    - `detections`: the world sends the objects that the robot recognises.
     """
 
     endpoint: str = DEFAULT_ENDPOINT

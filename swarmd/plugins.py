@@ -1,12 +1,17 @@
 """Finds installed patterns, drivers, emulators and verbs by name; imports no pattern.
 
-They are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
-`swarmd.commands`). An entry of patterns names a class, or a package whose folders are patterns:
-`<package>/<name>/pattern.py`, with the class of that name. A file `<plugin_dir>/<name>.py` or
-`<plugin_dir>/<name>/pattern.py` with exactly one Pattern is a pattern too, unless it is called
-`test_*.py`. A mission is a pattern, too: a `<plugin_dir>/<name>.yaml` with a line `mission: ...`,
-or a mission of swarmd. Reading the metadata of all installed packages takes 40 ms and more, so the
-command line calls these functions only where it must.
+Plugins are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
+`swarmd.commands`). A pattern is
+
+1. an entry of `swarmd.patterns` that names a class,
+2. a folder of a package that such an entry names: `<package>/<name>/pattern.py`, with the class of
+   that name,
+3. a file `<plugin_dir>/<name>.py` or `<plugin_dir>/<name>/pattern.py` with exactly one Pattern,
+   unless its name is `test_*.py`,
+4. a mission: `<plugin_dir>/<name>.yaml` with a line `mission: ...`, or a mission of swarmd.
+
+Reading the metadata of all installed packages takes 40 ms and more, so that the command line calls
+these functions only where necessary.
 """
 
 from __future__ import annotations
@@ -45,7 +50,7 @@ COMMANDS = "swarmd.commands"
 EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
 PATTERN_FILE = "pattern.py"
-"""Of a pattern that has a folder; the folder has its name."""
+"""The file of a pattern that has a folder; the folder has the pattern's name."""
 IN_WHEEL = "//"
 """Between the path of a wheel and the `module:Class` that is imported from it."""
 MAX_MISSION_SIZE = 1 << 20
@@ -55,19 +60,14 @@ _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Where a pattern comes from.
-
-    `value` is `module:Class`, or the path of a file if `is_file`; `<path>//module:Class` is
-    imported from a wheel. `source` is for people: a distribution and its version, or the file.
-    `rival` is another source of the same name. `digest`: the SHA-256 that a pushed file or wheel
-    must have; empty for any other.
-    """
+    """Where a pattern comes from."""
 
     value: str
-    source: str
+    """`module:Class`; the path of a file if `is_file`; `<path>//module:Class` in a wheel."""
+    source: str  # for display: a distribution and its version, or the file
     is_file: bool = False
-    rival: str = ""
-    digest: bytes = b""
+    rival: str = ""  # another source with a pattern of the same name
+    digest: bytes = b""  # the SHA-256 that a pushed file or wheel must have; empty for others
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +123,12 @@ def installed_patterns() -> Mapping[str, Origin]:
 def pattern_names(
     plugin_dir: Path | None, installed: Mapping[str, Origin] | None = None
 ) -> Mapping[str, Origin]:
-    """All patterns by name, of packages and of the folder; PluginError if there is no folder.
+    """All patterns by name, of packages and of the folder; PluginError if the folder is missing.
 
-    `installed`: the patterns of packages, if they are known already.
+    `installed`: the patterns of packages, if the caller knows them already.
     """
-    some = _installed() if installed is None else installed.items()
-    return _merged((*some, *_dropped_in(plugin_dir)))
+    of_packages = _installed() if installed is None else installed.items()
+    return _merged((*of_packages, *_dropped_in(plugin_dir)))
 
 
 def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
@@ -143,14 +143,14 @@ def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
 
 
 def is_same_file(first: str, second: str) -> bool:
-    """True if both are files of one content: a copy of a mission is no other mission."""
+    """True if both are files with equal content, such as a copy of a mission."""
     with suppress(OSError):
         return Path(first).read_bytes() == Path(second).read_bytes()
     return False
 
 
 def check_module_name(name: str) -> None:
-    """PluginError if no file of a pattern can have this name: it is a Python module."""
+    """Raise PluginError unless this can be the name of a pattern's file, a Python module."""
     is_free = not keyword.iskeyword(name) and not name.startswith("test_")
     if not (is_id(name) and name.isidentifier() and is_free):
         raise PluginError(
@@ -160,7 +160,7 @@ def check_module_name(name: str) -> None:
 
 
 def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
-    """The origin of a pattern; PluginError if there is none of that name, or more than one."""
+    """The origin of a pattern; PluginError if no pattern or more than one has that name."""
     origins = pattern_names(plugin_dir)
     if name not in origins:
         raise UnknownPatternError(
@@ -171,12 +171,12 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
 
 
 def places_of(origins: Mapping[str, Origin]) -> dict[str, tuple[str, bool]]:
-    """Where a pattern host finds each pattern: its value, and whether that is a file."""
+    """For the pattern host: the value of each pattern, and whether that is a file."""
     return {name: (origin.value, origin.is_file) for name, origin in origins.items()}
 
 
 def check_single(name: str, origin: Origin) -> None:
-    """PluginError if two patterns have this name."""
+    """Raise PluginError if two patterns have this name."""
     if origin.rival:
         raise PluginError(
             f"two patterns are named {name!r}: {origin.source} and {origin.rival}; rename one"
@@ -184,12 +184,12 @@ def check_single(name: str, origin: Origin) -> None:
 
 
 def load_driver(name: str) -> DriverFactory:
-    """The driver of that name, imported: the daemon itself runs drivers."""
+    """The driver of that name, imported; the daemon itself runs drivers."""
     return cast("DriverFactory", _load("driver", DRIVERS, name))
 
 
 def load_emulator(name: str) -> EmulatorFactory:
-    """The emulator of that name, imported: the robots' side of a driver."""
+    """The emulator of that name, imported: it simulates the robots of a driver."""
     return cast("EmulatorFactory", _load("emulator", EMULATORS, name))
 
 
@@ -201,8 +201,8 @@ def command_names() -> Mapping[str, EntryPoint]:
 def command_summaries() -> Mapping[str, str]:
     """The line of help of each verb of plugins, by name.
 
-    A file of the cache keeps the lines until a folder of sys.path, or the source of a verb, has
-    another time: without the file, the search in the metadata of packages takes 17 ms of `--help`.
+    The lines are cached in a file, until a folder of sys.path or the source of a verb has another
+    time. Without the file, the search in the metadata of packages takes 17 ms of `--help`.
     """
     try:
         # A queue without a writer must not block, and a device may never end.
@@ -225,7 +225,7 @@ def command_summaries() -> Mapping[str, str]:
 
 
 def _summaries_file() -> Path:
-    """One for each environment of Python."""
+    """The cache file of this Python environment."""
     return cache_folder() / f"verbs-{zlib.crc32(sys.prefix.encode()):08x}.json"
 
 
@@ -267,12 +267,15 @@ def _source_file(module: str) -> Path | None:
 
 
 def load_command(name: str) -> click.Command:
-    """The verb of that name, imported; PluginError if there is none, or a module is missing."""
+    """The verb of that name, imported.
+
+    PluginError if there is no such verb, or a module is missing.
+    """
     return cast("click.Command", _load("verb", COMMANDS, name))
 
 
 def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
-    """One line: the plugin needs the module `missing`, and the command that installs it."""
+    """The text for a plugin that needs the module `missing`, with the command that installs it."""
     point = next(iter(_entry_points(group=group, name=name)), None)
     extra = _extra_with(point, missing) if point is not None else None
     dist = point.dist.name if point is not None and point.dist is not None else ""
@@ -281,7 +284,7 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
 
 
 def need(*modules: str, extra: str) -> None:
-    """PluginError with the command that installs it, for the first module that is missing."""
+    """Raise PluginError for the first missing module, with the command to install it."""
     for module in modules:
         if find_spec(module) is None:
             raise PluginError(
@@ -290,7 +293,7 @@ def need(*modules: str, extra: str) -> None:
 
 
 def _installed() -> Iterator[tuple[str, Origin]]:
-    sources: dict[Distribution | None, str] = {}  # to read the metadata of one takes 1 ms
+    sources: dict[Distribution | None, str] = {}  # reading a distribution's metadata takes 1 ms
     for point in _entry_points(group=PATTERNS):
         if not point.attr:
             yield from ((folder.path.name, folder.origin) for folder in _folders(point))

@@ -1,6 +1,7 @@
-"""What messages say that they do not measure: one table for the fields of all types. Pure.
+"""The marks by which ROS messages say that a field is not measured, for all message types. Pure.
 
-Options `imu` and `battery`, odometry and the entries of topic_entries.py ask it.
+For example, a covariance that begins with -1. Options `imu` and `battery`, odometry and the entries
+of topic_entries.py use this table.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import numpy as np
 from rosbags.typesys.base import normalize_fieldname
 
 Rule = Callable[[Any, str, float], str]
-"""Why the value of a message's field is not measured; empty if the message does not say so."""
+"""Takes a message, a field and its value; returns why it is not measured, or an empty text."""
 
 
 def why_absent(message: Any, field: str, value: float = math.nan) -> str:
-    """Why the `value` at a field is not measured; empty if nothing on the way to it says so.
+    """Why the value of a field is not measured; empty if neither it nor its parents say so.
 
-    `field`: names and indices between dots, as far as the message has them.
+    `field`: names and indices separated by dots, such as `vector.x` or `data.0`. `value`: the value
+    of the field; NaN if the field is no number.
     """
     node, parts = message, field.split(".")
     for index, part in enumerate(parts):
@@ -34,7 +36,7 @@ def why_absent(message: Any, field: str, value: float = math.nan) -> str:
 
 
 def _covariance(message: Any, field: str, value: float) -> str:
-    """REP 145 and sensor_msgs: -1 first, of a quantity that the sensor does not give."""
+    """A covariance whose first element is -1 (REP 145, sensor_msgs)."""
     if field == "covariance":
         return ""
     for name in (f"{field}_covariance", "covariance"):
@@ -51,7 +53,7 @@ def _variance(message: Any, field: str, value: float) -> str:
 
 
 def _battery(message: Any, field: str, value: float) -> str:
-    """Many drivers never set `present`: a voltage says more. No pack that is there has 0 V."""
+    """No battery, or no value. Many drivers never set `present`, so that a voltage counts, too."""
     if field == "present" or field.startswith("power_supply"):
         return ""
     if not (message.present or message.voltage > 0.0):  # true for NaN too
@@ -72,7 +74,7 @@ def _fix(message: Any, field: str, value: float) -> str:
 
 
 def _range(message: Any, field: str, value: float) -> str:
-    """Both types: a value outside their own limits is to be discarded."""
+    """A range outside the limits in its message (Range and LaserScan)."""
     if field not in ("range", "ranges") or not math.isfinite(value):
         return ""
     is_one = field == "range"
@@ -86,7 +88,7 @@ def _range(message: Any, field: str, value: float) -> str:
 
 
 def _box(message: Any, field: str, value: float) -> str:
-    """Of a box all is 0, or of the corners of a tag."""
+    """A box with position and size 0, or a tag with all corners at 0."""
     if hasattr(message, "corners"):
         parts = [message.centre, *message.corners]
         is_empty = not any(part.x or part.y for part in parts)
@@ -107,4 +109,4 @@ _RULES: tuple[tuple[tuple[str, ...], Rule], ...] = (
     (("Range", "LaserScan"), _range),
     (("Detection2D", "Detection3D", "AprilTagDetection"), _box),
 )
-"""The short names of the types that each rule is for; none: all."""
+"""Each rule with the short names of its message types; empty: all types."""

@@ -1,7 +1,7 @@
-"""ROS 2 messages as bytes: CDR with its four bytes of header, read and written by rosbags.
+"""Decodes and encodes ROS 2 messages by rosbags: CDR with four bytes of header.
 
 rosbags reads a 360-ray LaserScan within its budget of 10 us and writes a Twist in 3 us
-(`benchmarks.cdr`), so there is no faster path of our own beside it.
+(`benchmarks.cdr`), so that no code of our own is needed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DISTROS = (Stores.ROS2_HUMBLE, Stores.ROS2_IRON, Stores.ROS2_JAZZY, Stores.ROS2_
            Stores.ROS2_LYRICAL)  # fmt: skip
 
 STORE = "__typestore__"
-"""The attribute by which the class of a type from a `.msg` file knows its store."""
+"""The attribute of a class from a `.msg` file with the typestore that read the file."""
 
 M = TypeVar("M")
 
@@ -75,7 +75,7 @@ def known_hashes(kind: type) -> frozenset[str]:
 
 
 def store_of(kind: type, distro: Stores = Stores.ROS2_JAZZY) -> Typestore:
-    """What has the definition of a type: for one from a `.msg` file, the store that read it."""
+    """The typestore with the definition of a type; for a type from a `.msg` file its own store."""
     own: Typestore | None = getattr(kind, STORE, None)
     return own or store(distro)
 

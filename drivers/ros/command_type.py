@@ -1,6 +1,7 @@
-"""Twist or TwistStamped: the type of commands, by option `cmd_vel_type` or by the base. Pure.
+"""Chooses the message class of commands, Twist or TwistStamped. Pure.
 
-`from_ros.py` makes the message. In ROS 1 the adapter process asks the master for the base's type.
+Option `cmd_vel_type` or the subscription of the base decides. `from_ros.py` makes the message. In
+ROS 1 the adapter process asks the base's node for its type.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ def allowed_types(option: Option) -> tuple[type, ...]:
 def wanted_type(
     allowed: Sequence[type], of_bases: Collection[str], type_name: Callable[[type], str]
 ) -> type | None:
-    """The class in which a base gets its commands; None if it is not known, or not one class.
+    """The message class of commands; None if it is not known, or bases want different classes.
 
     `of_bases`: the names of the types to which bases subscribe, as `type_name` writes them. A
-    single class in `allowed` needs no base.
+    single class in `allowed` is returned without asking for bases.
     """
     if len(allowed) == 1:
         return allowed[0]

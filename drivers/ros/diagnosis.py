@@ -1,6 +1,8 @@
-"""What is wrong with a ROS robot, each with the next step: for `--check` and for a lost base. Pure.
+"""Texts of the faults of a ROS robot, each with the next step. Pure.
 
-Both ROS: a `Middleware` names the tools, and the graph is the topics that other nodes announce.
+For `swarmd --check` and for the report of a lost base, in ROS 1 and ROS 2. A `Middleware` has the
+names of the tools. A `Graph` has the topics that other nodes announce. A function that returns a
+fault's text returns an empty text without a fault.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ LAST_WORD = "docs/robots/last_word.md"
 ENOUGH_MESSAGES = 5
 MIN_CHECK_TIME = 1.0
 MAX_RATE, MIN_GAPS = 1.5, 7
-"""Scans more often than this multiple of their declared rate are those of two; by so many gaps."""
+"""More than MAX_RATE times the declared rate of scans means two publishers; over MIN_GAPS gaps."""
 
 _MAX_LISTED = 4
 _COMMAND_OPTIONS = {"Twist": "cmd_vel_type: twist", "TwistStamped": "cmd_vel_type: twist_stamped"}
@@ -47,25 +49,18 @@ class Conflict:
 
 
 class Middleware(Protocol):
-    """The phrases of error messages about one ROS middleware.
+    """The phrases of error messages about one ROS middleware."""
 
-    `hub` is what the driver connects to, `start` the step that starts it, and `endpoint_option` the
-    option that says where it listens. `silent` says that the hub announces no topic, and the next
-    step. `silent_topic` says what to look at when an announced topic carries no messages; it ends
-    in a command to which the topic's name is appended. `topic_info` is the command that names the
-    publishers of a topic. `lease`: seconds after which a node that died has been forgotten, and
-    `crashed` what follows for a crashed node that is back.
-    """
-
-    hub: str
-    start: str
-    endpoint_option: str
-    silent: str
+    hub: str  # the process to which the driver connects
+    start: str  # the step that starts the hub
+    endpoint_option: str  # the driver option with the hub's address
+    silent: str  # that the hub announces no topic, and the next step
     silent_topic: str
-    topic_info: str
-    crashed: str
-    lease: float
-    domain: int | None
+    """What to check if an announced topic carries no messages; the topic's name is appended."""
+    topic_info: str  # the command that lists the publishers of a topic
+    crashed: str  # what happens to the entry of a crashed node that is back
+    lease: float  # s after which the hub has forgotten a node that died
+    domain: int | None  # ROS_DOMAIN_ID; None: not known
 
     def type_name(self, message_type: type) -> str:
         """Such as `sensor_msgs/msg/LaserScan`."""
@@ -73,19 +68,14 @@ class Middleware(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Graph:
-    """The endpoints that other nodes announce; `middleware` has the phrases for messages.
-
-    `options` name this robot's topics, of which those in `heard` carried messages. `strays`: the
-    DDS readers that belong to no ROS node, or to another bridge. `now`: the time in s on the clock
-    of `Endpoint.since`.
-    """
+    """The endpoints that other nodes announce, and the texts of their faults."""
 
     middleware: Middleware
     endpoints: Collection[Endpoint] = ()
-    strays: Collection[Endpoint] = ()
-    options: TopicOptions = field(default_factory=TopicOptions)
-    heard: Collection[str] = ()
-    now: float = math.inf
+    strays: Collection[Endpoint] = ()  # DDS readers of no ROS node, or of another bridge
+    options: TopicOptions = field(default_factory=TopicOptions)  # name this robot's topics
+    heard: Collection[str] = ()  # this robot's topics that carried messages
+    now: float = math.inf  # s on the clock of `Endpoint.since`
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers of a topic in the driver's domain."""
@@ -96,7 +86,7 @@ class Graph:
         return [end for end in self._here(is_publisher=False) if end.topic == topic]
 
     def bases(self, topic: str) -> list[Endpoint]:
-        """The subscribers of a topic of commands that may move something: no listeners."""
+        """The subscribers of a topic of commands that may be bases; listeners are left out."""
         return [end for end in self.subscribers(topic) if not self._is_listener(end)]
 
     def silence(self, stats: TopicStats) -> str:
@@ -128,7 +118,7 @@ class Graph:
         return f"no {topic}, and {middleware.hub} {middleware.silent}"
 
     def _missing(self, stats: TopicStats, here: Collection[Endpoint]) -> str:
-        """Why no node publishes a topic, where others are published."""
+        """Why no node publishes the topic; `here`: the publishers of other topics."""
         topic, option = stats.topic, f"driver_options.{stats.option}"
         if stats.count:
             return f"no {topic} any more, which was heard before; start its node again"
@@ -147,7 +137,7 @@ class Graph:
         return f"no {topic}{among}; start the sensor, or correct {option}"
 
     def _which(self, spaces: Namespaces, found: Candidates, option: str) -> str:
-        """Ask for this robot's namespace where several are in use, or others than its own."""
+        """The request to set this robot's namespace: several are in use, or its own is not."""
         names = listed(found.namespaces)
         if spaces.own:
             return (
@@ -192,7 +182,7 @@ class Graph:
         return next(filter(None, doubts), "")
 
     def _set_clock(self, stats: TopicStats) -> str:
-        """The stamps of a topic go back, and one node alone publishes it; empty otherwise."""
+        """The text if the stamps of a topic go back although a single node publishes it."""
         node = self._only_node(stats.topic)
         if not (node and stats.stamps_go_back()):
             return ""
@@ -202,27 +192,36 @@ class Graph:
         )
 
     def _only_node(self, topic: str) -> str:
-        """The node that alone publishes a topic, as far as nodes are known; empty otherwise."""
+        """The name of the only node that publishes a topic; empty for several or unknown nodes."""
         names = {end.node for end in self.publishers(topic)}
         return names.pop() if len(names) == 1 else ""
 
     def conflict(self, topics: Iterable[TopicStats], spec: ScanSpec) -> Conflict | None:
-        """Why the robot must not move: a second base, or a second source; None without a sign."""
-        stats = [one for one in topics if one.is_needed]
-        is_alive = any(too_fast(one, spec) for one in stats)
+        """Why the robot must not move; None without a conflict.
+
+        A conflict is a second base on the topic of commands, or a second publisher of scans or
+        odometry. Scans that come too often show that two nodes of one name both live.
+        """
+        needed = [stats for stats in topics if stats.is_needed]
+        is_alive = any(too_fast(stats, spec) for stats in needed)
         bases = self._several_nodes(
             self.bases(self.command_topic), f"take {self.command_topic}", is_alive=is_alive
         )
         if bases := bases or self._stray():
             bases += "; name those that only listen in driver_options.cmd_vel_listeners"
             return Conflict(Reason.BASE_CONFLICT, bases)
-        for one in stats:
-            if text := self.second_publisher(one, spec):
-                return Conflict(Reason.SCAN_CONFLICT if one.is_scan else Reason.BASE_CONFLICT, text)
+        for stats in needed:
+            if text := self.second_publisher(stats, spec):
+                reason = Reason.SCAN_CONFLICT if stats.is_scan else Reason.BASE_CONFLICT
+                return Conflict(reason, text)
         return None
 
     def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
-        """Why more than one node seems to publish a needed topic; empty without a sign of that."""
+        """Why more than one node seems to publish a needed topic.
+
+        The signs, in this order: several nodes or bridges are announced; the stamps go back; the
+        messages come too often. The last two are no sign if a single node is announced.
+        """
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:
             return ""
@@ -249,7 +248,7 @@ class Graph:
         return ""
 
     def qualities(self, topic: str, *, is_publisher: bool) -> list[str]:
-        """The qualities of service that the ends of a topic announce, each once."""
+        """The different qualities of service (QoS) that the ends of a topic announce, sorted."""
         ends = self._here(is_publisher=is_publisher)
         return sorted({end.quality for end in ends if end.topic == topic and end.quality})
 
@@ -263,9 +262,9 @@ class Graph:
         return sorted({end.node for end in self.publishers(topic) if end.node})
 
     def command_type(self, topic: str, allowed: Sequence[type]) -> type | None:
-        """The type in which a base gets its commands; None if it is not known, or not one type.
+        """The message class of commands, by the subscriptions of bases; None if not clear.
 
-        `allowed`: the classes of messages that the options allow; a single one needs no base.
+        `allowed`: the message classes that the options allow; a single class is returned at once.
         """
         types = {end.type for end in self.bases(topic)}
         return wanted_type(allowed, types, self.middleware.type_name)
@@ -307,7 +306,7 @@ class Graph:
         return self._no_base(topic)
 
     def _no_base(self, topic: str) -> str:
-        """No node subscribes to the commands: where a base may be."""
+        """The text for a topic of commands without a subscriber, with proposals of other topics."""
         here = self._here(is_publisher=False)
         spaces, option = self._namespaces(), "driver_options.cmd_vel"
         found = spaces.candidates(
@@ -328,7 +327,7 @@ class Graph:
         return self.options.topic(self.options.cmd_vel)
 
     def listeners(self) -> list[str]:
-        """The nodes that take the commands and move nothing, by name."""
+        """The names of the nodes that subscribe to the commands and move no base, sorted."""
         ends = [*self.subscribers(self.command_topic), *self._strays()]
         return sorted({end.node for end in ends if self._is_listener(end)})
 
@@ -336,7 +335,7 @@ class Graph:
         return [end for end in self.strays if end.topic == self.command_topic]
 
     def _stray(self) -> str:
-        """What takes the commands and is no node of ROS; empty without one but listeners."""
+        """The text for DDS readers of the commands that are no ROS nodes and no listeners."""
         names = sorted({end.owner for end in self._strays() if not self._is_listener(end)})
         if not names:
             return ""
@@ -350,9 +349,10 @@ class Graph:
         return bool(end.node) and is_listener(end.node, self.options.cmd_vel_listeners)
 
     def _several_nodes(self, ends: Collection[Endpoint], what: str, *, is_alive: bool) -> str:
-        """Why these ends are those of more than one node; empty if they are not.
+        """Why these ends belong to more than one node; empty if they belong to one node.
 
-        `is_alive`: of two nodes of one name both are known to live.
+        `is_alive`: if two nodes have one name, both are known to be alive. Otherwise the older may
+        have crashed, and counts until the lease of the middleware.
         """
         nodes = [*nodes_of(ends).values()]
         names = sorted({end.owner for end in nodes})
@@ -373,7 +373,7 @@ class Graph:
         )
 
     def _unrouted(self, topic: str, *, is_publisher: bool) -> str:
-        """A bridge lists a node with the topic, and does not announce it; empty otherwise."""
+        """The text for a topic of nodes that a bridge lists, but does not route to this driver."""
         names = sorted(
             {
                 end.owner
@@ -409,7 +409,7 @@ class Graph:
 
 
 def unreachable(middleware: Middleware, endpoint: str, fault: str = "") -> str:
-    """Nothing answers at the endpoint; `fault` is the connection's own error."""
+    """The text for an endpoint where nothing answers; `fault`: the error of the connection."""
     why = f" ({fault})" if fault else ""
     return (
         f"nothing answers at {endpoint}{why}; {middleware.start}, or correct"
@@ -418,7 +418,7 @@ def unreachable(middleware: Middleware, endpoint: str, fault: str = "") -> str:
 
 
 def contradiction(stats: TopicStats) -> str:
-    """What the last messages of a topic say against themselves; empty without that."""
+    """How the last messages of a topic contradict themselves; empty if they do not."""
     return f"{stats.topic}: {stats.doubt}" if stats.doubt else ""
 
 
@@ -446,7 +446,8 @@ def too_slow(stats: TopicStats, content: ScanContent) -> str:
 def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
     """Why scans come too often for one sensor; empty if they do not.
 
-    By arrivals and by stamps: late messages arrive together, and those of one sensor keep its pace.
+    The longer time of both counts, by arrivals and by stamps: delayed messages of one sensor may
+    arrive together, but their stamps keep the rate.
     """
     (by_stamp, by_clock), gaps = stats.elapsed(), len(stats.times) - 1
     most = MAX_RATE * spec.rate * max(by_stamp, by_clock)
@@ -460,10 +461,11 @@ def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
 def driven_by_others(
     topic: str, publishers: Iterable[str] = (), *, is_heard: bool = True, nodes: Iterable[str] = ()
 ) -> str:
-    """Another node publishes commands.
+    """The text for a base that other nodes drive.
 
-    `publishers`: the nodes, where their registration counts already; `is_heard`: their commands
-    have been heard. `nodes`: where only commands count, the publishers that are known.
+    `publishers`: nodes that count as driving by their registration alone (ROS 1); `is_heard`: their
+    commands have been heard. Without `publishers` only commands count (ROS 2), and `nodes` are the
+    publishers that are known.
     """
     names = listed(publishers)
     if names:
@@ -481,7 +483,7 @@ def driven_by_others(
 
 
 def unlisted(middleware: Middleware) -> str:
-    """The hub does not name the nodes that have a topic."""
+    """The text for a hub that does not list the nodes of a topic."""
     return (
         f"{middleware.hub} does not list its nodes: it is not known whether a second base takes the"
         f" commands; look at {middleware.topic_info} on the robot"
@@ -489,7 +491,7 @@ def unlisted(middleware: Middleware) -> str:
 
 
 def driven_by_action(action: str, nodes: Iterable[str], cancel: str) -> str:
-    """A goal of an action moves the base. `cancel`: the command that ends it."""
+    """The text for a goal of an action that moves the base; `cancel`: the command to end it."""
     names = listed(nodes)
     return (
         f"someone else drives: action {action}{f' of {names}' if names else ''} has a goal, which"
@@ -507,7 +509,7 @@ def driven(foreign: ForeignCommands, graph: Graph, now: float) -> str:
 
 
 def unconnected(topic: str, nodes: Iterable[str]) -> str:
-    """The base subscribes in ROS 1 and opens no connection to this machine."""
+    """The text for a ROS 1 base that subscribes, but opens no connection to this machine."""
     return (
         f"{listed(nodes)} subscribes to {topic}, but does not connect to this machine; look at"
         " ROS_IP here"
@@ -515,7 +517,7 @@ def unconnected(topic: str, nodes: Iterable[str]) -> str:
 
 
 def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
-    """True once all needed topics tell their rate, and each other topic has a message."""
+    """True once each needed topic has ENOUGH_MESSAGES, and each other topic a message."""
     return elapsed >= MIN_CHECK_TIME and all(
         stats.count >= (ENOUGH_MESSAGES if stats.is_needed else 1)
         for stats in subscriptions.topics.values()
@@ -524,33 +526,27 @@ def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriverCheck:
-    """What a driver found out about its robot during a check.
-
-    `connection_fault` is empty if the hub answers. `command_types`: the classes of messages that
-    commands may have. `has_subscriber`: whether any node subscribes to the commands. `foreign`:
-    what other nodes command. `is_exclusive`: whether another publisher of commands is a fault
-    although it publishes nothing. `unpassed`: by topic, why its messages do not pass the hub.
-    `unlisted`: why it is not known which nodes have a topic; empty if it is. `now`: the time in s
-    on the clock of arrivals.
-    """
+    """The state of a robot that a driver has checked, and the findings that follow."""
 
     graph: Graph
     endpoint: str
-    connection_fault: str = ""
+    connection_fault: str = ""  # empty if the hub answers
     subscriptions: Subscriptions
     spec: ScanSpec
-    cmd_vel: str
-    command_types: Sequence[type]
-    has_subscriber: bool
-    foreign: ForeignCommands
-    foreign_publishers: Collection[str] = ()
-    now: float
-    is_exclusive: bool = False
+    cmd_vel: str  # the full name of the topic of commands
+    command_types: Sequence[type]  # the message classes that commands may have
+    has_subscriber: bool  # any node subscribes to the commands
+    foreign: ForeignCommands  # commands and goals of other nodes
+    foreign_publishers: Collection[str] = ()  # other nodes that may publish commands
+    now: float  # s on the clock of arrivals
+    is_exclusive: bool = False  # another publisher of commands is a fault even while silent
     unpassed: Mapping[str, str] = field(default_factory=dict)
+    """By topic: why its messages do not pass the hub."""
     unlisted: str = ""
+    """Why the nodes of the topics are not known; empty if they are."""
 
     def findings(self) -> tuple[Finding, ...]:
-        """One line each: hub, topics, the subscriber of commands, who has the last word on them."""
+        """A finding for the hub, each topic, the subscriber of commands, and other publishers."""
         if self.connection_fault:
             return (Finding("connection", False, self.connection_fault),)
         return tuple(self._findings())
@@ -586,13 +582,15 @@ class DriverCheck:
     def _scan_delay(self) -> Finding:
         topics = self.subscriptions.topics
         option = "scan" if "scan" in topics else "ranges"
-        scans = [pair for one in topics.values() if one.option == option for pair in one.pairs]
+        scans = [
+            pair for stats in topics.values() if stats.option == option for pair in stats.pairs
+        ]
         return scan_delay_finding(
             scans, topics["odometry"].pairs, self.subscriptions.scan, self.spec
         )
 
     def _topic(self, stats: TopicStats, *, is_entry: bool = False) -> Finding:
-        """One topic. `is_entry`: for an entry (topic_entries.py) that shares it."""
+        """The finding of a topic; `is_entry`: for an entry (topic_entries.py) that shares it."""
         fault, goes_stale = self._fault(stats), stats.goes_stale or is_entry
         if fault:
             is_fault = stats.is_needed or goes_stale or stats.count or stats.faults
@@ -613,7 +611,7 @@ class DriverCheck:
         return Finding(stats.name, True, f"{stats.topic} ({kind}): {details}".rstrip(": "))
 
     def _fault(self, stats: TopicStats) -> str:
-        """What is wrong on one topic; empty if nothing is."""
+        """The first fault of a topic; empty without a fault."""
         if stats.faults:
             return self.graph.unreadable(stats)
         if not stats.count:
@@ -642,7 +640,7 @@ class DriverCheck:
         return f"{self.cmd_vel} ({details}) has a subscriber{names and ': '}{names}{beside}"
 
     def _last_word(self) -> Finding:
-        """Who else may command the base, and how swarmd gets the last word."""
+        """The finding on other nodes that may command the base, and on a multiplexer."""
         topic, names = self.cmd_vel, sorted(self.foreign_publishers)
         fault = self._heard()
         if fault:
@@ -652,11 +650,16 @@ class DriverCheck:
         nodes = {end.node for end in self.graph.subscribers(topic)}
         mux = listed(sorted(node for node in nodes if "mux" in node))
         how = f": give swarmd the highest priority there ({LAST_WORD})" if mux else ""
-        silent = {other: self._owners(other) for other in self.foreign.topics[1:]}
-        silent = {other: owners for other, owners in {topic: names, **silent}.items() if owners}
+        # Other publishers of commands that are silent now, by topic.
+        silent = {topic: names}
+        silent |= {further: self._owners(further) for further in self.foreign.topics[1:]}
+        silent = {command_topic: owners for command_topic, owners in silent.items() if owners}
         if silent:
             how = how or f"; then it has the last word, not swarmd ({LAST_WORD})"
-            text = ", ".join(f"{listed(who)} may publish {other}" for other, who in silent.items())
+            text = ", ".join(
+                f"{listed(owners)} may publish {command_topic}"
+                for command_topic, owners in silent.items()
+            )
             text = f"{text} too, but does not now"
             text = f"{text}; {mux} takes {topic}{how}" if mux else text + how
         elif mux:
@@ -666,7 +669,7 @@ class DriverCheck:
         return Finding("last_word", True, text + self._actions())
 
     def _heard(self) -> str:
-        """The commands and goals of other nodes; empty without one."""
+        """The text for commands or goals of other nodes that were heard; empty without any."""
         goal = self.foreign.source(self.now)
         if goal in self.foreign.actions:
             return driven(self.foreign, self.graph, self.now)
@@ -682,7 +685,7 @@ class DriverCheck:
         )
 
     def _actions(self) -> str:
-        """Which of the actions that may drive is served."""
+        """Which actions that may move the base have a server."""
         text = ""
         for status, action in self.foreign.actions.items():
             owners = self._owners(status)
@@ -695,7 +698,7 @@ class DriverCheck:
 
 
 def listed(names: Iterable[str]) -> str:
-    """The first few names, and how many more."""
+    """The first _MAX_LISTED names, and the number of further names."""
     known = list(names)
     more = f" and {len(known) - _MAX_LISTED} more" if len(known) > _MAX_LISTED else ""
     return ", ".join(known[:_MAX_LISTED]) + more

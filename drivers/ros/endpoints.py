@@ -24,27 +24,18 @@ KNOWN_LISTENERS = (
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One end of a topic: a publisher or a subscription.
-
-    `topic` such as `/tb3_01/scan`, `type` such as `sensor_msgs/msg/LaserScan`; `domain` is None and
-    `node` empty where the announcement does not tell them. `zid` is the Zenoh session that
-    announced it; empty in ROS 1. `quality` of service, such as `best effort`, or `reliable,
-    transient local`; empty where it is unknown. `process` identifies the node's process: a DDS
-    participant; empty where the session, or the name, does that. `since`: when the driver first
-    heard of the node, in s on its clock. `is_routed` False: a bridge lists the node, but hands
-    nothing on.
-    """
+    """One end of a topic: a publisher or a subscription."""
 
     is_publisher: bool
-    topic: str
-    type: str
-    zid: str = ""
-    domain: int | None = None
-    node: str = ""
-    quality: str = ""
-    process: str = ""
-    since: float = -math.inf
-    is_routed: bool = True
+    topic: str  # such as `/tb3_01/scan`
+    type: str  # such as `sensor_msgs/msg/LaserScan`
+    zid: str = ""  # the Zenoh session that announced it; empty in ROS 1
+    domain: int | None = None  # None: not in the announcement
+    node: str = ""  # empty: not in the announcement
+    quality: str = ""  # of service, such as `reliable, transient local`; empty: not known
+    process: str = ""  # the DDS participant of the node; empty where zid or node identify it
+    since: float = -math.inf  # s on the driver's clock at which the node was first heard
+    is_routed: bool = True  # False: a bridge lists the node, but does not route the topic
 
     @property
     def owner(self) -> str:
@@ -60,29 +51,35 @@ class Endpoint:
 def with_nodes(
     announced: Iterable[Endpoint], listed: Iterable[Endpoint], listed_at: float
 ) -> list[Endpoint]:
-    """The announced endpoints, one for each node that a bridge lists behind it.
+    """The announced endpoints, each replaced by the nodes that its bridge lists for the topic.
 
-    A bridge announces a topic once, however many nodes have it, and with the type of the first one.
-    An endpoint without a listed node stays as it is. So does an endpoint that was announced after
-    `listed_at`, the time of the list: the list has the types of nodes that may have left. What is
-    listed and not announced is not routed, nor are nodes of which none has the announced type.
+    A bridge announces a topic once, whatever the number of nodes, with the type of the first node.
+
+    1. An endpoint without a listed node is returned unchanged, and so is an endpoint that was
+       announced after `listed_at`, the time of the list, whose nodes may have left since.
+    2. Listed nodes whose topic is not announced are not routed.
+    3. If no listed node has the announced type, none of them is routed.
     """
     nodes = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
     for end in listed:
         nodes[end.zid, end.is_publisher, end.topic].append(end)
-    found: list[Endpoint] = []
+    merged: list[Endpoint] = []
     for end in announced:
         key = end.zid, end.is_publisher, end.topic
         behind = [] if end.node else nodes.pop(key, [])
         behind = behind if end.since <= listed_at else []
-        is_routed = any(one.type == end.type for one in behind)
-        found += [replace(one, quality=end.quality, is_routed=is_routed) for one in behind] or [end]
-    found += [replace(end, is_routed=False) for ends in nodes.values() for end in ends]
-    return found
+        is_routed = any(node.type == end.type for node in behind)
+        nodes_of_end = [replace(node, quality=end.quality, is_routed=is_routed) for node in behind]
+        merged += nodes_of_end or [end]
+    merged += [replace(end, is_routed=False) for ends in nodes.values() for end in ends]
+    return merged
 
 
 def is_listener(node: str, more: Collection[str] = ()) -> bool:
-    """True if a node takes commands without moving anything, by its name or a pattern in `more`."""
+    """True if a node subscribes to commands without being a base, by its name.
+
+    Known names are in KNOWN_LISTENERS; `more`: further names or patterns of the options.
+    """
     name = node.rpartition("/")[2]
     return any(fnmatchcase(name, known) for known in KNOWN_LISTENERS) or any(
         fnmatchcase(node if "/" in given else name, given) for given in more
@@ -90,7 +87,7 @@ def is_listener(node: str, more: Collection[str] = ()) -> bool:
 
 
 def nodes_of(ends: Iterable[Endpoint]) -> dict[tuple[str, str], Endpoint]:
-    """One endpoint for each node, in the order of the names; of two that are alike the latest."""
-    latest = sorted(ends, key=lambda end: end.since)
-    found = {end.source: end for end in latest}
-    return dict(sorted(found.items(), key=lambda item: (item[1].owner, item[0])))
+    """The latest endpoint of each node, by process and node, sorted by the names of the nodes."""
+    by_time = sorted(ends, key=lambda end: end.since)
+    latest = {end.source: end for end in by_time}
+    return dict(sorted(latest.items(), key=lambda item: (item[1].owner, item[0])))

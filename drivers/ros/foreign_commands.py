@@ -13,7 +13,7 @@ from swarmd.drivers.ros.messages import ActionlibStatusArray, GoalStatusArray
 from swarmd.drivers.ros.options import TopicOptions
 
 YIELD_TIME = 2.0
-"""Seconds for which the base is left to another node after its last command or goal."""
+"""Seconds after the last command or goal of another node for which that node counts as driving."""
 MAX_ZEROS = 3.0
 """Seconds of another node's zeros after which they are reported; a watchdog's last 2 s."""
 
@@ -23,18 +23,13 @@ _COMMANDS = ("Twist", "TwistStamped")
 
 @dataclass(frozen=True, slots=True)
 class ActionProtocol:
-    """How actions tell the states of their goals.
+    """How the servers of actions publish the states of their goals."""
 
-    `status` follows the action's name in the topic. `active`: the states of a goal that may move
-    the base. `cancel` is the command that ends all goals, with `{}` for the action's name. A
-    status holds for `lasts` s; infinity: until the next one.
-    """
-
-    status: str
+    status: str  # the topic's name behind the action's name
     message_type: type
-    active: frozenset[int]
-    cancel: str
-    lasts: float = math.inf
+    active: frozenset[int]  # states in which a goal may move the base
+    cancel: str  # the command that ends all goals; `{}`: the action's name
+    lasts: float = math.inf  # s for which a status holds; inf: until the next status
 
 
 ROS2_ACTIONS = ActionProtocol(
@@ -53,28 +48,31 @@ ROS1_ACTIONS = ActionProtocol(
 
 
 class ForeignCommands:
-    """Commands and goals of other nodes that move the base.
+    """Tracks which other node drives the base, by its commands and its goals of actions.
 
-    It tells which of them drives the base now. `topics`: those on which commands arrive, the
-    driver's own first. `actions`: the actions by the topic of their status. `counts`: commands that
-    arrived, by topic. Times are in s on one clock.
+    `topics`: the topics of commands, the driver's own first. `actions`: the action of each topic of
+    goal states. `counts`: commands that arrived, by topic. Times are in s on one clock.
     """
 
     def __init__(
         self, options: TopicOptions, protocol: ActionProtocol, *, is_cmd_vel_shared: bool = False
     ) -> None:
-        """Nothing received yet. `is_cmd_vel_shared`: commands on the first topic do not drive."""
+        """`is_cmd_vel_shared`: commands of others on the first topic do not count as driving."""
         self.protocol = protocol
         self.topics = tuple(map(options.topic, (options.cmd_vel, *options.other_commands)))
         actions = map(options.topic, options.other_actions)
         self.actions = {f"{action}/{protocol.status}": action for action in actions}
         self.counts: Counter[str] = Counter()
         self._ignored = self.topics[:1] if is_cmd_vel_shared else ()
-        self._until: dict[str, float] = {}  # per topic, the end of YIELD_TIME
+        self._until: dict[str, float] = {}  # by topic: when its node no longer counts as driving
         self._zeros_from = self._zero_at = -math.inf
 
     def take_command(self, topic: str, payload: bytes, types: Collection[str], now: float) -> bool:
-        """Count a command; True unless it is zero. `types`: those that its publishers announce."""
+        """Count a command of another node; True unless it is zero.
+
+        `types`: the message types that the topic's publishers announce; of another type than Twist
+        and TwistStamped the bytes cannot be read, and count as not zero.
+        """
         self.counts[topic] += 1
         is_known = not types or any(kind.rpartition("/")[2] in _COMMANDS for kind in types)
         if is_known and _is_zero(payload):
@@ -87,7 +85,7 @@ class ForeignCommands:
         return True
 
     def take_status(self, topic: str, message: Any, now: float) -> bool:
-        """The states of an action's goals, by its class of messages; True if one may move."""
+        """Take the states of an action's goals; True if a goal may move the base."""
         is_active = any(goal.status in self.protocol.active for goal in message.status_list)
         if is_active:
             self._until[topic] = now + self.protocol.lasts
@@ -96,17 +94,18 @@ class ForeignCommands:
         return is_active
 
     def end_goals(self, topic: str, now: float) -> None:
-        """The goals of the action with this topic of its status have ended, or its server has."""
+        """Note that the goals of an action, or its server, have ended; `topic`: of its status."""
         if self._until.get(topic, now) > now + YIELD_TIME:
             self._until[topic] = now + YIELD_TIME
 
     def source(self, now: float) -> str:
-        """The topic of the command, or of the action's status, that drives; empty without one.
+        """The topic of the commands, or of the action's status, that drives the base now.
 
-        An action comes first: zeros do not end it.
+        Empty if no other node drives. An action counts before commands: zeros do not end a goal.
         """
         driving = [topic for topic, until in self._until.items() if now < until]
-        return next((t for t in driving if t in self.actions), "") or next(iter(driving), "")
+        acting = [topic for topic in driving if topic in self.actions]
+        return next(iter((*acting, *driving)), "")
 
     def has_lasting_zeros(self, now: float) -> bool:
         """True if another node has stopped the robot for longer than a watchdog does."""
@@ -115,5 +114,5 @@ class ForeignCommands:
 
 
 def _is_zero(payload: bytes) -> bool:
-    """True if the last six numbers of a message are zero: a Twist ends both types of commands."""
+    """True if the last six numbers are 0: Twist and TwistStamped both end with these fields."""
     return len(payload) >= _TWIST.size and not any(_TWIST.unpack(payload[-_TWIST.size :]))

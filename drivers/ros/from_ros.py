@@ -1,7 +1,7 @@
-"""ROS messages as the core's values, and safe commands as ROS messages.
+"""Converts ROS messages to the core's values, and safe commands to ROS messages.
 
-Nothing is conditioned here: zeros, infinities and NaN pass as the sensor gave them, and the limits
-of the range come from the platform's file (`swarmd.sensing.conditioning`).
+Ranges are not conditioned here: zeros, infinities and NaN pass as the sensor gave them, and the
+limits of the range come from the platform's file (`swarmd.sensing.conditioning`).
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from swarmd.drivers.ros.absence import why_absent
 
 _MAX_SPAN = 1.1 * 2.0 * math.pi  # of a scan: some sensors repeat their first rays at the end
 _MAX_FIRST_ANGLE = 4.0 * math.pi
-_MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
+_MAX_PERIODS = 1.5  # periods of the scan rate that one sweep may take at most
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
 _MAX_RAYS_OFF = 1.5  # increments between the last ray and angle_max
 _MAX_ROUNDING = 0.01  # of the angle between the first ray and the last
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
 _ROUNDING = 1e-9  # of a covariance
 _FULL = {"share": 1.0, "percent": 100.0}  # what a full battery's percentage is
-_MAX_CHARGE = 1.2  # full ones are told up to 1.17 times full (OpenCR's firmware for ROS 2, 12.6 V)
+_MAX_CHARGE = 1.2  # times full; OpenCR's firmware for ROS 2 reports up to 1.17 at 12.6 V
 
 
 def stamp_of(stamp: ros.Time) -> float:
@@ -45,11 +45,12 @@ def scan_of(
     *,
     is_upside_down: bool = False,
 ) -> Scan:
-    """The scan with bearings in the base frame, of a sensor whose zero points to `yaw` rad.
+    """The scan of a LaserScan, with bearings in the base frame.
 
-    A sensor that is upside down turns the other way round. The ages of the rays are those of the
-    platform; if it lets the sweep be measured, `time_increment` tells the duration of a scan, as
-    far as it is possible. Raises CodecError if the angles are no scan of at most one turn.
+    `yaw`: rad to which the sensor's zero points; an upside-down sensor turns the other way. The
+    ages of the rays follow from the platform's `scan.sweep`. If the robot measures the sweep, they
+    follow from `time_increment` unless its value is impossible. Raises CodecError if the angles
+    span more than one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
@@ -67,18 +68,19 @@ def scan_of(
         _bearings(yaw + side * first, side * step, count),
         spec.range_min,
         spec.range_max,
-        # Both drivers of TurtleBot3's lidars, as rplidar_ros and sllidar_ros2, give a positive
-        # time_increment for rays in falling order of time, and hls_lfcd_lds_driver one 18 times too
-        # short: the platform knows better, or the core measures the order.
+        # `time_increment` is not reliable: both drivers of TurtleBot3's lidars, rplidar_ros and
+        # sllidar_ros2 give a positive value for rays in falling order of time, and
+        # hls_lfcd_lds_driver gives a value 18 times too short. The platform's file counts before
+        # it, or the core measures the order.
         _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None,
     )
 
 
 def header_fault(message: ros.LaserScan) -> str:
-    """How `angle_max` contradicts the rays of a scan, with both figures; empty if it does not.
+    """How `angle_max` contradicts the number of rays of a scan; empty if it does not.
 
-    Drivers give the angle of the last ray or one increment more, and round the increment; some give
-    no `angle_max`.
+    Drivers set `angle_max` to the angle of the last ray or to one increment more, and round the
+    increment; some leave `angle_max` at 0.
     """
     count, step = len(message.ranges), message.angle_increment
     first, last = message.angle_min, message.angle_max
@@ -98,7 +100,10 @@ def header_fault(message: ros.LaserScan) -> str:
 
 
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
-    """How the rays of a scan follow one another, by `time_increment` and by the platform."""
+    """The finding on the order in time of a scan's rays (the sweep).
+
+    It compares `time_increment` of the message with the platform's `scan.sweep`.
+    """
     step, count = message.time_increment, len(message.ranges)
     seconds = abs(step) * count
     is_told = _ages(step, count, 1.0 / spec.rate) is not None
@@ -126,7 +131,7 @@ def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: boo
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
-    """Pose and twist; CodecError if they are not finite, or the message lacks one of them."""
+    """Pose and twist; CodecError if a value is not finite, or marked as not measured."""
     if lacks := why_absent(message, "pose.pose") or why_absent(message, "twist.twist"):
         raise CodecError(lacks)
     position, orientation = message.pose.pose.position, message.pose.pose.orientation
@@ -195,12 +200,12 @@ def battery_readings(
     volts: tuple[float, float] | None = None,
     percentage: str | None = None,
 ) -> dict[str, float]:
-    """`battery` as a share of 1 and `battery_voltage` in V; what is not measured is left out.
+    """`battery` as a share of 1 and `battery_voltage` in V; a value not measured is left out.
 
-    `battery` follows the voltage between those of an empty and a full pack, `volts`; else
-    `percentage` says what the message's own is: a `share` of 1, as sensor_msgs defines it, or
-    `percent`, as some drivers send it. Without either, or if the value contradicts it, there is no
-    `battery`.
+    With `volts`, the voltages of an empty and a full pack, `battery` is interpolated from the
+    voltage. Otherwise `percentage` is the unit of the message's field: `share` (of 1, as
+    sensor_msgs defines), or `percent`, as some drivers send. With neither, or if the value is
+    impossible in that unit, there is no `battery`.
     """
     voltage, share = message.voltage, math.nan
     if not 0.0 <= voltage < math.inf or why_absent(message, "voltage", voltage):
@@ -260,12 +265,12 @@ def twist_of(message: Any) -> Twist:
 
 
 class RangeRingDecoder:
-    """Several range sensors, each with its own topic, as one scan.
+    """Makes one scan of several range sensors, each with its own topic.
 
-    A scan is complete when each sensor has sent a value since the last scan, or when one sends its
-    second: sensors without a value are NaN, unknown. A value with the stamp of the one before does
-    not count; all rays count as of one instant. `bearings` (n,) rad; `distances` (n,) m from the
-    scan's origin to each sensor are added to its values.
+    A scan is complete once each sensor has sent a value since the last scan, or once a sensor sends
+    its second value: sensors without a value are then NaN. A value with the stamp of the sensor's
+    last value is ignored. All rays have the same age. `bearings` (n,) rad. `distances` (n,) m from
+    the scan's origin to each sensor, which are added to its values.
     """
 
     def __init__(
@@ -280,7 +285,7 @@ class RangeRingDecoder:
         self._seq = 0
 
     def take(self, index: int, message: ros.Range) -> Scan | None:
-        """Add one sensor's value; the scan that it completes, or None."""
+        """Add a value of a sensor; returns the scan that it completes, or None."""
         stamp = stamp_of(message.header.stamp)
         if self._stamps.get(index) == stamp:
             return None
@@ -305,9 +310,10 @@ class RangeRingDecoder:
 
 @lru_cache(maxsize=8)
 def _ages(step: float, count: int, period: float) -> Array | None:
-    """How much older than the newest ray each is, in s; None where `step` is 0 or impossible.
+    """(count,) s by which each ray is older than the newest ray; None if `step` is impossible.
 
-    `step` s from each ray to the next in the order of the message, negative against it.
+    `step`: s between two rays in the order of the message; below 0 if the rays are in reversed
+    order of time. It is impossible if 0, or if a sweep would take longer than _MAX_PERIODS.
     """
     if step == 0.0 or not abs(step) * count <= _MAX_PERIODS * period:  # false for NaN too
         return None

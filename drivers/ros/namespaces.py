@@ -1,7 +1,9 @@
-"""Which announced topics may be this robot's under another name, or another robot's. Pure.
+"""Finds announced topics that may be this robot's under another name. Pure.
 
-A wrong proposal drives another robot. A namespace is another robot's if it has a scan, an odometry
-or a base, and this robot has its own; with a namespace set, all beside it are.
+`diagnosis.py` proposes these topics to the user. A topic of another robot must not be proposed: the
+user would drive that robot. If option `namespace` is set, every other namespace is another robot's.
+Otherwise a namespace is another robot's if it has a scan, odometry or base that this robot also has
+elsewhere.
 """
 
 from __future__ import annotations
@@ -20,19 +22,19 @@ _KINDS = {
     (False, "Twist"): "cmd_vel",
     (False, "TwistStamped"): "cmd_vel",
 }
-_WHOLE = 2  # kinds that make a namespace a robot
+_WHOLE = 2  # of the kinds scan, odometry and cmd_vel: a namespace with so many is a robot's
 
 
 @dataclass(frozen=True, slots=True)
 class Candidates:
-    """`topics` may be this robot's. `namespaces`: several robots', or not this robot's own."""
+    """Proposals for a missing topic; both empty: no proposal."""
 
-    topics: tuple[str, ...] = ()
-    namespaces: tuple[str, ...] = ()
+    topics: tuple[str, ...] = ()  # topics that may be the missing one
+    namespaces: tuple[str, ...] = ()  # namespaces in use, of which the user must name the robot's
 
 
 class Namespaces:
-    """The namespaces of some endpoints, beside the one of this robot.
+    """The namespaces of endpoints, and what is published in each.
 
     `heard`: this robot's topics that carried messages.
     """
@@ -66,18 +68,23 @@ class Namespaces:
         return topic.rpartition("/")[0]
 
     def is_of_another_robot(self, topic: str) -> bool:
-        """True if a topic is another robot's, or may be."""
+        """True if a topic belongs to another robot, or may belong to one."""
         space = self.of(topic)
         if self.own:
             return not f"{space}/".startswith(f"{self.own}/")
         return bool(space and self._kinds[space] & self._own_kinds)
 
     def candidates(self, alike: Collection[str]) -> Candidates:
-        """The topics that may be this robot's, of those with the type of a missing topic."""
+        """The proposals for a missing topic; `alike`: the topics with its type.
+
+        1. With option `namespace`: the topics in it, and all namespaces while nothing of it is
+           there.
+        2. Without: the topics, or all candidate namespaces if there are several.
+        """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:
-            others = () if self._is_there else self._kinds
-            return Candidates(topics, tuple(sorted(space or "/" for space in others)))
+            spaces_in_use = () if self._is_there else self._kinds
+            return Candidates(topics, tuple(sorted(space or "/" for space in spaces_in_use)))
         robots = {
             space
             for space, kinds in self._kinds.items()

@@ -44,28 +44,33 @@ Name = Annotated[str, Meta(min_length=1, max_length=200)]
 class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """The names and types of a robot's topics, and how its sensors are mounted.
 
-    `namespace` precedes every topic that does not begin with a slash; `{robot}` in it is the
-    robot's id, with `_` for `-`. `imu` and `battery` are subscribed to only if named; they become
-    the readings `yaw` in rad, `battery` (0 to 1) and `battery_voltage`. `battery` follows the
-    voltage between those of an empty and a full pack, `battery_volts`; else the message's
-    percentage, in the unit of `battery_percentage`; without both options there is no `battery`.
-    `ranges` makes one scan of several `sensor_msgs/Range`: beside `scan` if the platform has a
-    section `ranges`, else in place of it. Topic to bearing in degrees, or to bearing and the
-    sensor's distance in m from the offset of the section. `scan_yaw_deg`: where the lidar's own
-    zero points, from the base's front to the left; `scan_upside_down`: the lidar hangs, and so
-    turns the other way round. `shared_pose`: a topic with the pose of the base's axle in a frame
-    that all robots share, of the class that `shared_pose_type` names; its errors are
-    `shared_pose_error` m and `shared_pose_error_deg`, or three standard deviations by the
-    covariance, if that is more.
-    `cmd_vel_type`: the type of the commands, `auto` for that to which the base subscribes.
-    `cmd_vel_frame` is the frame of stamped commands. `other_commands` are further topics on which
-    the base takes commands, and `other_actions` are actions that move it: both are of other nodes.
-    `cmd_vel_listeners`: nodes that take the commands and move nothing, by name or pattern, such as
-    `ekf_*`; readers in DDS without a node are `dds_reader*`, with the name of their process.
-    `readings`: numbers of any topics, by name.
-    `hazards`: what in which topics tells of a hazard, by name.
-    `detections`: topics with the objects that the robot recognises, by name.
-    `message_path`: folders with the packages of a vendor's message types, as `.msg` files.
+    - `namespace`: precedes every topic that does not begin with a slash; `{robot}` in it is the
+      robot's id, with `_` for `-`.
+    - `imu`, `battery`: subscribed to only if named. They give the readings `yaw` in rad, `battery`
+      (0 to 1) and `battery_voltage`.
+    - `battery_volts`: the volts of an empty and of a full pack, from which `battery` follows.
+      Without it, `battery` is the percentage of the message.
+    - `battery_percentage`: the unit of that percentage. Without it and `battery_volts` there is no
+      `battery`.
+    - `ranges`: makes one scan of several `sensor_msgs/Range`, beside `scan` if the platform has a
+      section `ranges`, otherwise in place of it. Topic to bearing in degrees, or to bearing and the
+      sensor's distance in m from the offset of the section.
+    - `scan_yaw_deg`: the direction of the lidar's zero, from the base's front to the left.
+    - `scan_upside_down`: the lidar hangs upside down, so that it turns the other way.
+    - `shared_pose`: a topic with the pose of the base's axle in a frame that all robots share.
+    - `shared_pose_type`: the message type of that topic.
+    - `shared_pose_error`, `shared_pose_error_deg`: bounds of the errors in m and degrees; three
+      standard deviations of the message's covariance count instead if they are greater.
+    - `cmd_vel_type`: the type of the commands; `auto`: the type to which the base subscribes.
+    - `cmd_vel_frame`: the frame of stamped commands.
+    - `cmd_vel_listeners`: nodes that subscribe to the commands and are no base, by name or pattern,
+      such as `ekf_*`. DDS readers without a node are `dds_reader*`, with the name of their process.
+    - `other_commands`: further topics on which the base takes commands of other nodes.
+    - `other_actions`: actions of other nodes that move the base.
+    - `readings`: numbers in messages of any topics, by name.
+    - `hazards`: numbers in messages that mean a hazard, by name.
+    - `detections`: topics with the objects that the robot recognises, by name.
+    - `message_path`: folders with the packages of a vendor's message types, as `.msg` files.
     """
 
     distro = Stores.ROS2_JAZZY
@@ -99,7 +104,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     @property
     def scan_topic(self) -> str:
-        """The name of the lidar's topic: `scan` where none is given."""
+        """The name of the lidar's topic; `scan` without option `scan`."""
         return self.scan or "scan"
 
     @property
@@ -151,10 +156,11 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of the ROS 2 drivers. `endpoint`: where the bridge or router listens.
+    """Options of the ROS 2 drivers.
 
-    `publish_state`: publish the state of the robot on `swarmd/pose`, `swarmd/markers` and
-    `diagnostics`.
+    - `endpoint`: the address at which the bridge or router listens.
+    - `publish_state`: publish the robot's state on `swarmd/pose`, `swarmd/markers` and
+      `diagnostics`.
     """
 
     endpoint: str = DEFAULT_ENDPOINT
@@ -170,8 +176,9 @@ class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of driver `ros1`.
 
-    `master` and `ip` override ROS_MASTER_URI and ROS_IP. `shared_cmd_vel`: other nodes may publish
-    commands too, as behind a multiplexer of the base. `python`: an interpreter that has rospy.
+    - `master`, `ip`: override ROS_MASTER_URI and ROS_IP.
+    - `shared_cmd_vel`: other nodes may publish commands, too, as with a multiplexer of the base.
+    - `python`: an interpreter that has rospy.
     """
 
     master: str | None = None
@@ -192,7 +199,7 @@ class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields
         own = {"ROS_MASTER_URI": self.master_uri, **({"ROS_IP": self.ip} if self.ip else {})}
         environ = {**os.environ, **own}
         if self.ip:
-            environ.pop("ROS_HOSTNAME", None)  # it would win
+            environ.pop("ROS_HOSTNAME", None)  # rospy would use it in place of ROS_IP
         return environ
 
 
@@ -206,9 +213,9 @@ def read_options(
     robot: str,
     platform: Platform | None = None,
 ) -> O:
-    """The options, `{robot}` filled in; ConfigError names the option that is wrong.
+    """The options with `{robot}` replaced; ConfigError names the option that is wrong.
 
-    `platform` None: whether the options fit it is not looked at.
+    `platform`: the options must fit it; None: this is not checked.
     """
     read = Layered((f"driver {driver}", options)).build(kind)
     own_name = re.sub(r"[^A-Za-z0-9_]", "_", robot)
@@ -236,9 +243,9 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
-    """The options that a zero sender needs: it shall start although a `.msg` file has gone."""
+    """The options that a zero sender needs; it must start even if a `.msg` file is missing."""
     of_sensors = {*ENTRY_KINDS, "message_path"}
-    return {name: one for name, one in options.items() if name not in of_sensors}
+    return {name: value for name, value in options.items() if name not in of_sensors}
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:

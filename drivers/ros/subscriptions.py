@@ -34,11 +34,12 @@ _SIGNS_OF_LIFE = (messages.LaserScan, messages.Range, messages.Odometry)
 
 
 class Subscriptions:
-    """Reads a robot's topics. A driver makes one for each run: scan sequences begin again with it.
+    """Decodes the messages of a robot's topics, and keeps statistics of each topic.
 
+    A driver makes a new object for each run, with which the sequences of scans begin again.
     `topics`: the statistics of each topic by its name in this driver, such as `scan`.
-    `last_arrival`: of a scan, a range or odometry. `contents`: what the scans show, by the option
-    that names their topics.
+    `last_arrival`: s of the last scan, range or odometry. `contents`: what the scans show, by the
+    option that names their topics.
     """
 
     def __init__(
@@ -79,36 +80,37 @@ class Subscriptions:
         }
 
     def read(self, name: str, payload: bytes, now: float, *, is_kept: bool = False) -> Deliver:
-        """Decode one message; how to deliver it once the base is connected. Raises CodecError.
+        """Decode a message; returns the function that delivers its values to a sink.
 
-        `is_kept`: an earlier message of a topic of `kept_topics`, which was asked for.
+        The caller calls that function only while the base is connected. `is_kept`: the message is
+        an earlier one of a topic of `kept_topics`, from the publisher's cache. Raises CodecError.
         """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
         header = getattr(message, "header", None)
         stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
-        told = self._take_extras(stats, message, stamp, now, is_kept)
+        entries_text = self._take_entries(stats, message, stamp, now, is_kept)
         if is_kept:
             stamp = stats.stamps[-1] if stats.stamps else stamp
         extras = partial(self.deliver_inputs, now=now)
         if stats.goes_stale:
-            stats.record(now, stamp or now, told or stats.summary)
+            stats.record(now, stamp or now, entries_text or stats.summary)
             return extras
-        if is_kept:  # nothing moves by what is late
+        if is_kept:  # a late message is no scan, odometry or pose
             return extras
         deliver, summary = self._value(stats, message, now)
-        stats.record(now, stamp, ", ".join(filter(None, (summary, told))))
+        stats.record(now, stamp, ", ".join(filter(None, (summary, entries_text))))
         if stats.message_type in _SIGNS_OF_LIFE:
             self.last_arrival = now
-        return partial(_deliver_all, (deliver, extras)) if told else deliver
+        return partial(_deliver_all, (deliver, extras)) if entries_text else deliver
 
-    def _take_extras(
+    def _take_entries(
         self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool
     ) -> str:
-        """Take in a message for the entries of its topic; their values as text, empty without any.
+        """Hand a message to the entries of its topic; their values as text, empty without entries.
 
-        A message that repeats a stamp is as old as its first copy. Standard messages have no stamp,
-        and many publishers fill in none: then the arrival counts.
+        A message that repeats the last stamp is a copy, and does not renew the age of a value.
+        Messages without a header, or with stamp 0, count by their arrival.
         """
         is_copy = bool(stamp and stats.stamps and stamp == stats.stamps[-1])
         taken = (
@@ -120,7 +122,7 @@ class Subscriptions:
 
     @property
     def kept_topics(self) -> dict[str, TopicStats]:
-        """By full name the topics whose last message counts until the next one."""
+        """The topics whose last message counts until the next message, by their full names."""
         return {
             stats.topic: stats
             for stats in self.topics.values()
@@ -128,14 +130,17 @@ class Subscriptions:
         }
 
     def forget(self, topic: str | None = None) -> None:
-        """Drop values that never become stale, of one topic or of all: a message may be missed."""
+        """Drop the values that never become stale, of a topic or (None) of all topics.
+
+        Called when a message may have been missed, such as after the publisher has left.
+        """
         for inputs in self._inputs.values():
             inputs.forget(topic)
 
     def deliver_inputs(self, sink: Sink, now: float, *, again: bool = False) -> None:
-        """Deliver what the entries give, if it has changed, as by silence; `again`: in any case.
+        """Deliver the inputs of the entries that have changed, also those that became stale.
 
-        The base must be connected.
+        `again`: deliver all inputs. Call it only while the base is connected.
         """
         for inputs in self._inputs.values():
             input = inputs.input(now, again=again)
@@ -143,7 +148,7 @@ class Subscriptions:
                 sink.take(input)
 
     def awaited(self, now: float) -> tuple[TopicStats, ...]:
-        """The topics whose silence holds the robot, and that are silent for too long."""
+        """The topics whose silence holds the robot, and which have been silent for too long."""
         silent = {topic for inputs in self._inputs.values() for topic in inputs.awaited(now)}
         return tuple(stats for stats in self.topics.values() if stats.topic in silent)
 
@@ -161,16 +166,17 @@ class Subscriptions:
 
     @property
     def scan(self) -> Scan | None:
-        """The last scan of the lidar, or of what replaces it; None before the first."""
+        """The last scan of the lidar, or of the range ring in its place; None before the first."""
         return (self.contents.get("scan") or self.contents["ranges"]).last
 
     def sweep_finding(self) -> Finding | None:
-        """How the rays of the last scan follow one another; None without a scan of one message."""
+        """The finding on the sweep of the last LaserScan; None without a LaserScan."""
         if self._laser is None:
             return None
         return from_ros.sweep_finding(self._laser, self._spec, is_upside_down=self._is_upside_down)
 
     def _value(self, stats: TopicStats, message: Any, now: float) -> tuple[Deliver, str]:
+        """How to deliver the value of a message of a standard topic, and its text for a check."""
         if stats.message_type is messages.LaserScan:
             self._scan_seq += 1
             self._laser = message
@@ -200,15 +206,15 @@ class Subscriptions:
         assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:
             names, lacks = IMU, from_ros.no_yaw(message)
-            readings.take_own(names, {})  # of a message that cannot be read
+            readings.take_own(names, {})  # no yaw if `imu_readings` raises CodecError
             values = from_ros.imu_readings(message)
         else:
             names = BATTERY
             values = from_ros.battery_readings(message, *self._battery)
             lacks = "" if "battery" in values else from_ros.no_battery(message, *self._battery)
         readings.take_own(names, values)
-        told = [f"{name} {value:.3g}" for name, value in values.items()]
-        return partial(self.deliver_inputs, now=now), ", ".join(filter(None, (*told, lacks)))
+        texts = [f"{name} {value:.3g}" for name, value in values.items()]
+        return partial(self.deliver_inputs, now=now), ", ".join(filter(None, (*texts, lacks)))
 
 
 def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:

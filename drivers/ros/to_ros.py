@@ -1,7 +1,6 @@
-"""The core's values as messages of a robot's sensors and base, for simulated robots.
+"""Converts the core's values to the ROS messages of simulated robots; the inverse of `from_ros`.
 
-The other direction of `from_ros`. Ranges pass as the sensor gave them, zeros, infinities and NaN
-too.
+Ranges pass as the sensor gave them, including zeros, infinities and NaN.
 """
 
 from __future__ import annotations
@@ -147,10 +146,11 @@ class ReadingEncoder:
 
 
 class TagEncoder:
-    """Objects as the tags that a camera sees: those whose kind is a value of `kinds`.
+    """Encodes objects as the AprilTags that a camera would see.
 
-    Its key is the number of the tag, or its family; the number is then the one at the end of the
-    object's name, such as 2 of `tb4-02`.
+    Only objects whose kind is a value of option `kinds` have a tag. The key of that value is the
+    number of the tag, or its family. With a family, the tag's number is the number at the end of
+    the object's name, such as 2 of `tb4-02`.
     """
 
     is_reliable, depth = True, 1
@@ -183,7 +183,10 @@ class TagEncoder:
         )
 
     def taken_for(self, kind: str, name: str) -> str:
-        """The kind that drivers find for an object of this kind and name: another by its number."""
+        """The kind that a driver reads for the tag of an object of this kind and name.
+
+        It differs from `kind` if option `kinds` gives the tag's number another kind.
+        """
         key = self._keys.get(kind)
         if key is None or key.isdecimal():
             return kind
@@ -202,10 +205,7 @@ def _number(name: str) -> int:
 def encoders(
     options: RosOptions, platform: Platform
 ) -> dict[type[SensorInput], tuple[InputEncoder, ...]]:
-    """The encoders that suit a robot's options, by the kind of their input.
-
-    Other kinds have none.
-    """
+    """The encoders for a robot's options, by kind of input; other kinds are not published."""
     has_ring = platform.ranges is not None
     is_laser = has_ring or not options.ranges
     return {
@@ -227,7 +227,7 @@ def tag_encoders(options: RosOptions) -> tuple[TagEncoder, ...]:
 
 
 def _time_increment(scan: Scan) -> float:
-    """s between two rays in the order of the message; 0 where they were not measured in it."""
+    """s between two rays in the order of the message; 0 if the rays are not in order of time."""
     if scan.ages is None or len(scan.ages) < 2 or (np.diff(scan.ages) > 0.0).any():
         return 0.0
     return float(scan.ages[0] - scan.ages[-1]) / (len(scan.ages) - 1)

@@ -1,4 +1,4 @@
-"""Detected objects of a robot's own topics: boxes of a camera image, positions, AprilTags."""
+"""Option `detections`: objects in messages: boxes of a camera image, positions, AprilTags."""
 
 from __future__ import annotations
 
@@ -20,25 +20,30 @@ from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
 from swarmd.drivers.ros.topic_readings import Step, Text, path_of, value_at
 
 OBJECT = "object"
-"""The kind of an object whose message names no class."""
+"""The kind of an object without a class in its message."""
 
 TAGS = "apriltag_msgs/AprilTag"
-"""Begins the names of the types of tags."""
+"""Prefix of the message types of tags."""
 
 Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
 Kind = Annotated[str, Meta(min_length=1, max_length=MAX_WORD)]
+_MAX_LISTED = 3  # objects in the text of a message
+_MIN_DEPTH = 1e-3  # m
+_DEFAULT_SIZE = 0.1  # m, of a tag without option `size`
 
 
 class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `detections`.
 
-    `type`: Detection2DArray or Detection3DArray of vision_msgs, or AprilTagDetectionArray of
-    apriltag_msgs. `at` m and `bearing_deg`: place and direction of the camera in the base frame.
-    `frame`: the axes of positions: `optical` x right and z ahead, or `body` x ahead and y left.
-    `image_width` pixels and `field_of_view_deg`, horizontal, are those of images without
-    distortion; `size` m: the side of the tags, or the height of the objects, which gives their
-    distance. `kinds`: kinds by class or id of an object, in place of its class. `stale_after`: s
-    without a message after which nothing is known.
+    - `type`: Detection2DArray or Detection3DArray of vision_msgs, or AprilTagDetectionArray of
+      apriltag_msgs.
+    - `at`, `bearing_deg`: position in m and direction of the camera in the base frame.
+    - `frame`: the axes of positions: `optical` (x right, z forward) or `body` (x forward, y left).
+    - `image_width`, `field_of_view_deg`: pixels, and the horizontal angle, of images without
+      distortion.
+    - `size`: m, the side of the tags or the height of the objects; the distance follows from it.
+    - `kinds`: the kind of an object by its class or id, in place of its class.
+    - `stale_after`: s without a message after which the objects are not known.
     """
 
     topic: Text
@@ -59,17 +64,18 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Fields of the items of `detections`: of each the first that its definition has.
+    """The fields of a detection in a message type.
 
-    Definitions differ between versions of vision_msgs. `place` is a position or a pixel.
+    Each field has alternatives, of which the first that the definition has is used: definitions
+    differ between versions of vision_msgs.
     """
 
     kind: Sequence[str]
     id: Sequence[str]
-    place: Sequence[str]
-    is_image: bool = True
-    height: Sequence[str] = ()
-    corners: Sequence[str] = ()
+    place: Sequence[str]  # a pixel of the image, or a position
+    is_image: bool = True  # `place` is a pixel
+    height: Sequence[str] = ()  # of the object in the image
+    corners: Sequence[str] = ()  # of a tag in the image
 
 
 _CLASSES = "results.0.hypothesis.class_id", "results.0.id"
@@ -87,10 +93,10 @@ _LAYOUTS = {
 
 @dataclass(frozen=True, slots=True)
 class TopicDetections(TopicEntry):
-    """The objects in messages; steps lead to the fields of each, None without."""
+    """Reads the objects in messages by the steps to their fields; None: no such field."""
 
     options: DetectionOptions
-    is_image: bool
+    is_image: bool  # `place` is a pixel
     place: tuple[Step, ...]
     kind: tuple[Step, ...] | None
     id: tuple[Step, ...] | None
@@ -98,12 +104,13 @@ class TopicDetections(TopicEntry):
     corners: tuple[Step, ...] | None
 
     def read(self, message: Any) -> tuple[Detection, ...]:
-        """The objects in a message, without those whose place is not finite, or missing."""
-        found = (self._detection(item) for item in message.detections[:MAX_DETECTIONS])
-        return tuple(one for one in found if one is not None and one.is_valid)
+        """The objects in a message whose place is there and finite."""
+        read = (self._detection(item) for item in message.detections[:MAX_DETECTIONS])
+        return tuple(item for item in read if item is not None and item.is_valid)
 
     def _detection(self, item: Any) -> Detection | None:
-        bearing, distance = self._seen(item)
+        """An object in the base frame; None without a place."""
+        bearing, distance = self._from_camera(item)
         if why_absent(item, "bbox") or not math.isfinite(bearing):
             return None
         bearing += math.radians(self.options.bearing_deg)
@@ -117,8 +124,12 @@ class TopicDetections(TopicEntry):
         kind = kinds.get(own) or kinds.get(given) or given or OBJECT
         return Detection(kind[:MAX_WORD], wrap(bearing), distance, own[:MAX_WORD])
 
-    def _seen(self, item: Any) -> tuple[float, float | None]:
-        """Bearing and distance from the camera."""
+    def _from_camera(self, item: Any) -> tuple[float, float | None]:
+        """Bearing in rad and distance in m from the camera, in the camera's frame.
+
+        Of an image the distance follows from the size in pixels by the pinhole model; None without
+        option `size`.
+        """
         place = value_at(item, self.place)
         if not self.is_image:
             is_optical = self.options.frame == "optical"
@@ -128,60 +139,63 @@ class TopicDetections(TopicEntry):
         focal = _focal(width, self.options.field_of_view_deg or 90.0)
         if not math.isfinite(place.x):
             return math.nan, None
-        across = math.atan2(0.5 * width - place.x, focal)
+        bearing = math.atan2(0.5 * width - place.x, focal)
         pixels, size = self._pixels(item), self.options.size
         if size is None or not 0.0 < pixels < math.inf:
-            return across, None
-        return across, focal * size / pixels / math.cos(across)
+            return bearing, None
+        return bearing, focal * size / pixels / math.cos(bearing)
 
     def _pixels(self, item: Any) -> float:
-        """How large the object is in the image; 0 if that is not known."""
+        """The height of an object, or the longest side of a tag, in pixels; 0 if not known."""
         if self.height is not None:
             return float(value_at(item, self.height))
         if self.corners is None:
             return 0.0
         corners = value_at(item, self.corners)
-        # A tag that is turned away is narrower, not lower: its longest side counts.
+        # A tag that is turned about the vertical looks narrower: the longest side counts.
         sides = zip(corners, [*corners[1:], corners[0]], strict=True)
         return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in sides)
 
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
-        """The column of an object in the image, and its side, both in pixels.
+        """The horizontal position of an object in the image, and its side, both in pixels.
 
-        None if it is outside the image or has no distance. The other direction of `read`, for
+        None if the object is outside the image or has no distance. The inverse of `read`, for
         simulated cameras.
         """
-        (x, y), away = self.options.at, seen.distance
-        if away is None:
+        if seen.distance is None:
             return None
-        x, y = away * math.cos(seen.bearing) - x, away * math.sin(seen.bearing) - y
-        across = wrap(math.atan2(y, x) - math.radians(self.options.bearing_deg))
+        camera_x, camera_y = self.options.at
+        x = seen.distance * math.cos(seen.bearing) - camera_x
+        y = seen.distance * math.sin(seen.bearing) - camera_y
+        bearing = wrap(math.atan2(y, x) - math.radians(self.options.bearing_deg))
         width, view = self.options.image_width or 1.0, self.options.field_of_view_deg or 90.0
-        if abs(across) > math.radians(0.5 * view):
+        if abs(bearing) > math.radians(0.5 * view):
             return None
-        depth = max(math.hypot(x, y) * math.cos(across), 1e-3)
+        depth = max(math.hypot(x, y) * math.cos(bearing), _MIN_DEPTH)
         focal = _focal(width, view)
-        return 0.5 * width - focal * math.tan(across), focal * (self.options.size or 0.1) / depth
+        side = focal * (self.options.size or _DEFAULT_SIZE) / depth
+        return 0.5 * width - focal * math.tan(bearing), side
 
     @staticmethod
     def _word(item: Any, path: tuple[Step, ...] | None) -> str:
         try:
             value = "" if path is None else str(value_at(item, path))
-        except IndexError:  # no hypothesis
+        except IndexError:  # the detection has no hypothesis
             return ""
         return value if value.isprintable() else ""
 
 
 def _focal(width: float, view_deg: float) -> float:
+    """The focal length in pixels of a pinhole camera with this horizontal field of view."""
     return 0.5 * width / math.tan(0.5 * math.radians(view_deg))
 
 
 def topic_detections(
     name: str, options: DetectionOptions, full: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicDetections]:
-    """The detections of an entry; ConfigError names the key that is wrong.
+    """The reader of the entry `name`; ConfigError names the key that is wrong.
 
-    `full` gives the full name of a topic.
+    `full`: returns the full name of a topic.
     """
     where = f"detections.{name}"
     plain = options.type.replace("/msg/", "/")
@@ -211,7 +225,7 @@ def topic_detections(
 
 
 def _first(types: MessageTypes, item_type: type, fields: Sequence[str]) -> tuple[Step, ...] | None:
-    """The steps to the first of the fields that the definition has; None without any."""
+    """The steps to the first of `fields` that the definition has; None if it has none of them."""
     for field in fields:
         try:
             return path_of(types, item_type, field)[0]
@@ -221,37 +235,41 @@ def _first(types: MessageTypes, item_type: type, fields: Sequence[str]) -> tuple
 
 
 class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
-    """The objects that are recognised now, of all topics together."""
+    """The objects that all topics together detect now."""
 
     def __init__(self, entries: Mapping[str, TopicDetections]) -> None:
         super().__init__(entries)
-        self._is_told = not entries
+        self._is_reported = not entries  # the present values were returned by `input`
         self._was_known = False
 
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
         """See `TopicInputs`."""
-        found = self._entries[name].read(message)
-        self._values[name], self._is_told = (found, now), False
-        lacks = min(len(message.detections), MAX_DETECTIONS) - len(found)
-        without = [f"{lacks} without a place"] if lacks else []
-        return ", ".join((*_texts(found), *without)) or "no object"
+        objects = self._entries[name].read(message)
+        self._values[name], self._is_reported = (objects, now), False
+        unplaced = min(len(message.detections), MAX_DETECTIONS) - len(objects)
+        unplaced_text = [f"{unplaced} without a place"] if unplaced else []
+        return ", ".join((*_texts(objects), *unplaced_text)) or "no object"
 
     def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
-        """All objects after a message; None if a topic is silent for too long, or never heard."""
+        """The objects of all topics if they are new, else None; see `TopicInputs`.
+
+        While a topic has been silent for too long, or was never heard, its `DetectionsInput` has
+        None in place of objects.
+        """
         is_known = not any(self._stale(now))
-        is_due = again or not self._is_told or (self._was_known and not is_known)
+        is_due = again or not self._is_reported or (self._was_known and not is_known)
         if not (self._entries and is_due):
             return None
-        self._is_told, self._was_known = True, is_known
+        self._is_reported, self._was_known = True, is_known
         seen = (self._values[name][0] for name in self._entries) if is_known else ()
         objects = tuple(chain.from_iterable(seen))[:MAX_DETECTIONS]
         return DetectionsInput(objects if is_known else None)
 
 
-def _texts(found: Sequence[Detection]) -> Iterator[str]:
-    for one in found[:3]:
-        away = "" if one.distance is None else f", {one.distance:.3g} m"
-        name = f"{one.kind} {one.id}".rstrip()
-        yield f"{name} at {math.degrees(one.bearing):.0f} deg{away}"
-    if len(found) > 3:
-        yield f"{len(found) - 3} more"
+def _texts(objects: Sequence[Detection]) -> Iterator[str]:
+    for detection in objects[:_MAX_LISTED]:
+        distance = "" if detection.distance is None else f", {detection.distance:.3g} m"
+        name = f"{detection.kind} {detection.id}".rstrip()
+        yield f"{name} at {math.degrees(detection.bearing):.0f} deg{distance}"
+    if len(objects) > _MAX_LISTED:
+        yield f"{len(objects) - _MAX_LISTED} more"

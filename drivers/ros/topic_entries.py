@@ -1,4 +1,4 @@
-"""The options whose entries name topics of their own: one row an option."""
+"""The table of the options with entries: how an entry is read, and how values are collected."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ FullName = Callable[[str], str]
 
 
 class EntryKind(NamedTuple):
-    """`read`: what an entry reads, by its name, options, the full names of topics and types.
+    """An option with entries.
 
-    `read` raises ConfigError that names the key. `inputs`: the values of all entries.
+    `read(name, options, full_name, types)`: makes the entries of a key; raises ConfigError that
+    names the key. `inputs(entries)`: collects the values of all entries.
     """
 
     read: Callable[[str, Any, FullName, MessageTypes], tuple[TopicEntry, ...]]

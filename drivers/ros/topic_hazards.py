@@ -1,4 +1,4 @@
-"""Hazards of a robot's own topics: which field of which message means which hazard."""
+"""Option `hazards`: numbers in messages of a robot's topics that mean a hazard."""
 
 from __future__ import annotations
 
@@ -40,13 +40,15 @@ Meaning = Annotated[str, Meta(min_length=1, max_length=100)]
 class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `hazards`.
 
-    `field`: a number in a message of `type`, as in `readings`; with `list` in each message of that
-    list. `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or for
-    each number its hazard. A hazard is a kind, and the place where that is known: `bump`,
-    `bump front left`. `place_field`: a text that names the place, such as `header.frame_id`.
-    `stale_after`: s without a message after which the robot is held, as for a hazard.
-    `never`: for a topic that is published on change. Its last message counts while its publisher
-    is there; the robot is held before the first message.
+    - `field`: a number in a message of `type`, as in `readings`.
+    - `list`: a list in the message, each of whose items has the field.
+    - `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or a
+      mapping from numbers to hazards. A hazard is a kind, and its place if known: `bump`, or
+      `bump front left`.
+    - `place_field`: a text in the message that names the place, such as `header.frame_id`.
+    - `stale_after`: s without a message after which the robot is held, as for a hazard. `never` is
+      for a topic that is published on change: its last message counts while its publisher is there,
+      and the robot is held before the first message.
     """
 
     topic: Text
@@ -66,27 +68,24 @@ class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 @dataclass(frozen=True, slots=True)
 class TopicHazard(TopicEntry):
-    """The hazards that messages carry.
+    """Reads the hazards in messages, of the message itself or of the items of a list in it."""
 
-    The steps of `items` lead to the list, those of `number` and `place` to fields of its items.
-    `means`: the hazard of each number; of None: of any other number beyond `limits`.
-    """
-
-    items: tuple[Step, ...] | None
+    items: tuple[Step, ...] | None  # the steps to the list; None: the message is the only item
     field: str
-    number: tuple[Step, ...]
-    place: tuple[Step, ...] | None
-    means: Mapping[int | None, Hazard]
-    limits: tuple[float, float]
+    number: tuple[Step, ...]  # the steps from an item to the number
+    place: tuple[Step, ...] | None  # the steps from an item to the text of the place
+    means: Mapping[int | None, Hazard]  # by number; None: any number outside `limits`
+    limits: tuple[float, float]  # a number from the first to the second is no hazard
 
     def read(self, message: Any) -> tuple[Hazard, ...] | str:
-        """The hazards in a message; why it does not tell, if a number is not measured.
+        """The hazards in a message; a text with the reason if a number is not measured.
 
-        A range beyond the limits of the sensor, or an infinite one, is compared with those of the
-        hazard: a floor sensor over a cliff sees nothing.
+        A number above the upper limit of the hazard counts even if the message marks it as not
+        measured, such as a range beyond the sensor's range: over a cliff a floor sensor has no
+        return.
         """
         items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
-        found: dict[Hazard, None] = {}
+        hazards: dict[Hazard, None] = {}
         for item in items:
             try:
                 number = float(value_at(item, self.number))
@@ -100,8 +99,8 @@ class TopicHazard(TopicEntry):
                 return lacks
             hazard = self._hazard(number)
             if hazard is not None:
-                found[self._placed(hazard, item)] = None
-        return tuple(found)
+                hazards[self._placed(hazard, item)] = None
+        return tuple(hazards)
 
     def _hazard(self, number: float) -> Hazard | None:
         any_number, (low, high) = self.means.get(None), self.limits
@@ -110,6 +109,7 @@ class TopicHazard(TopicEntry):
         return None if low <= number <= high else any_number
 
     def _placed(self, hazard: Hazard, item: Any) -> Hazard:
+        """The hazard with the place in the item's text, unless the hazard has a place."""
         if self.place is None or hazard.place:
             return hazard
         left_out = _NO_PLACE | set(hazard.kind.split("_"))
@@ -121,9 +121,9 @@ class TopicHazard(TopicEntry):
 def topic_hazard(
     name: str, options: HazardOptions, full: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicHazard]:
-    """The hazards of an entry; ConfigError names the key that is wrong.
+    """The reader of the entry `name`; ConfigError names the key that is wrong.
 
-    `full` gives the full name of a topic.
+    `full`: returns the full name of a topic.
     """
     where, key = f"hazards.{name}", ""
     try:
@@ -189,12 +189,12 @@ def _means(options: HazardOptions) -> Mapping[int | None, Hazard]:
         raise ConfigError("expected the hazard of at least one number")
     if bad := [number for number in given if not str(number).isdecimal()]:
         raise ConfigError(f"expected a hazard for each whole number, not for {bad[0]!r}")
-    # In YAML the numbers are numbers, in JSON they are texts.
+    # The keys are numbers in YAML, and texts in JSON.
     return {int(number): _meaning(text) for number, text in given.items()}
 
 
 def _meaning(text: str) -> Hazard:
-    """The hazard of `wheel_drop left`."""
+    """The hazard of a text of kind and place, such as `wheel_drop left`."""
     kind, _, place = text.strip().partition(" ")
     if kind not in _KINDS:
         raise ConfigError(unknown("hazard", kind, _KINDS))
@@ -204,13 +204,13 @@ def _meaning(text: str) -> Hazard:
 class Hazards(TopicInputs[TopicHazard, tuple[Hazard, ...]]):
     """The present hazards of a robot's topics.
 
-    A topic without a message for longer than its `stale_after`, or without any, is the hazard
+    A topic that was silent for longer than its `stale_after`, or never heard, is the hazard
     NOT_HEARD.
     """
 
     def __init__(self, entries: Mapping[str, TopicHazard]) -> None:
         super().__init__(entries)
-        self._told: tuple[Hazard, ...] | None = None if entries else ()
+        self._reported: tuple[Hazard, ...] | None = None if entries else ()
 
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
         """See `TopicInputs`."""
@@ -226,9 +226,9 @@ class Hazards(TopicInputs[TopicHazard, tuple[Hazard, ...]]):
     def input(self, now: float, *, again: bool = False) -> HazardsInput | None:
         """All present hazards, each once."""
         present = tuple(dict.fromkeys(self._present(now))) if self._entries else ()
-        if present == self._told and not (again and self._entries):
+        if present == self._reported and not (again and self._entries):
             return None
-        self._told = present
+        self._reported = present
         return HazardsInput(present)
 
     def awaited(self, now: float) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What the entries of an option such as `readings` give together, from topics of their own."""
+"""Base classes of the options with entries (`topic_entries.py`): an entry, and all values."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from swarmd.core.events import SensorInput
 
 @dataclass(frozen=True, slots=True)
 class TopicEntry:
-    """What is read in messages of `message_type` on `topic`."""
+    """An entry of an option: reads values in messages of `message_type` on `topic`."""
 
     name: str
     option: str
-    """Names the entry and its topic in messages, such as `readings.light`."""
+    """The name of the entry in texts, such as `readings.light`."""
     topic: str
     message_type: type
     stale_after: float
@@ -42,30 +42,31 @@ class TopicInputs(ABC, Generic[E, V]):
 
     @abstractmethod
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
-        """Take in a message for an entry; its value as text.
+        """Take a message for an entry; returns its value as text.
 
-        `is_kept`: an earlier message that was asked for; it counts if none is known.
+        `is_kept`: an earlier message from the publisher's cache, which is used only if the entry
+        has no value.
         """
 
     @abstractmethod
     def input(self, now: float, *, again: bool = False) -> SensorInput | None:
-        """The input of all entries, if it has changed since the last call; `again`: in any case.
+        """The input with the values of all entries, if it has changed since the last call.
 
-        None also if there are no entries.
+        `again`: return it in any case. None if it has not changed, or without entries.
         """
 
     def awaited(self, now: float) -> tuple[str, ...]:
-        """The topics whose silence holds the robot, and that are silent for too long."""
+        """The topics whose silence holds the robot, and which have been silent for too long."""
         return ()
 
     def forget(self, topic: str | None = None) -> None:
-        """Drop values that never become stale, of a topic or of all: a message may be missed."""
+        """Drop the values that never become stale, of a topic or (None) of all topics."""
         for name, entry in self._entries.items():
             if entry.is_never_stale and topic in (None, entry.topic):
                 self._values.pop(name, None)
 
     def _stale(self, now: float) -> Iterator[E]:
-        """The entries that are silent for too long, or were never heard."""
+        """The entries that have been silent for longer than `stale_after`, or were never heard."""
         for name, entry in self._entries.items():
             if name not in self._values or now - self._values[name][1] > entry.stale_after:
                 yield entry

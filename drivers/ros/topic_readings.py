@@ -1,4 +1,4 @@
-"""Readings of a robot's own topics: a number in a message of any known type, by its field."""
+"""Option `readings`: a number in messages of any known type, named by topic and field."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BATTERY: tuple[str, ...] = ("battery", "battery_voltage")
 """The readings of the options `imu` and `battery`."""
 
 READING = "readings."
-"""Begins the option of a reading."""
+"""Prefix of the option of a reading, such as `readings.light`."""
 
 _OWN = (*IMU, *BATTERY)
 _ANY = "*"
@@ -43,13 +43,14 @@ Text = Annotated[str, Meta(min_length=1, max_length=200)]
 class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `readings`.
 
-    `field`: the place of the number in a message of `type`: names and indices between dots, such as
-    `vector.x` or `data.0`; `length` behind a list is its number of items. `unit` is for people.
-    `stale_after`: s without a message after which the reading has no value; `never`: for a topic
-    that is published on change, whose last message counts while its publisher is there.
-    Several sensors of a quantity, such as `ground`, are the readings `ground_1`, `ground_2` ... and
-    their mean `ground`: those of several topics in a list, and those of one message, `count` items
-    of a list whose index is `*` in `field`, such as `data.*`.
+    `field`: the number in a message of `type`, by names and indices separated by dots, such as
+    `vector.x` or `data.0`; `length` behind a list is the number of its items. `unit`: for display
+    only. `stale_after`: s without a message after which the reading has no value. `never` is for a
+    topic that is published on change: its last message counts while its publisher is there.
+
+    An entry with several sensors, such as `ground`, gives the readings `ground_1`, `ground_2` ...
+    and their mean `ground`. The sensors are several topics (a list in `topic`), or `count` items of
+    a list in one message, whose index is `*` in `field`, such as `data.*`.
     """
 
     topic: Text | Annotated[tuple[Text, ...], Meta(min_length=2, max_length=MAX_SENSORS)]
@@ -68,22 +69,22 @@ class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 @dataclass(frozen=True, slots=True)
 class TopicReading(TopicEntry):
-    """A reading at `field`, to which the steps of `path` lead.
+    """A number in the messages of a topic."""
 
-    `mean_of`: the entry of which this is one sensor of several; empty for a single one.
-    """
-
-    mean_of: str
+    mean_of: str  # the name of the mean of several sensors; empty for a single sensor
     field: str
-    path: tuple[Step, ...]
+    path: tuple[Step, ...]  # the steps from a message to the field
     unit: str
 
     def value(self, message: Any) -> float:
-        """The number in a message; NaN if there is none: see `lacks`."""
+        """The number in a message; NaN if the message has none (`lacks`)."""
         return math.nan if self.lacks(message) else float(value_at(message, self.path))
 
     def lacks(self, message: Any) -> str:
-        """Why a message has no number: not measured, not finite, or beyond the end of a list."""
+        """Why a message has no number; empty if it has.
+
+        The number is not measured, not finite, or beyond the end of a list.
+        """
         try:
             number = float(value_at(message, self.path))
         except IndexError:
@@ -95,9 +96,9 @@ class TopicReading(TopicEntry):
 def topic_readings(
     name: str, options: ReadingOptions, full: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicReading, ...]:
-    """The readings of an entry; ConfigError names the key that is wrong.
+    """The readings of the entry `name`; ConfigError names the key that is wrong.
 
-    `full` gives the full name of a topic.
+    `full`: returns the full name of a topic.
     """
     where = f"{READING}{name}"
     if not name.isidentifier() or len(name) > 63:
@@ -176,7 +177,10 @@ def value_at(message: Any, path: Sequence[Step]) -> Any:
 
 
 def _step(fielddefs: Mapping[str, Any], node: Any, detail: Any, part: str) -> tuple[Step, Any]:
-    """What leads from a value of a type to a part of it, and the part's type."""
+    """The step from a value to its part `part`, and the type of the part as rosbags' node.
+
+    `node` and `detail`: the type of the value. Raises ConfigError without such a part.
+    """
     if node is Nodetype.NAME:
         fields = dict(fielddefs[detail][1])
         if part not in fields:
@@ -195,6 +199,7 @@ def _step(fielddefs: Mapping[str, Any], node: Any, detail: Any, part: str) -> tu
 
 
 def _end_fault(fielddefs: Mapping[str, Any], node: Any, detail: Any) -> str:
+    """Why a field of this type is no number; empty if it is a number."""
     if node is Nodetype.NAME:
         names = [name for name, _ in fielddefs[detail][1]]
         return f"a {detail.replace('/msg/', '/')}, not a number; add one of {', '.join(names)}"
@@ -204,12 +209,12 @@ def _end_fault(fielddefs: Mapping[str, Any], node: Any, detail: Any) -> str:
 
 
 def _octet(value: int) -> int:
-    """A `byte` of ROS 2, which rosbags reads as it is in ROS 1: with a sign."""
+    """The unsigned value of a ROS 2 `byte`, which rosbags reads as signed, as in ROS 1."""
     return int(value) & 0xFF
 
 
 class Readings(TopicInputs[TopicReading, float]):
-    """The present values of a robot's readings, with those of the options `imu` and `battery`."""
+    """The present values of all readings, including those of the options `imu` and `battery`."""
 
     def __init__(self, entries: Mapping[str, TopicReading]) -> None:
         super().__init__(entries)
@@ -218,19 +223,19 @@ class Readings(TopicInputs[TopicReading, float]):
             if reading.mean_of:
                 self._groups.setdefault(reading.mean_of, []).append(name)
         self._own: dict[str, float] = {}
-        self._told_stale = frozenset[str]()
-        self._has_news = False
+        self._reported_stale = frozenset[str]()
+        self._is_changed = False
 
     def take_own(self, names: Collection[str], values: Mapping[str, float]) -> None:
-        """Take in what a message of `imu` or `battery` gives of `names`; it is never stale."""
-        self._has_news = True
+        """Replace the readings `names` of `imu` or `battery` by `values`, which are never stale."""
+        self._is_changed = True
         self._own = {n: v for n, v in self._own.items() if n not in names} | {**values}
 
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
         """See `TopicInputs`."""
         reading = self._entries[name]
         value = reading.value(message)
-        self._has_news = True
+        self._is_changed = True
         if is_kept and name in self._values:
             return self._text(reading, self._values[name][0])
         if math.isnan(value):
@@ -241,7 +246,7 @@ class Readings(TopicInputs[TopicReading, float]):
         return self._text(reading, value)
 
     def forget(self, topic: str | None = None) -> None:
-        """Without a topic also drop those of `imu` and `battery`; see `TopicInputs`."""
+        """As `TopicInputs.forget`; without a topic drop `imu` and `battery`, too."""
         self._own = {} if topic is None else self._own
         super().forget(topic)
 
@@ -249,12 +254,12 @@ class Readings(TopicInputs[TopicReading, float]):
         """All readings; NaN for each without a value that is fresh enough."""
         stale = frozenset(reading.name for reading in self._stale(now))
         is_due = again and (self._entries or self._own)
-        if not (is_due or self._has_news or stale != self._told_stale):
+        if not (is_due or self._is_changed or stale != self._reported_stale):
             return None
-        self._told_stale, self._has_news = stale, False
+        self._reported_stale, self._is_changed = stale, False
         fresh = {n: v for n, (v, _) in self._values.items() if n not in stale}
         means = {
-            name: math.fsum(fresh.get(one, math.nan) for one in sensors) / len(sensors)
+            name: math.fsum(fresh.get(sensor, math.nan) for sensor in sensors) / len(sensors)
             for name, sensors in self._groups.items()
         }
         values = {**self._own, **means, **fresh, **dict.fromkeys(sorted(stale), math.nan)}

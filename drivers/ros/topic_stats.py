@@ -13,42 +13,38 @@ WINDOW = 64
 FAULT_TIMEOUT = 2.0
 """Seconds after which a fault no longer counts as recent."""
 SETBACK_WINDOW = 10.0
-"""Seconds within which stamps that go back twice count as those of two publishers."""
+"""Stamps that go back twice within this time in s are a sign of two publishers."""
 
-_STANDSTILL_WINDOW = 3.0  # s before the last message of which standing stamps count
-_STANDSTILL_MESSAGES = 3  # with one stamp, at least
-_STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
+_STANDSTILL_WINDOW = 3.0  # s before the last message in which repeated stamps are searched
+_STANDSTILL_MESSAGES = 3  # messages in a row with one stamp that count as a standstill
+_STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors repeat a stamp once
 
 
 @dataclass(slots=True, eq=False)
 class TopicStats:
-    """One subscribed topic and what arrived on it.
-
-    `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
-    s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
-    they do when a robot restarts; `setbacks` holds the last two times of that. `goes_stale`: the
-    topic has entries of `ENTRY_KINDS` alone. `stale_after` s is the least of all its entries.
-    `doubt`: what the last messages say against themselves although they can be read; of a series
-    the first. `further`: the entries of these options that share the topic.
-    """
+    """One subscribed topic, and statistics of its messages."""
 
     name: str
-    option: str
-    topic: str
+    option: str  # the driver option that names the topic
+    topic: str  # the full name
     message_type: type
-    is_needed: bool = False
-    count: int = 0
+    is_needed: bool = False  # the base counts as lost without this topic
+    count: int = 0  # messages that could be read
     times: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    """Arrivals in s on the loop's clock; cleared with `stamps` when a stamp goes back."""
     stamps: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    """Stamps in s on the sender's clock."""
     setbacks: deque[float] = field(default_factory=lambda: deque(maxlen=2))
-    summary: str = ""
-    fault: str = ""
-    fault_at: float = -math.inf
-    faults: int = 0
-    stale_after: float = math.inf
-    goes_stale: bool = False
-    doubt: str = ""
+    """The last two times in s at which a stamp went back, such as when a robot restarts."""
+    summary: str = ""  # the content of the last message
+    fault: str = ""  # the first of the present series of messages that could not be used
+    fault_at: float = -math.inf  # s of the last such message
+    faults: int = 0  # messages that could not be used
+    stale_after: float = math.inf  # s, the least of all entries of the topic
+    goes_stale: bool = False  # the topic has only entries of `ENTRY_KINDS`
+    doubt: str = ""  # the first contradiction in the present series of readable messages
     further: list[str] = field(default_factory=list)
+    """Options of further entries that share the topic."""
 
     def record(self, now: float, stamp: float, summary: str = "") -> None:
         """Count a message that could be read; `summary` describes its content briefly."""
@@ -62,11 +58,11 @@ class TopicStats:
         self.summary = summary
 
     def record_doubt(self, doubt: str) -> None:
-        """Keep what the present message says against itself; empty ends the series."""
-        self.doubt = doubt and (self.doubt or doubt)
+        """Note how the present message contradicts itself; an empty `doubt` ends the series."""
+        self.doubt = (self.doubt or doubt) if doubt else ""
 
     def record_fault(self, now: float, fault: str) -> None:
-        """Count a message that could not be used; of a series the first fault is kept."""
+        """Count a message that could not be used; the first fault of a series is kept."""
         self.fault = self.recent_fault(now) or fault
         self.fault_at = now
         self.faults += 1
@@ -76,7 +72,7 @@ class TopicStats:
         return self.times[-1] if self.times else -math.inf
 
     def recent_fault(self, now: float) -> str:
-        """The fault of the last FAULT_TIMEOUT; empty without one."""
+        """The fault within the last FAULT_TIMEOUT; empty without a fault."""
         return self.fault if now - self.fault_at < FAULT_TIMEOUT else ""
 
     def rate(self) -> float:
@@ -92,22 +88,26 @@ class TopicStats:
 
     @property
     def is_never_stale(self) -> bool:
-        """True for entries whose last message counts until the next one."""
+        """True for entries whose last message counts until the next message."""
         return self.goes_stale and self.stale_after == math.inf
 
     @property
     def is_scan(self) -> bool:
-        """True for the range sensor, or a part of it."""
+        """True for a lidar, or a sensor of the range ring."""
         return self.option in ("scan", "ranges")
 
     def stamps_advance(self) -> bool:
-        """False if the last few stamps are all the same; true below three messages."""
+        """False if the last few stamps are equal; True below three messages."""
         count = min(len(self.stamps), _STAMP_WINDOW)
         return count < 3 or self.stamps[-1] > self.stamps[-count]
 
     def standstill(self) -> float:
-        """The longest time in s without a new stamp while messages came; 0 if all have one."""
+        """The longest time in s without a new stamp while messages came.
+
+        0 if all messages have one stamp, or no stamp comes _STANDSTILL_MESSAGES times in a row.
+        """
         recent = [pair for pair in self.pairs if self.times[-1] - pair[0] < _STANDSTILL_WINDOW]
+        # Runs of messages with one stamp, as (arrival, stamp). A run ends when the next begins.
         runs = [list(run) for _, run in groupby(recent, key=itemgetter(1))]
         ends = [*(run[0][0] for run in runs[1:]), self.last_arrival()]
         spans = [

@@ -1,4 +1,4 @@
-"""Zeros that answer the commands of another node, while the robot must stand."""
+"""Sends zeros against the commands of another node while the robot must stand."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from swarmd.driver_api.command_gate import CommandGate
 PERIOD = 0.005
 """Seconds between two zeros while another node commands.
 
-The zero that answers a command arrives a round trip after that. Over a link with 5 ms each way, the
-base had the command of another node at 50 Hz for 53 % of the time with the answers alone, and for
-15 % with zeros at this period.
+A single zero in answer to a command arrives a round trip after that command. Measured on a link
+with 5 ms each way, against another node at 50 Hz: the other node's command was in force for 53 % of
+the time with one zero per command, and for 15 % with zeros at this period.
 """
 
 LASTING = 0.2
-"""Seconds after the last command of another node for which they continue."""
+"""Seconds after the last command of another node for which the zeros continue."""
 
 
 class ZeroAnswers:
@@ -29,7 +29,7 @@ class ZeroAnswers:
         self._is_repeating = False
 
     def answer(self) -> None:
-        """Another node has sent a command that moves the robot. Needs a running loop."""
+        """Answer a moving command of another node with zeros. Needs a running loop."""
         loop = asyncio.get_running_loop()
         self._until = loop.time() + LASTING
         if self._gate.is_stopped:

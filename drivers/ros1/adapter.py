@@ -35,31 +35,23 @@ _MAX_LINES = 20
 
 
 class MasterState(Struct, frozen=True, tag_field="event", tag="state"):
-    """What the master knows of our topics; `master` is False while it does not answer: see `text`.
+    """What the ROS master knows of the driver's topics."""
 
-    `publishers` and `types`: nodes and type by topic; `candidates`: published topics by type;
-    `taken_topics`: those of the commands' type that a node takes.
-    `others` are the other nodes that publish on our command topic. `listeners` are the nodes that
-    subscribe to it; `connected` is how many of those have a connection. `wants`: the type of each
-    listener's subscription, known only while some have no connection. `command_type`: the type of
-    the commands; empty while no base tells it.
-    """
-
-    master: bool
-    text: str = ""
-    publishers: dict[str, list[str]] = {}
-    types: dict[str, str] = {}
-    candidates: dict[str, list[str]] = {}
-    taken_topics: dict[str, list[str]] = {}
-    others: list[str] = []
-    listeners: list[str] = []
-    connected: int = 0
-    wants: dict[str, str] = {}
-    command_type: str = ""
+    master: bool  # False: the master does not answer
+    text: str = ""  # why the master does not answer
+    publishers: dict[str, list[str]] = {}  # nodes by topic
+    types: dict[str, str] = {}  # type by topic
+    candidates: dict[str, list[str]] = {}  # published topics by type, of the driver's types
+    taken_topics: dict[str, list[str]] = {}  # topics with subscribers, by type of commands
+    others: list[str] = []  # other nodes that publish on the topic of commands
+    listeners: list[str] = []  # nodes that subscribe to the topic of commands
+    connected: int = 0  # listeners with a connection to the adapter
+    wants: dict[str, str] = {}  # type by listener; only while a listener has no connection
+    command_type: str = ""  # of the published commands; empty: no base's type is known
 
 
 class ForeignMessage(Struct, frozen=True, tag_field="event", tag="foreign"):
-    """A message of another type than the driver's came from `node`, and was left out."""
+    """`node` publishes `topic` with another type or definition; its messages are dropped."""
 
     topic: str
     node: str
@@ -93,17 +85,17 @@ class AdapterListener(Protocol):
     """Receives what the adapter sends; called on the loop's thread."""
 
     def on_event(self, event: Event) -> None:
-        """One event."""
+        """Take an event."""
 
     def on_message(self, topic: int, data: bytes) -> None:
-        """The newest message of one topic, by its index in the configuration."""
+        """Take the newest message of a topic; `topic`: its index in the configuration."""
 
     def on_dropped(self, what: str) -> None:
-        """Count one packet that was left out."""
+        """Count a packet that was dropped."""
 
 
 class AdapterProcess:
-    """One life of the adapter. It outlives its daemon: it sends the zeros then."""
+    """An adapter process, which outlives its daemon and then sends zeros."""
 
     def __init__(
         self,
@@ -113,7 +105,7 @@ class AdapterProcess:
         environ: Mapping[str, str],
         listener: AdapterListener,
     ) -> None:
-        """Start it; DriverError if the interpreter is not there. Needs a running loop."""
+        """Start the process. Raises DriverError if it cannot start. Needs a running loop."""
         self._listener, self._kept = listener, frozenset(config["kept_topics"])
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
@@ -136,7 +128,7 @@ class AdapterProcess:
                 stderr=subprocess.PIPE,
                 env=environ,
                 cwd="/",
-                start_new_session=True,  # a terminal's interrupt is not for it
+                start_new_session=True,  # Ctrl-C in a terminal must not reach it
             )
         except OSError as error:
             self._socket.close()
@@ -160,7 +152,7 @@ class AdapterProcess:
         return pid
 
     def send(self, command: bytes) -> None:
-        """Hand over a serialised command: never blocks; dropped if the adapter does not read."""
+        """Send a serialised command; never blocks, dropped if the socket is full."""
         with contextlib.suppress(OSError):
             self._socket.send(
                 adapter_process.COMMAND_HEAD.pack(adapter_process.COMMAND, time.monotonic())
@@ -168,12 +160,12 @@ class AdapterProcess:
             )
 
     async def until_end(self, seconds: float) -> bool:
-        """Wait that long at most; True once it has ended, or was killed because it was silent."""
+        """Wait at most `seconds`; True once the process has ended, or was killed as silent."""
         try:
             async with asyncio.timeout(seconds):
                 await self._ended.wait()
         except TimeoutError:
-            self._on_readable()  # what waited while this process was stopped
+            self._on_readable()  # packets that came while this process was frozen
             if self._loop.time() - self._alive_at > ALIVE_TIMEOUT and not self._ended.is_set():
                 self._lines.append(f"did not answer for {ALIVE_TIMEOUT:g} s")
                 self._process.kill()
@@ -210,7 +202,7 @@ class AdapterProcess:
             await asyncio.sleep(0.01)
 
     def _on_readable(self) -> None:
-        """Read all that waits; of the messages of one topic only the newest is handed on."""
+        """Read all waiting packets; hand on only the newest message of each topic."""
         newest: dict[int, bytes] = {}
         while not self._ended.is_set():
             try:
@@ -227,6 +219,7 @@ class AdapterProcess:
             self._listener.on_message(topic, data)
 
     def _take(self, frame: bytes, newest: dict[int, bytes]) -> None:
+        """Take a packet; messages are collected in `newest`, by the index of their topic."""
         kind = frame[:1]
         if kind == adapter_process.DATA and len(frame) >= adapter_process.DATA_HEAD.size:
             _, topic, arrival = adapter_process.DATA_HEAD.unpack_from(frame)
@@ -262,6 +255,7 @@ class AdapterProcess:
                 self._lines.append(line.strip()[:300])
 
     def _hang_up(self) -> None:
+        """Close the socket, and note the end of the process."""
         if not self._ended.is_set():
             self._ended.set()
             self._loop.remove_reader(self._socket)

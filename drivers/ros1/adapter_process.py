@@ -1,22 +1,25 @@
 """The adapter of driver `ros1`: a process under the system's Python with rospy.
 
-It passes serialised messages on, in both directions, over the socket that is its standard input,
-and reports what the master knows. Needs Python 3.8, rospy and the standard library; of this project
-it imports `master.py` alone, which lies beside it. The driver imports it for the frames, which
-are single packets:
+It passes serialised messages between ROS 1 and the driver, over the socket that is its standard
+input, and reports the state of the ROS master. It needs Python 3.8, rospy and the standard library;
+of this project it imports only `master.py`, which lies beside it. The driver imports this module
+for the layout of the packets:
 
-    to the driver   D topic arrival bytes  a message of that index in `topics`; arrival in s on
-                                           CLOCK_MONOTONIC; the indices after the last are commands
-                                           of other nodes on `command_topics`, each empty if it is
-                                           no Twist and no TwistStamped
+    to the driver   D topic arrival bytes  a message; topic: its index in `topics`; arrival in s on
+                                           CLOCK_MONOTONIC; indices behind those of `topics` are
+                                           commands of other nodes on `command_topics`, with empty
+                                           bytes unless a Twist or TwistStamped
                     J {...}                an event as JSON: state, foreign, gone, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
                     B                      farewell: send zero and leave
 
-It outlives its daemon. When no command follows a non-zero one, or the first zeros after it, for
-0.4 s, it sends zeros until the daemon is back, for at least 2 s. At the end of the socket it sends
-zeros for 2 s and leaves.
+The adapter is the base's watchdog and outlives the daemon:
+
+1. It is armed from a non-zero command until the daemon has sent zeros for _DISARM_TIME.
+2. While armed, if no command comes for COMMAND_TIMEOUT, it sends zeros until the daemon commands
+   again, and turns commands into zeros for ZERO_TIME from the begin of the silence.
+3. When the daemon closes the socket, it sends zeros for ZERO_TIME, and ends.
 """
 
 from __future__ import annotations
@@ -44,14 +47,14 @@ COMMAND_HEAD = struct.Struct("<cd")
 COMMAND_TIMEOUT = 0.4
 """Seconds without a command after which the adapter itself sends zeros."""
 ZERO_TIME = 2.0
-"""Seconds of zeros after the daemon has ended; at least as long after it was silent."""
+"""Seconds of zeros after the daemon has ended, and at least after it was silent."""
 
-_PERIOD = 0.05
-_TICKS_ALIVE = 4
-_MAX_COMMAND_AGE = 0.2  # s; an older command is from before its daemon was frozen
+_PERIOD = 0.05  # s of a tick
+_TICKS_ALIVE = 4  # ticks between two signs of life
+_MAX_COMMAND_AGE = 0.2  # s; an older command was sent before the daemon was frozen
 _DISARM_TIME = 0.5  # s of zeros after which the daemon may be silent
-_POLL_PERIOD = 1.0
-_RETRY_PERIOD = 0.3
+_POLL_PERIOD = 1.0  # s between two questions to the master
+_RETRY_PERIOD = 0.3  # s, while the master does not answer
 _WRITE_TIMEOUT = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
 _HANDSHAKE_TIMEOUT = 1.0  # s within which a connected node has to send its header
 _LEAVE_TIMEOUT = 1.0  # s for unregistering this node from the master
@@ -60,10 +63,10 @@ _TWIST = struct.Struct("<6d")
 
 
 class KeptTopic:
-    """The last message of a topic that is published on change: sent until the driver has taken it.
+    """The last message of a topic that is published on change, sent until the driver has taken it.
 
-    rospy keeps a connection whose publisher has ended, and dials again; a connection that is made
-    again has another header.
+    It also reports the end of the publisher. rospy keeps a connection whose publisher has ended,
+    and dials again; a connection that is made again has another header.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
@@ -74,19 +77,19 @@ class KeptTopic:
         self._header: Any = None
 
     def take(self, header: Any, *packet: bytes) -> None:
-        """Send a message that came over the connection with this header."""
+        """Send a message that came on the connection with this header; keep it if that fails."""
         with self._lock:
             self._header = header
             self._unsent = None if self._adapter.send(*packet) else packet
 
     def send_again(self) -> None:
-        """Send what the driver has not taken yet."""
+        """Send the message again if the driver has not taken it."""
         with self._lock:
             if self._unsent is not None and self._adapter.send(*self._unsent):
                 self._unsent = None
 
     def report_end(self) -> None:
-        """Tell that the connection of the last message has ended; until the driver knows it."""
+        """Report the end of the last message's connection, until the driver has taken the event."""
         with self._lock:
             if self._header is None or self.subscriber is None:
                 return
@@ -99,7 +102,11 @@ class KeptTopic:
 
 
 class Adapter:
-    """All threads of this process: `run` polls the master; others read, tick and receive."""
+    """The adapter with its threads.
+
+    `run` polls the master. `_read` takes packets of the driver. `_tick` sends zeros and signs of
+    life. Threads of rospy receive messages.
+    """
 
     def __init__(self, config: Any, sock: socket.socket, rospy: Any, master: Any) -> None:
         self._config, self._sock, self._rospy, self._master = config, sock, rospy, master
@@ -109,8 +116,8 @@ class Adapter:
         self._misses = 0
         self._wake = threading.Event()
         self._ends_at: Optional[float] = None  # noqa: UP045
-        # A robot that an earlier adapter drove is stopped as soon as it is reachable; unless the
-        # daemon commands it again, other nodes may drive it after enough zeros.
+        # `holds`: an earlier adapter drove the robot. Then it is sent zeros as soon as it connects,
+        # for ZERO_TIME; after that other nodes may drive it, unless the daemon commands it again.
         self._is_armed = self._holds = bool(config["holds"])
         self._holds_until = float("inf")
         self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
@@ -135,7 +142,7 @@ class Adapter:
             self._wake.clear()
             try:
                 if not self._is_joined:
-                    self._master.call("getSystemState")  # nodes have no such thing
+                    self._master.call("getSystemState")  # fails if a node, not the master, answers
                     try:
                         self._join()
                     except OSError as error:  # rospy does not undo a partial registration
@@ -150,7 +157,7 @@ class Adapter:
             self._wake.wait(_POLL_PERIOD if self._is_joined else _RETRY_PERIOD)
 
     def end(self, seconds: float, why: str = "", kind: str = "end") -> None:
-        """Report why, send zeros for that long unless the base stands, then leave."""
+        """Report why the adapter ends, send zeros for `seconds` while armed, and then exit."""
         if why and self._ends_at is None:
             self.event({"event": "end", "kind": kind, "text": why})
         ends_at = time.monotonic() + seconds
@@ -192,9 +199,10 @@ class Adapter:
         self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
 
     def _follow_type(self, wanted: Any, connected: int) -> None:
-        """Publish commands in the type that the base wants, once all that tell one agree.
+        """Publish commands in the type of the listeners' subscriptions (`wanted`), if all agree.
 
-        rospy does not advertise a topic again with another type: then the adapter is replaced.
+        Without effect while a listener is connected. rospy cannot advertise a topic again with
+        another type: then the adapter ends, and the driver starts a new one.
         """
         allowed = self._config["command_types"]
         kinds = {kind for kind in wanted if kind in allowed}
@@ -207,11 +215,13 @@ class Adapter:
             self.end(0.0, f"the base wants {kind} now", "restart")
 
     def _configure_bases(self, tcpros: Any) -> None:
-        """Configure the socket of each base that connects, before rospy does.
+        """Set the options of the socket of each node that connects, before rospy uses it.
 
-        Nagle's algorithm would delay a second command by up to 40 ms. A base that no longer reads
-        is disconnected instead of waited for: it may connect again. A node that connects and sends
-        nothing would block all others: rospy would wait for its header for a minute or more.
+        1. TCP_NODELAY: Nagle's algorithm would delay a second command by up to 40 ms.
+        2. A limit of time for writing: a base that no longer reads is disconnected, and may connect
+           again.
+        3. A limit of time for the header: a node that connects and sends nothing would block all
+           other nodes, since rospy would wait for its header for a minute or more.
         """
         tcpros.start_tcpros_server()
         server = tcpros._tcpros_server.tcp_ros_server
@@ -244,12 +254,12 @@ class Adapter:
         return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST.size)
 
     def peer_unsubscribe(self, topic: str, peers: int) -> None:
-        """A base has left; called by rospy."""
+        """Poll the master at once, since a subscriber has left; rospy calls this."""
         self._master.forget()
         self._wake.set()
 
     def peer_subscribe(self, topic: str, publish: Any, publish_to: Any) -> None:
-        """A base has connected; called by rospy. While the robot is driven it gets zero first."""
+        """Send zero to a base that has connected, while the robot is driven; rospy calls this."""
         self._master.forget()
         self._wake.set()
         if self._holds:
@@ -271,7 +281,7 @@ class Adapter:
     # From ROS
 
     def _on_message(self, message: Any, index: int) -> None:
-        """Pass one message on, on rospy's thread; of one of another type only its publisher."""
+        """Pass a message to the driver; of another type only its publisher. rospy calls this."""
         arrival = time.monotonic()
         header = message._connection_header
         if header.get("md5sum") == self._config["md5sums"][index]:
@@ -286,7 +296,10 @@ class Adapter:
             self.event({"event": "foreign", "topic": self._config["topics"][index], **fields})
 
     def _listen_to_others(self, is_wanted: bool) -> None:
-        """Hear the commands of other nodes while there are any; also hears this node's own."""
+        """Subscribe to the topic of commands while other nodes publish there.
+
+        The subscription also receives this node's own commands, which are ignored.
+        """
         if is_wanted and self._others is None:
             self._others = self._hear_commands(0)
         elif not is_wanted and self._others is not None:
@@ -308,7 +321,11 @@ class Adapter:
             self.send(head, message._buff if header.get("md5sum") in known else b"")
 
     def _state(self) -> Any:
-        """What the master knows of our topics."""
+        """The event `state`: what the master knows of the driver's topics (adapter.MasterState).
+
+        Ends the adapter if the master lacks this node's subscriptions in two polls in a row: the
+        master was restarted.
+        """
         master = self._master
         publishers, subscribers, _ = master.call("getSystemState")
         publishes, subscribes = dict(publishers), dict(subscribers)
@@ -355,13 +372,13 @@ class Adapter:
         }
 
     def _bases(self) -> int:
-        """How many nodes take commands, without the adapters that hear them."""
+        """The number of nodes connected to the topic of commands, without adapters."""
         ends = getattr(self._publisher.impl, "connections", ())
         adapters = sum(_is_adapter(end.endpoint_id) for end in ends)
         return int(self._publisher.get_num_connections()) - adapters
 
     def _alive(self, nodes: Any) -> Any:
-        """Of several publishers those that live; a single one is not asked."""
+        """The publishers that answer; a single publisher is returned without asking."""
         return [n for n in nodes if self._master.is_alive(n)] if len(nodes) > 1 else nodes
 
     # To the driver
@@ -371,15 +388,15 @@ class Adapter:
             self._reported = state
 
     def event(self, event: Any) -> bool:
-        """Tell the driver; False if it does not read."""
+        """Send an event to the driver; False if the socket is full or closed."""
         return self.send(EVENT, json.dumps(event).encode())
 
     def send(self, *parts: bytes) -> bool:
-        """One packet; False if the driver does not read: messages are of no use later."""
+        """Send a packet; False if it is dropped, since the socket is full or closed."""
         try:
             self._sock.sendmsg(parts, [], socket.MSG_DONTWAIT)
         except OSError:
-            return False  # its end is seen by the reader
+            return False  # `_read` notices the end of the socket
         return True
 
     # From the driver
@@ -408,10 +425,10 @@ class Adapter:
         if any(_TWIST.unpack(command[-_TWIST.size :])):
             self._is_armed, self._moved_at = True, now
         elif now - self._moved_at > _DISARM_TIME:
-            self._is_armed = False  # it stands: silence may be that of an idle daemon
+            self._is_armed = False  # the base stands: a silent daemon may be idle
 
     def _tick(self) -> None:
-        """Zeros while the daemon is silent and on the way out; also the signs of life."""
+        """Send zeros while armed and the daemon is silent or has ended, and signs of life."""
         count, was_silent = 0, True
         while True:
             now = time.monotonic()
@@ -435,7 +452,7 @@ class Adapter:
             time.sleep(_PERIOD)
 
     def _leave(self) -> None:
-        """Take our names off the master, if it answers, and end."""
+        """Unregister this node from the master, within _LEAVE_TIMEOUT, and exit."""
         if self._is_joined:
             shutdown = self._rospy.signal_shutdown
             threading.Thread(target=shutdown, args=("the driver has ended",), daemon=True).start()
@@ -446,7 +463,7 @@ class Adapter:
 
 
 def _is_adapter(node: str) -> bool:
-    """True for the node of a driver such as this one's."""
+    """True for the node of a `ros1` driver, by its name."""
     return node.rpartition("/")[2].startswith("swarmd_")
 
 
@@ -461,7 +478,7 @@ class _Errors(io.TextIOBase):
 
 
 def load_rospy() -> Any:
-    """rospy, also of a ROS under /opt that no set-up file has been sourced for; ImportError."""
+    """Import rospy, also from /opt/ros without a sourced set-up file; raises ImportError."""
     folders: List[str] = sorted(glob("/opt/ros/*/lib/python3/dist-packages"))  # noqa: UP006
     try:
         return importlib.import_module("rospy")

@@ -1,8 +1,8 @@
-"""A robot that speaks ROS 1, through an adapter under the system's Python with rospy.
+"""The driver of ROS 1 robots, through an adapter process under the system's Python with rospy.
 
-The adapter (`adapter_process.py`) passes serialised messages on; they are read and written here.
-It is a process of its own, so it is also this base's watchdog: it sends zeros when the daemon is
-silent or gone.
+The adapter (`adapter_process.py`) passes serialised messages between rospy and this driver, which
+decodes and encodes them. The adapter is also the base's watchdog: it sends zeros when the daemon is
+silent or has ended.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
 log = logging.getLogger(__name__)
 
 MIN_RESTART_DELAY, MAX_RESTART_DELAY = 0.1, 5.0
-"""Seconds before an adapter that has ended is started again, doubled from the first to the last.
+"""Seconds before an adapter that has ended is started again; the pause doubles up to the second.
 
-An adapter that had connected to its base is replaced after the first pause: the base may keep its
-velocity until the next adapter.
+If the adapter had connected to its base, the first pause is used: until the next adapter sends zero
+the base may keep its velocity.
 """
 
 TOPIC_TIMEOUT = 2.5
-"""Seconds without a message after which a needed topic counts as lost; scans may come at 1 Hz."""
+"""Seconds without a message after which a needed topic is lost; scans may come at 1 Hz."""
 
 _Reported = tuple[bool, str, Reason | None, bool]
 _NOTHING: _Reported = (False, "", None, False)
 _WATCH_PERIOD = 0.1
-_MIN_LOGGED_LOSS = 1.0  # s for which a base must have been lost for one reason that it is logged
+_MIN_LOGGED_LOSS = 1.0  # s after which a loss for one reason is logged
 
 
 class Ros1Driver:
@@ -111,12 +111,12 @@ class Ros1Driver:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Send a safe command; dropped while the base is lost, zero the first time it is back.
+        """Send a safe command; while the base is lost it is dropped.
 
-        A stopped robot is sent zero also while the base is lost: another node may command it.
-        For the first 2 s of a loss each command is sent as zero. The adapter then knows that the
-        base stands; after a moving command it would take the silence for that of a dead daemon and
-        send zeros against the node that drives the base next.
+        The first command after a loss is sent as zero. Zero for a stopped robot (`is_stopped`) is
+        sent even while the base is lost, since another node may command the base. For the first 2 s
+        of a loss each command is sent as zero, so that the adapter is disarmed: otherwise it would
+        take the silence for a dead daemon's, and would send zeros against the next driving node.
         """
         twist = ZERO if self._conflict else twist
         command = self._gate.filter(twist, is_stopped=is_stopped)
@@ -126,7 +126,7 @@ class Ros1Driver:
             self._put(command)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """Topics, rates, types, clocks and what is missing, each with the next step."""
+        """Check topics, rates, types and clocks for `seconds`; each fault has the next step."""
         loop = asyncio.get_running_loop()
         begun = loop.time()
         task = asyncio.create_task(self._run_adapter(is_check=True))
@@ -146,17 +146,17 @@ class Ros1Driver:
         return report.findings()
 
     def _begin(self) -> None:
-        """Nothing is known yet, in one life of the adapter."""
+        """Reset all that was received, for a new adapter process."""
         self._subscriptions = Subscriptions(self._options, self._platform, serialization.decode)
         self._master = MasterGraph(self._options, self._subscriptions.topics)
         self._end, self._is_planned_end, self._was_up = "", False, False
         self._conflict: diagnosis.Conflict | None = None
-        # The publishers of cmd_vel count by their registration, as `MasterGraph.blocks` says.
+        # Publishers of cmd_vel count as driving by their registration (`MasterGraph.blocks`).
         self._foreign = ForeignCommands(self._options, ROS1_ACTIONS, is_cmd_vel_shared=True)
         self._hears_motion = False
 
     def _report(self) -> diagnosis.DriverCheck | None:
-        """What a check has found out; None if the adapter told nothing yet."""
+        """The state of the robot for a check; None before the first event of the adapter."""
         state = self._master.state
         if state is None:
             return None
@@ -182,7 +182,7 @@ class Ros1Driver:
         )
 
     async def _run_adapter(self, *, is_check: bool) -> str:
-        """One life of the adapter; how it ended."""
+        """Run an adapter process until it ends; returns how it ended."""
         self._begin()
         options = self._options
         try:
@@ -237,7 +237,7 @@ class Ros1Driver:
     # Called by the adapter
 
     def on_event(self, event: Event) -> None:
-        """What the adapter tells beside messages."""
+        """Take an event of the adapter."""
         if isinstance(event, MasterState):
             self._master.on_state(event)
         elif isinstance(event, ForeignMessage):
@@ -271,10 +271,13 @@ class Ros1Driver:
             self._update_state()
         is_driven = self._master.blocks or self._foreign.source(now)
         if (self._gate.is_open or is_driven) and self._sink is not None:
-            deliver(self._sink)  # also while another node drives: a stop tells the measured speed
+            deliver(self._sink)  # also while another node drives: a stop reports the speed
 
     def _on_foreign(self, index: int, data: bytes, now: float) -> None:
-        """The states of an action's goals, or a command of another node, by the config's order."""
+        """Take the states of an action's goals, or another node's command.
+
+        `index`: in the list of actions and then command topics of the adapter's configuration.
+        """
         foreign = self._foreign
         names = [*foreign.actions, *foreign.topics]
         if index >= len(names):
@@ -291,7 +294,7 @@ class Ros1Driver:
                 self._update_state()
 
     def _on_foreign_command(self, topic: str, data: bytes, now: float) -> None:
-        """Another node publishes a command; a zero does not count as driving."""
+        """Take the command of another node; a zero does not count as driving."""
         if not self._foreign.take_command(topic, data, (), now):
             return
         self._zeros.answer()
@@ -306,7 +309,7 @@ class Ros1Driver:
             self._sink.dropped(f"ros1/{what}")
 
     def _update_state(self) -> None:
-        """Open or close the gate, and report it when that or the reason has changed."""
+        """Open or close the gate by the present faults, and report a change of state or reason."""
         if self._sink is None or self._child is None:
             return
         now = asyncio.get_running_loop().time()
@@ -354,7 +357,7 @@ class Ros1Driver:
     def _put(self, twist: Twist) -> None:
         kind = self._master.command_type
         if self._child is None or not kind:
-            return  # no base has told the type of its commands
+            return  # the type of the base's commands is not known
         self._count += 1
         if not kind.endswith("Stamped"):
             command = serialization.encode_twist(twist)
@@ -364,6 +367,7 @@ class Ros1Driver:
         self._child.send(command)
 
     def _report_state(self, is_up: bool, text: str) -> None:
+        """Set the gate, with a zero when it closes, and report and log a change of the state."""
         now, was_up = time.monotonic(), self._gate.is_open
         self._was_up |= is_up
         if is_up and not was_up:
@@ -392,7 +396,7 @@ class Ros1Driver:
 
 
 def no_rospy(python: str, fault: str) -> str:
-    """The interpreter has no rospy."""
+    """The text for an interpreter without rospy."""
     return (
         f"no rospy for {python} ({fault}); install python3-rospy, or correct driver_options.python"
     )

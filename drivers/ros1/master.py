@@ -1,4 +1,4 @@
-"""The ROS master as a node sees it, with a limit of time for each call.
+"""Calls to the XML-RPC API of the ROS master and of nodes, each with a limit of time.
 
 For `adapter_process.py`: it needs Python 3.8 and the standard library, and imports nothing of this
 project.
@@ -11,7 +11,7 @@ import xmlrpc.client
 from typing import Any, Dict, Tuple  # noqa: UP035  (Python 3.8)
 
 _CALL_TIMEOUT = 1.0  # s for a call of the master's or a node's API
-_CACHE_TIME = 5.0
+_CACHE_TIME = 5.0  # s for which the answer of `is_alive` is kept
 
 
 class Master:
@@ -37,7 +37,7 @@ class Master:
         return value
 
     def is_alive(self, node: str) -> bool:
-        """True if a node that the master lists still answers: a killed node stays on the list."""
+        """False if a listed node refuses connections: a killed node stays on the master's list."""
         at, answer = self._alive.get(node, (-_CACHE_TIME, True))
         if time.monotonic() - at < _CACHE_TIME:
             return answer
@@ -47,16 +47,16 @@ class Master:
         except ConnectionError:
             answer = False
         except OSError:
-            answer = True  # slow or behind a network that fails; it may still publish
+            answer = True  # a timeout: the node may be slow, and may still publish
         self._alive[node] = time.monotonic(), answer
         return answer
 
     def forget(self) -> None:
-        """Ask each node again: a node has come or gone."""
+        """Forget the answers of nodes, since a node has come or gone."""
         self._alive = {}
 
     def wants(self, node: str, topic: str) -> str:
-        """The type of a node's subscription to a topic; empty if it is unknown."""
+        """The type of a node's subscription to a topic; empty if not known."""
         try:
             entries = self.call("getSubscriptions", uri=self.call("lookupNode", node))
         except OSError:

@@ -1,4 +1,4 @@
-"""What the ROS 1 master and the publishers tell of a robot's topics, as a graph for diagnosis."""
+"""Makes the graph of a ROS 1 robot's topics for `diagnosis.py` from the adapter's events."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from swarmd.drivers.ros1.adapter import ForeignMessage, MasterState
 
 
 class Ros1:
-    """The words of ROS 1's tools."""
+    """The phrases for ROS 1 in the texts of `diagnosis.py`."""
 
     hub = "roscore"
     start = "start roscore"
@@ -36,13 +36,14 @@ class Ros1:
 
 
 class MasterGraph:
-    """What the master and the publishers tell of the robot's topics, in one life of the adapter.
+    """The state of the master and of publishers, for the time of one adapter process.
 
-    `command_type`: such as `geometry_msgs/Twist`; empty while neither options nor a base tell it.
+    `command_type`: such as `geometry_msgs/Twist`; empty while neither the options nor a base give
+    the type.
     """
 
     def __init__(self, options: Ros1Options, topics: Mapping[str, TopicStats]) -> None:
-        """Nothing is known yet."""
+        """Start without a state; `topics`: of the driver."""
         self.cmd_vel = options.topic(options.cmd_vel)
         self.state: MasterState | None = None
         names = [serialization.type_name(kind) for kind in options.command_types]
@@ -52,13 +53,13 @@ class MasterGraph:
         self._foreign_types: dict[tuple[str, str], str] = {}
 
     def on_state(self, state: MasterState) -> None:
-        """The graph has changed: foreign types are named again by the next messages."""
+        """Take a new state; the next messages report foreign types again."""
         self.state = state
         self.command_type = state.command_type or self.command_type
         self._foreign_types.clear()
 
     def on_foreign(self, message: ForeignMessage) -> None:
-        """A publisher has another type than the driver's, or another definition of it."""
+        """Note a publisher with another type than the driver's, or with another definition."""
         stats, kind = self._topics.get(message.topic), message.type
         if stats is not None and kind == serialization.type_name(stats.message_type):
             wanted = serialization.definition(stats.message_type)[1]
@@ -102,7 +103,7 @@ class MasterGraph:
         )
 
     def _type_of(self, topic: str, kind: str) -> str:
-        """The type that the master names; where it knows none, the wanted one."""
+        """The type of a topic by the master; if it knows none, the type of the driver."""
         stats = self._topics.get(topic)
         if kind in ("", "*") and stats is not None:
             return serialization.type_name(stats.message_type)

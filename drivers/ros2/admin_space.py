@@ -1,11 +1,12 @@
-"""The admin spaces of bridges: nodes, and the ends of the robot's topics in DDS.
+"""Reads the admin spaces of Zenoh bridges: ROS nodes, and DDS readers and writers of topics.
 
-A bridge announces a topic once, however many nodes have it; its admin space names the nodes, and
-has each reader and writer in DDS but its own. Whatever reads a topic in DDS gets what the bridge
-writes there: also a reader without a ROS node, and another bridge in the domain.
+A bridge announces a topic once, whatever the number of nodes with that topic. Its admin space lists
+the nodes, and all DDS readers and writers except its own. Every DDS reader of a topic of commands
+gets the commands that the bridge writes: also a reader without a ROS node, and another bridge in
+the domain.
 
-DDS counts a killed process as alive for the time of its lease, 10 s by default. At the lease's end
-the bridge (1.10, its issue 702) withdraws the announcements of every node of that name, for good: a
+DDS counts a killed process as alive for its lease, 10 s by default. At the end of the lease the
+bridge (1.10, its issue 702) withdraws the announcements of every node of that name, for good: a
 base that restarted meanwhile no longer receives commands, not even zero.
 """
 
@@ -30,15 +31,15 @@ from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.messages import ros_name
 
 PERIOD = 2.0
-"""Seconds between two queries of everything."""
+"""Seconds between two whole queries: of nodes, and of all readers and writers."""
 WATCH_PERIOD = 0.25
-"""Seconds between two queries of the readers of the commands: other readers lead to a whole query.
+"""Seconds between two queries of the readers of the commands. A change leads to a whole query.
 
-A base that comes later shows itself there alone: a bridge announces a topic once. The query takes
-0.4 ms on loopback, with one answer of 0.6 kB for each reader.
+Only these readers show a second base that comes later: the bridge announces a topic once. The query
+takes 0.4 ms on loopback, with an answer of 0.6 kB for each reader.
 """
 SETTLING = 0.5
-"""Seconds between the first queries: a bridge's list is whole once two in a row are alike."""
+"""Seconds between the first queries: a bridge's list is complete once two in a row are equal."""
 
 _RETRY = 0.1
 _QUERY_TIMEOUT = 1.0
@@ -46,14 +47,15 @@ _MAX_ANSWERS = 4096
 _MAX_PAYLOAD = 100_000
 _ANY = "*"
 MAX_FIRST = 3
-"""Answers after which the driver waits no longer for a bridge's list to be whole."""
+"""Answers of a bridge after which the driver no longer waits for a complete list."""
 MAX_AGE = 15.0
-"""Seconds without a whole answer of a bridge after which its last one no longer counts."""
+"""Seconds without a complete answer of a bridge after which its last answer no longer counts."""
 NAMING_TIME = 0.5
-"""Seconds after which a reader in DDS without a node has none, in a process of ROS.
+"""Seconds for which a DDS reader of a ROS process may still get the name of its node.
 
-Such a process announces its nodes after their readers; the bridge looks every 0.1 s. Another
-process has no nodes: each ROS middleware names its enclave in the user data of its participant.
+A ROS process announces its nodes after their readers, and the bridge looks every 0.1 s. A DDS
+process that is no ROS process has no nodes, and is not waited for: each ROS middleware names its
+enclave in the user data of its DDS participant.
 """
 
 _BRIDGE = "zenoh_bridge_ros2dds"
@@ -63,20 +65,21 @@ _BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
 class AdminSpaces:
-    """Queries what each Zenoh bridge lists of its nodes, again and again, for `nodes`.
+    """Queries the admin space of each Zenoh bridge again and again, and fills `nodes`.
 
-    Each bridge has a query of its own, so that a silent bridge does not hide the others.
-    `asked_at`: when the last query began that all known bridges answered, in s on the loop's clock.
+    Each bridge is queried by its own selectors, so that a silent bridge does not hide the answers
+    of other bridges. `asked_at`: s on the loop's clock at which the last query began that all known
+    bridges answered.
     """
 
     def __init__(
         self, root: str, sensed: Iterable[str], cmd_vel: str, on_answer: Callable[[], None]
     ) -> None:
-        """Nothing queried yet.
+        """Make no query yet.
 
-        `root`: of a bridge's admin space, `*` for the bridge; empty where there is no bridge.
-        `sensed` are the topics that the robot publishes, `cmd_vel` is that of its commands.
-        `on_answer` is called after each answer that `nodes` got.
+        `root`: the root of a bridge's admin space, with `*` for the bridge's id; empty for a
+        middleware without a bridge. `sensed`: the topics that the robot publishes. `cmd_vel`: the
+        topic of its commands. `on_answer` is called after each answer that `nodes` has taken.
         """
         self._root, self._on_answer = root, on_answer
         self._sensed, self._cmd_vel = tuple(sensed), cmd_vel
@@ -87,21 +90,25 @@ class AdminSpaces:
         self.nodes = NodeList()
 
     def is_awaited(self, announcing: Collection[str]) -> bool:
-        """True while the first whole list may still come, or the node of a new reader."""
+        """True while the first complete list may still come, or the node of a new reader."""
         return bool(self._root) and self.nodes.is_awaited(announcing)
 
     def is_known(self, announcing: Collection[str]) -> bool:
-        """True if each session that announces topics lists its nodes, or is itself one."""
+        """True unless an announcing session is a bridge whose list of nodes has not come."""
         return not self._root or set(announcing) <= set(self.nodes.namespaces)
 
     def renew(self) -> None:
-        """Let the next call of `query` query everything, however short the last one is ago."""
+        """Let the next call of `query` make a whole query, without waiting for the period."""
         self._begun = -math.inf
 
     def query(
         self, session: zenoh.Session, announcing: Collection[str], loop: asyncio.AbstractEventLoop
     ) -> None:
-        """Query everything each PERIOD, sooner while `is_awaited`; else the readers of commands."""
+        """Make the query that is due, unless the last one has no end yet.
+
+        A whole query each PERIOD, and more often while `is_awaited`. Between whole queries, a query
+        of the readers of the commands each WATCH_PERIOD.
+        """
         now, bridges = loop.time(), self.nodes.namespaces
         if self.nodes.is_naming:
             period = WATCH_PERIOD
@@ -113,7 +120,7 @@ class AdminSpaces:
             return
         if now - self._begun >= period:
             self._begun = self._watched = now
-            # Until a bridge is known, any may answer: one may list nodes and announce nothing.
+            # Until a bridge is known, query all: a bridge may list nodes and announce no topic.
             zids = {*announcing, *bridges} or {_ANY}
             asked = [(zid, selector) for zid in zids for selector in self._everything(zid)]
             self._ask(session, asked, loop, partial(self._take, announcing, loop, now))
@@ -129,7 +136,10 @@ class AdminSpaces:
         yield from {self._ends(zid, "writer", topic) for topic in self._sensed}
 
     def _ends(self, zid: str, kind: str, topic: str) -> str:
-        """The selector of a topic's ends in DDS, of which a bridge's namespace is no part."""
+        """The selector of the DDS readers or writers (`kind`) of a topic at one bridge.
+
+        DDS topics lack the bridge's namespace. While it is not known, any prefix matches.
+        """
         prefix = f"{self.nodes.namespaces.get(zid, '?')}/"
         is_known = topic.startswith(prefix)
         name = topic.removeprefix(prefix) if is_known else f"**/{topic.rpartition('/')[2]}"
@@ -142,7 +152,7 @@ class AdminSpaces:
         loop: asyncio.AbstractEventLoop,
         take: Callable[[Mapping[str, bytes], Collection[str]], None],
     ) -> None:
-        """Query each bridge's selectors; `take` gets all answers, and which bridges were late."""
+        """Query each bridge's selectors; `take` gets all answers, and the ids of late bridges."""
         query, answers, late, left = object(), dict[str, bytes](), set[str](), [*asked]
         self._query = query
 
@@ -159,7 +169,7 @@ class AdminSpaces:
                 hand_over(loop, end)
 
         def end() -> None:
-            if query is self._query:  # else of an earlier start of the hub
+            if query is self._query:  # otherwise the query is of an earlier start of the hub
                 self._query = None
                 take(answers, late)
 
@@ -175,14 +185,14 @@ class AdminSpaces:
         answers: Mapping[str, bytes],
         late: Collection[str],
     ) -> None:
-        if not set(late) & self.nodes.namespaces.keys():  # else some of what is known is older
+        if not set(late) & self.nodes.namespaces.keys():  # else parts of `nodes` are older
             self.asked_at = begun
         self._readers = _readers(answers)
         self.nodes.take(None if _ANY in late else answers, announcing, loop.time(), late)
         self._on_answer()
 
     def _compare(self, answers: Mapping[str, bytes], late: Collection[str]) -> None:
-        """Query everything if the commands have other readers than at the last whole query."""
+        """Let a whole query follow if the readers of the commands have changed since the last."""
         if not late and _readers(answers) != self._readers:
             self.renew()
 
@@ -229,30 +239,27 @@ _S = TypeVar("_S", bound=Struct)
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """What one bridge lists; `namespace` is empty or such as `/tb3_01`.
+    """The content of one bridge's admin space."""
 
-    `others`: the DDS participants that are no processes of ROS.
-    """
-
-    namespace: str
+    namespace: str  # such as `/tb3_01`; may be empty
     nodes: frozenset[Endpoint]
-    dds: frozenset[Endpoint]
-    strays: frozenset[Endpoint]
-    others: frozenset[str]
+    dds: frozenset[Endpoint]  # DDS readers and writers
+    strays: frozenset[Endpoint]  # DDS readers without a node, or of another bridge
+    others: frozenset[str]  # DDS participants that are no ROS processes
 
 
 class NodeList:
-    """What the bridges list, by the answers that `take` gets. Pure.
+    """The nodes, and DDS readers and writers, that all bridges list. Pure.
 
-    `endpoints`: of all nodes but the bridges themselves; `zid` is the bridge that lists the node.
-    `dds`: the readers and writers in DDS, as far as they were queried. `strays`: the readers among
-    them that are of no node, or of another bridge; `node` then names the process or the bridge.
+    `endpoints`: of all nodes except the bridges; `zid`: the bridge that lists the node. `dds`: the
+    DDS readers and writers that were queried. `strays`: the DDS readers that belong to no node or
+    to another bridge; their `node` names the process or the bridge.
     """
 
     def __init__(self) -> None:
         """No answer yet."""
-        self._answers: Mapping[str, bytes] = {}  # the last ones, and what was read in them
-        self._read: Mapping[str, _Answer] = {}
+        self._answers: Mapping[str, bytes] = {}  # the last answers
+        self._read: Mapping[str, _Answer] = {}  # the same, decoded
         self._by_bridge: Mapping[str, _Answer] = {}
         self._since: Mapping[tuple[str, str], float] = {}
         self._unnamed: Mapping[tuple[str, str], float] = {}
@@ -265,7 +272,7 @@ class NodeList:
 
     @property
     def namespaces(self) -> Mapping[str, str]:
-        """By the id of each bridge that answered, what precedes its topics: empty or `/tb3_01`."""
+        """The namespace of each bridge that answered, by its id: empty or such as `/tb3_01`."""
         return {zid: answer.namespace for zid, answer in self._by_bridge.items()}
 
     def take(
@@ -275,11 +282,12 @@ class NodeList:
         now: float,
         late: Collection[str] = (),
     ) -> None:
-        """All answers to one query, payload by key; None if all timed out.
+        """Take all answers to a whole query: payload by key; None if all timed out.
 
         Keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
         `.../dds/<participant>/reader/<id>/rt/<topic>`, also `writer`. `announcing`: the sessions
-        that announce topics. `late`: those whose answers are not whole.
+        that announce topics. `late`: bridges whose answers are not complete; their earlier answers
+        count for MAX_AGE.
         """
         self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
         before = self._by_bridge
@@ -287,65 +295,66 @@ class NodeList:
         if answers is not None and answers != self._answers:
             self._answers, self._read = dict(answers), dict(_by_bridge(answers))
         read = {} if answers is None else self._read
-        whole = {zid: one for zid, one in read.items() if zid not in late}
-        alike = {zid for zid, one in whole.items() if before.get(zid) == one}
+        whole = {zid: answer for zid, answer in read.items() if zid not in late}
+        unchanged = {zid for zid, answer in whole.items() if before.get(zid) == answer}
         kept = {
-            zid: one
-            for zid, one in before.items()
+            zid: answer
+            for zid, answer in before.items()
             if zid in late and now - self._heard_at[zid] <= MAX_AGE
         }
         self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(whole, now)
-        if kept | whole != before:  # to read and compare 2000 endpoints takes 40 ms
+        if kept | whole != before:  # decoding and comparing 2000 endpoints takes 40 ms
             self._replace(kept | whole, now)
-        unnamed = {
-            (end.process, end.topic): end for one in self._by_bridge.values() for end in one.strays
-        }
+        # A reader without a node counts as stray at once if its process is no ROS process, else
+        # after NAMING_TIME.
+        by_bridge = self._by_bridge.values()
+        unnamed = {(end.process, end.topic): end for answer in by_bridge for end in answer.strays}
         self._unnamed = {key: self._unnamed.get(key, now) for key in unnamed}
-        others = {process for one in self._by_bridge.values() for process in one.others}
+        others = {process for answer in by_bridge for process in answer.others}
         self.strays = tuple(
             end
             for key, end in unnamed.items()
             if end.process in others or now - self._unnamed[key] >= NAMING_TIME
         )
-        self._settled = frozenset(alike | (self._settled & self._by_bridge.keys()))
+        self._settled = frozenset(unchanged | (self._settled & self._by_bridge.keys()))
 
     @property
     def is_naming(self) -> bool:
-        """True while a reader in DDS may still get the name of its node."""
+        """True while a DDS reader may still get the name of its node."""
         return len(self.strays) < len(self._unnamed)
 
     def is_awaited(self, announcing: Collection[str]) -> bool:
-        """True if a session announces topics, and its whole list of nodes may still come."""
+        """True while the complete list of an announcing session, or a node's name, may come."""
         unsettled = set(announcing) - self._settled
         return self.is_naming or any(self._tries.get(zid, 0) < MAX_FIRST for zid in unsettled)
 
     def _replace(self, by_bridge: Mapping[str, _Answer], now: float) -> None:
         self._by_bridge, answers = by_bridge, by_bridge.values()
-        ends = [end for one in answers for end in one.nodes]
+        ends = [end for answer in answers for end in answer.nodes]
         self._since = {end.source: self._since.get(end.source, now) for end in ends}
         self.endpoints = tuple(replace(end, since=self._since[end.source]) for end in ends)
-        self.dds = tuple(end for one in answers for end in one.dds)
+        self.dds = tuple(end for answer in answers for end in answer.dds)
 
 
 def route_faults(ends: Iterable[Endpoint], graph: Graph) -> dict[str, str]:
-    """By topic, why messages of these ends in DDS do not pass the bridge.
+    """By topic, why messages of these DDS readers and writers do not pass the bridge.
 
     The bridge (1.10) makes one route for a topic, with the quality of service of the first node
-    that it finds, and keeps it while any node has the topic. A node that comes later and asks for
-    more, or that offers less, is connected to nothing, and neither DDS nor the bridge says so.
+    that it finds, and keeps the route while any node has the topic. A later node that requests a
+    higher quality, or offers a lower one, is not connected; DDS and the bridge report no error.
     """
-    found: dict[str, str] = {}
+    faults: dict[str, str] = {}
     for end in ends:
         routes = graph.qualities(end.topic, is_publisher=end.is_publisher)
-        differs = _differs(end, routes[0]) if len(routes) == 1 else ""
-        if differs and end.topic not in found:
+        difference = _differs(end, routes[0]) if len(routes) == 1 else ""
+        if difference and end.topic not in faults:
             does, hub = "publishes" if end.is_publisher else "takes", graph.middleware.hub
-            found[end.topic] = (
-                f"a node {does} {end.topic} {differs}, but {hub} has a {routes[0]} route, as the"
+            faults[end.topic] = (
+                f"a node {does} {end.topic} {difference}, but {hub} has a {routes[0]} route, as the"
                 f" first node of that topic was: nothing passes; start {hub} again when the other"
                 " node has ended"
             )
-    return found
+    return faults
 
 
 def _readers(answers: Iterable[str]) -> Collection[str]:
@@ -353,7 +362,7 @@ def _readers(answers: Iterable[str]) -> Collection[str]:
 
 
 def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
-    """What each bridge lists; of a bridge that does not tell its namespace, nothing."""
+    """The decoded answer of each bridge, by its id; a bridge without a `config` is left out."""
     configs = dict[str, _Config]()
     nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
     for key, payload in answers.items():
@@ -397,9 +406,9 @@ def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpo
 def _ends_in_dds(
     zid: str, prefix: str, answers: Mapping[str, bytes]
 ) -> tuple[frozenset[Endpoint], dict[str, str], frozenset[str]]:
-    """The readers and writers, a name for each participant, and the participants not of ROS.
+    """The DDS readers and writers, a name for each participant, and the participants without ROS.
 
-    CycloneDDS tells the name of a process; other implementations do not.
+    CycloneDDS states the name of a process; other implementations do not, and get _NAMELESS.
     """
     ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
@@ -427,7 +436,7 @@ def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:
 
 
 def _differs(end: Endpoint, route: str) -> str:
-    """What an end of DDS offers too little, or asks for in vain; empty if its messages pass."""
+    """The quality that a writer lacks, or a reader requests in vain; empty if messages pass."""
     is_kept = "transient" in end.quality
     if not end.is_publisher:
         return "transient local" if is_kept and "transient" not in route else ""

@@ -1,8 +1,9 @@
-"""Which commands may leave for a hub, by its signs of life, so that a frozen one keeps none. Pure.
+"""Sends non-zero commands only after a sign of life of the hub. Pure.
 
-What is sent to a hub that is frozen waits in the buffers of TCP. Neither side can take it back, the
-hub passes it on when it continues, and Zenoh drops nothing by age. A non-zero command therefore
-leaves only on a fresh sign of life, one command for each; without one, the hub is asked first.
+A command that is sent to a frozen hub waits in the buffers of TCP. No side can take it back, the
+hub passes it on when it continues, and Zenoh drops no message by age: the base would move late. So
+each sign of life (a message, or the answer to a question) permits one non-zero command within
+FRESH_TIME. Without a fresh sign of life the command is held, and the hub is asked.
 """
 
 from __future__ import annotations
@@ -12,16 +13,16 @@ import math
 from swarmd.core.values import ZERO, Twist
 
 FRESH_TIME = 0.01
-"""Seconds after a sign of life within which a command may follow it without a question.
+"""Seconds after a sign of life within which a command may be sent without a question.
 
 A command that answers a scan leaves 1 to 5 ms after it. A longer time makes it more likely that the
 hub froze in between.
 """
 
 MAX_SILENCE = 0.2
-"""Seconds without an answer after which commands leave as zero.
+"""Seconds without an answer after which each command is sent as zero.
 
-What a hub that freezes has received but not passed on is then followed by zero.
+So a command that a freezing hub has received, but not passed on, is followed by zero.
 """
 
 MAX_HELD_TIME = 0.1
@@ -43,13 +44,15 @@ class CommandCredit:
         self._held: tuple[Twist, float] | None = None
 
     def hear(self, now: float) -> None:
-        """The hub has shown a sign of life."""
+        """Note a sign of life of the hub, which permits one command."""
         self._heard_at, self._asked_at, self._is_spent = now, -math.inf, False
 
     def offer(self, twist: Twist, now: float) -> Twist | None:
-        """The command that leaves now for this one; None if none does. Else it is held.
+        """The command to send now in place of `twist`; None if no command may be sent.
 
-        It replaces an earlier command that is held. A silent hub gets zero meanwhile.
+        1. Zero, or a command with a sign of life left, is returned itself.
+        2. Any other command is held, in place of an earlier held command. The result is zero if the
+           hub has been silent for MAX_SILENCE since it was asked, otherwise None.
         """
         self._held = None
         if twist.is_zero or self._spend(now):
@@ -59,14 +62,14 @@ class CommandCredit:
         return ZERO if is_silent else None
 
     def release(self, now: float) -> Twist | None:
-        """The held command, if it may leave now; None otherwise. It is dropped if it is too old."""
+        """The held command if it may be sent now, else None; drops a command that is too old."""
         if self._held is None or not self._spend(now):
             return None
         (twist, offered_at), self._held = self._held, None
         return twist if now - offered_at <= MAX_HELD_TIME else None
 
     def asks(self, now: float) -> bool:
-        """True if the hub is to be asked for a sign of life now."""
+        """True if the hub is to be asked now; the question then counts as sent."""
         is_due = self._held is not None and now - self._asked_at >= _ASK_PERIOD
         if is_due:
             if self._asked_at == -math.inf:
@@ -75,6 +78,7 @@ class CommandCredit:
         return is_due
 
     def _spend(self, now: float) -> bool:
+        """True if a fresh sign of life is left, which is then used up."""
         is_allowed = not self._is_spent and now - self._heard_at <= FRESH_TIME
         self._is_spent |= is_allowed
         return is_allowed

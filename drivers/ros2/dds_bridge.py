@@ -1,7 +1,8 @@
-"""ROS 2 over DDS, through a zenoh-bridge-ros2dds: a topic is its key, a sample is raw CDR.
+"""Driver `ros2dds`: ROS 2 over DDS, through a zenoh-bridge-ros2dds.
 
-Keys and announcements as in the bridge's own source (eclipse-zenoh/zenoh-plugin-ros2dds 1.10:
-`ros2_utils.rs`, `liveliness_mgt.rs`). `make_robots` is the robots' side, for simulated robots.
+The key of a topic is its name, and a sample is CDR. Keys and announcements follow the bridge's
+source (eclipse-zenoh/zenoh-plugin-ros2dds 1.10: `ros2_utils.rs`, `liveliness_mgt.rs`).
+`make_robots` makes simulated robots behind such a bridge.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender
 def make_robots(
     *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
 ) -> EmulatedRobots:
-    """Robots, each in a namespace of its own, at one bridge that listens at `endpoint`."""
+    """Simulated robots, each in its own namespace, at one bridge that listens at `endpoint`."""
     spec = EmulatorSpec(NAME, RosOptions, lambda options, index: Ros2Dds())
     return EmulatedRobots(spec, robots, endpoint, on_command)
 
@@ -63,7 +64,7 @@ class Ros2Dds(Ros2Middleware):
     admin_space = "@/*/ros2"
     is_node = False
     crashed = "zenoh-bridge-ros2dds will forget it: start that again"
-    lease = 13.0  # DDS: 10 s, and the bridge is asked every 2 s
+    lease = 13.0  # s: 10 s of DDS, and 2 s between two queries of the bridge
     domain: int | None = None
 
     def subscription_key(self, topic: str) -> str:
@@ -71,13 +72,14 @@ class Ros2Dds(Ros2Middleware):
         return topic.removeprefix("/")
 
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
-        """Only a put on a wildcard key can be wrong: the key does not name the type."""
+        """The fault of a put on a wildcard key; the key does not name the type."""
         return "" if key == self.subscription_key(topic) else f"sent on key {key[:80]!a}"
 
     def parse_token(self, token: str) -> Endpoint | None:
-        """From `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for the slashes inside.
+        """The endpoint of `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for inner slashes.
 
-        The server of an action has one token, `AS/<key>/<type>`; it stands for the action's status.
+        The server of an action has a token `AS/<key>/<type>`, which is read as the publisher of the
+        action's status.
         """
         parts = token.split("/")
         if len(parts) == 6 and parts[3] == "AS":
@@ -111,5 +113,5 @@ class Ros2Dds(Ros2Middleware):
         return tuple(found)
 
     def attachment(self, token: str = "") -> bytes | None:
-        """None: the bridge sends and expects the payload alone."""
+        """None: the bridge uses no attachments."""
         return None

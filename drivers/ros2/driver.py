@@ -1,7 +1,8 @@
-"""A ROS 2 robot over a Zenoh session of its own; a key scheme gives keys, framing and tokens.
+"""The driver of ROS 2 robots over Zenoh, for both middlewares.
 
-`RosDriver._watch` finds a lost base: silent topics, a hub that has gone or was started again, a
-base that takes commands of another type.
+A hub is the Zenoh bridge or router at the robot. A `KeyScheme` gives what differs between the
+middlewares: keys, framing and liveliness tokens. `RosDriver._watch` detects a lost base: silent
+topics, a hub that is gone or was started again, a base that takes commands of another type.
 """
 
 from __future__ import annotations
@@ -53,20 +54,21 @@ log = logging.getLogger(__name__)
 SENSOR_TIMEOUT = 1.0
 """Seconds without scan or odometry after which the base counts as lost; longer for slow scans."""
 
-_PERIOD = 0.1
-_GRAPH_TIMEOUT = 1.0
-_EXPLAIN_PERIOD = 2.0
+_PERIOD = 0.1  # s between two calls of `_watch`
+_GRAPH_TIMEOUT = 1.0  # s for the query of the announcements
+_EXPLAIN_PERIOD = 2.0  # s between two reports of why the base is lost
 _MAX_ENDPOINTS, _MAX_TOKEN = 4096, 1000
-_KEY_FAULT = ":type"
+_KEY_FAULT = ":type"  # ends the name of a topic whose sample came on a wrong key
+_MIN_TIMEOUT_SCANS = 3.5  # scan periods after which a slow scanner's base counts as lost
 
 
 class RosDriver:
     """Talks to one robot through the hub at `options.endpoint`.
 
-    A safe command passes `CommandGate` (zero first after each connection; nothing while the base is
-    lost), then `CommandCredit` (a command to move waits for a sign of life of the hub). The driver
-    sends further zeros: when the gate closes, for 2 s after a loss, and against the commands of
-    another node (`ZeroAnswers`). Nothing delays a zero.
+    A safe command passes `CommandGate`: the first command after each connection is zero, and no
+    command passes while the base is lost. Then it passes `CommandCredit`: a non-zero command waits
+    for a sign of life of the hub. The driver itself sends zeros when the gate closes, for 2 s after
+    a loss, and against the commands of another node (`ZeroAnswers`). No check delays a zero.
     """
 
     is_simulated = False
@@ -84,10 +86,11 @@ class RosDriver:
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
         self._zero_by_key = zeros(scheme, options)
-        self._sensor_timeout = max(SENSOR_TIMEOUT, 3.5 / platform.scan.rate)
+        self._sensor_timeout = max(SENSOR_TIMEOUT, _MIN_TIMEOUT_SCANS / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
         cdr.warm(
-            *options.command_types, *(t.message_type for t in self._subscriptions.topics.values())
+            *options.command_types,
+            *(stats.message_type for stats in self._subscriptions.topics.values()),
         )
         self._state = StateTopics(scheme, platform, options)
         self._reset()
@@ -99,10 +102,11 @@ class RosDriver:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Send a safe command; dropped while the base is lost, zero the first time it is back.
+        """Send a safe command; while the base is lost it is dropped.
 
-        A stopped robot is sent zero also while the base is lost: another node may command it. A
-        non-zero command waits for a sign of life of the hub (`CommandCredit`).
+        The first command after a loss is sent as zero. Zero for a stopped robot (`is_stopped`) is
+        sent even while the base is lost, since another node may command the base. A non-zero
+        command waits for a sign of life of the hub (`CommandCredit`).
         """
         twist = ZERO if self._conflict else twist
         loop = asyncio.get_running_loop()
@@ -128,11 +132,11 @@ class RosDriver:
 
     @property
     def zero_hint(self) -> str:
-        """For the watchdog: the class of commands that the base wants; empty while unknown."""
+        """For the watchdog: the name of the message class of commands; empty while unknown."""
         return zero_hint(self._command_type)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """Topics, rates, types, clocks and what is missing, each with the next step."""
+        """Check topics, rates, types and clocks for `seconds`; each fault has the next step."""
         loop = asyncio.get_running_loop()
         began = loop.time()
         task = asyncio.create_task(self._run(NullSink(), is_check=True))
@@ -158,7 +162,7 @@ class RosDriver:
         self._release(now)
 
     def _release(self, now: float) -> None:
-        """Send the command that is held, if it may leave and the base is still to be driven."""
+        """Send the held command, if the credit permits it and the gate is still open."""
         held = self._credit.release(now)
         self._pass(None if held is None or self._conflict else self._gate.filter(held))
 
@@ -189,7 +193,7 @@ class RosDriver:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._command_token = ""
         self._endpoints: dict[str, Endpoint] = {}
-        self._others: list[Endpoint] | None = None
+        self._foreign_ends: list[Endpoint] | None = None
         self._withdrawn_at = -math.inf
         self._graph_query: object | None = None
         self._kept: dict[str, Callable[[zenoh.Sample], None]] = {}
@@ -238,7 +242,7 @@ class RosDriver:
                 session.close()
 
     async def _opened(self, sink: Sink) -> zenoh.Session:
-        """A session, opened once something listens at the endpoint; closed if this is cancelled."""
+        """Open the session, again and again until the hub answers; closed if this is cancelled."""
         within = OPEN_TIME
         while True:
             opening = partial(open_session, self._options.endpoint, within=within)
@@ -252,8 +256,8 @@ class RosDriver:
         self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
     ) -> None:
         self._kept = {
-            topic: _receiver(self._scheme, inbox, f"{one.name}{KEPT}", topic, one.message_type)
-            for topic, one in self._subscriptions.kept_topics.items()
+            topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
+            for topic, stats in self._subscriptions.kept_topics.items()
         }
 
         def on_token(sample: zenoh.Sample) -> None:
@@ -281,11 +285,12 @@ class RosDriver:
             subscribe_with_history(session, key, _command_receiver(inbox, topic))
 
     def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
-        """Query the announcements: the base stays lost until the answer is complete.
+        """Query the announcements; the base stays lost until the answer is complete.
 
-        Its end arrives after the tokens of `_listen`, in the order of the link: their callbacks run
-        on the thread that receives. The usual ones have a thread each, and a scan may overtake the
-        token that names the command type of the base.
+        The callbacks are direct (`indirect=False`): Zenoh's receiving thread runs them in the order
+        of the link, so that the end of the answer comes after all tokens of `_listen`. An indirect
+        callback has its own thread: a scan could overtake the token that names the base's command
+        type.
         """
         self._graph_query = query = object()
         errors: list[zenoh.ReplyError] = []
@@ -303,21 +308,30 @@ class RosDriver:
         )
 
     def _on_graph(self, loop: asyncio.AbstractEventLoop, query: object, is_complete: bool) -> None:
+        """The answer to `_query_graph` has ended; query again if it was not complete."""
         if query is not self._graph_query or self._session is None:
-            return  # of an earlier start of the hub, or of an earlier run
+            return  # the query belongs to an earlier start of the hub, or to an earlier run
         if is_complete:
             self._graph_query = None
         else:
             self._query_graph(self._session, loop)
 
     def _on_token(self, token: str, is_there: bool) -> None:
+        """Take the announcement of an endpoint, or its withdrawal (not `is_there`).
+
+        1. Keep or drop the endpoint.
+        2. The server of an action has left: its goals have ended.
+        3. A base has come or left: the command type may be another, and zero goes first.
+        4. A publisher of a kept topic has come or left: ask for its last message, or drop it.
+        """
         if len(token) > _MAX_TOKEN or not token.isprintable():
             return
         end = self._scheme.parse_token(token)
         if end is None:
             return
-        now, self._others = asyncio.get_running_loop().time(), None
-        most = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)  # others leave it room
+        now, self._foreign_ends = asyncio.get_running_loop().time(), None
+        # The topics of this robot may fill as much again, so that others do not shut them out.
+        most = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_there and len(self._endpoints) < most:
             self._endpoints.setdefault(token, replace(end, since=now))
         elif not is_there:
@@ -325,7 +339,7 @@ class RosDriver:
             self._withdrawn_at = now
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
-            if not self._is_published(end.topic):  # its server has gone, and tells no end
+            if not self._is_published(end.topic):  # the server has left without ending its goals
                 self._ended_servers.add(end.topic)
                 self._foreign.end_goals(end.topic, now)
         if not end.is_publisher and end.topic == self._cmd_vel:
@@ -336,43 +350,44 @@ class RosDriver:
         if end.is_publisher and end.topic in self._kept and self._session:
             if not is_there:
                 self._subscriptions.forget(end.topic)
-            if is_there or self._is_published(end.topic):  # a bridge's cache outlives its writer
+            # Without a publisher no query: a bridge's cache outlives its DDS writer.
+            if is_there or self._is_published(end.topic):
                 key = self._scheme.subscription_key(end.topic)
                 query_kept(self._session, key, self._kept[end.topic])
 
     def _on_nodes(self) -> None:
-        """The bridges have listed their nodes, which may want another type of commands."""
-        self._others = None
+        """Take a new list of a bridge's nodes: the command type may be another."""
+        self._foreign_ends = None
         self._command_type = self._wanted_type()
 
     def _announcing(self) -> frozenset[str]:
-        """The sessions of others that announce a topic of this robot."""
+        """The ids of foreign Zenoh sessions that announce a topic of this robot."""
         topics = self._needed() - self._foreign.actions.keys()
         ends = self._endpoints.values()
         return frozenset(end.zid for end in ends if end.topic in topics) - {self._own_zid()}
 
     def _needed(self) -> frozenset[str]:
-        """The topics of this robot, by their full names."""
-        sensed = (one.topic for one in self._subscriptions.topics.values())
+        """The full names of this robot's topics: commands, sensors, and states of actions."""
+        sensed = (stats.topic for stats in self._subscriptions.topics.values())
         return frozenset((self._cmd_vel, *sensed, *self._foreign.actions))
 
     def _own_zid(self) -> str:
         return str(self._session.info.zid()) if self._session is not None else ""
 
     def _foreign_graph(self) -> diagnosis.Graph:
-        """The endpoints of others."""
-        if self._others is None:
+        """The endpoints of other nodes; cached in `_foreign_ends` until an announcement changes."""
+        if self._foreign_ends is None:
             own, asked_at = self._own_zid(), self._bridges.asked_at
             announced = [end for end in self._endpoints.values() if end.zid != own]
             ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
             is_newer = asked_at > self._withdrawn_at
-            self._others = [end for end in ends if end.is_routed or is_newer]
+            self._foreign_ends = [end for end in ends if end.is_routed or is_newer]
         return diagnosis.Graph(
             middleware=self._scheme,
-            endpoints=self._others,
+            endpoints=self._foreign_ends,
             strays=self._bridges.nodes.strays,
             options=self._options,
-            heard={one.topic for one in self._subscriptions.topics.values() if one.count},
+            heard={stats.topic for stats in self._subscriptions.topics.values() if stats.count},
             now=asyncio.get_running_loop().time(),
         )
 
@@ -384,9 +399,10 @@ class RosDriver:
         now = asyncio.get_running_loop().time()
         self._credit.hear(now)
         self._accept(sink, is_check, name, payload, now)
-        self._release(now)  # unless the message led to a newer command
+        self._release(now)  # the held command, unless the message has led to a newer command
 
     def _accept(self, sink: Sink, is_check: bool, name: str, payload: bytes, now: float) -> None:
+        """Take a message by its name: foreign command, action state, wrong key, or sensor topic."""
         if name in self._foreign.topics:
             self._on_command(sink, name, payload, now)
         elif name in self._foreign.actions:
@@ -406,14 +422,15 @@ class RosDriver:
                 return
             self._open_gate(sink, is_check, now)
             if self._gate.is_open or self._foreign.source(now):
-                deliver(sink)  # also while another node drives: a stop tells the measured speed
+                deliver(sink)  # also while another node drives: a stop reports the measured speed
 
     def _read(self, name: str, payload: bytes, now: float) -> Deliver:
+        """Decode a message, new or from a publisher's cache (name ending in KEPT)."""
         topic = name.removesuffix(KEPT)
         if topic == name:
             return self._subscriptions.read(name, payload, now)
         if not self._is_published(self._subscriptions.topics[topic].topic):
-            # Its publisher has left meanwhile.
+            # The publisher of the kept message has left meanwhile.
             return partial(self._subscriptions.deliver_inputs, now=now)
         return self._subscriptions.read(topic, payload, now, is_kept=True)
 
@@ -421,9 +438,10 @@ class RosDriver:
         return bool(self._foreign_graph().publishers(topic))
 
     def _on_command(self, sink: Sink, topic: str, payload: bytes, now: float) -> None:
-        """Another node publishes a command; a zero does not count as driving.
+        """Take the command of another node; a zero does not count as driving.
 
-        If the robot must stand, zero follows at once. Else this driver falls silent.
+        This driver then stops driving (the gate closes). If the robot must stand, zero follows at
+        once (`ZeroAnswers`).
         """
         graph = self._foreign_graph()
         types = [end.type for end in graph.publishers(topic)]
@@ -434,19 +452,20 @@ class RosDriver:
         self._zeros.answer()
 
     def _on_status(self, sink: Sink, topic: str, payload: bytes, now: float) -> None:
-        """The states of the goals of an action that may drive the base."""
+        """Take the states of an action's goals; an active goal drives the base."""
         try:
             status: object = cdr.decode(ROS2_ACTIONS.message_type, payload)
         except CodecError:
             sink.dropped(topic)
             return
         is_active = self._foreign.take_status(topic, status, now)
-        if topic in self._ended_servers:  # the withdrawal has overtaken the last status
+        if topic in self._ended_servers:  # the server's withdrawal has overtaken its last status
             self._foreign.end_goals(topic, now)
         if is_active and self._gate.is_open:
             self._close_gate(sink, diagnosis.driven(self._foreign, self._foreign_graph(), now))
 
     def _open_gate(self, sink: Sink, is_check: bool, now: float) -> None:
+        """Open the gate if a sign of life has just come and the base may be commanded."""
         if self._gate.is_open or self._subscriptions.last_arrival < now or self._command_fault(now):
             return
         self._conflict = self._find_conflict()
@@ -458,7 +477,7 @@ class RosDriver:
         self._opened_type = self._command_type
 
     def _announce(self, command_type: type | None) -> None:
-        """Announce this node once, and again when its commands have another type."""
+        """Declare this node's tokens, and declare them again when its commands change type."""
         if self._session is None or command_type is None:
             return
         if self._tokens and command_type is self._opened_type:
@@ -478,19 +497,29 @@ class RosDriver:
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        shown = self._state.ends
-        tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, *shown, command])
-        self._command_token = tokens[-1]
-        told = tokens[-1 - len(shown) : -1]
-        self._state.announced(dict(zip((one.topic for one in shown), told, strict=True)))
+        state_ends = self._state.ends
+        tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, *state_ends, command])
+        # The tokens of the ends come last, in the order of the ends.
+        *_, self._command_token = tokens
+        state_tokens = tokens[-1 - len(state_ends) : -1]
+        topics = (end.topic for end in state_ends)
+        self._state.announced(dict(zip(topics, state_tokens, strict=True)))
         self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
-            self._put(ZERO, frame="")  # without a frame it is zero also as a Twist
+            # Without a frame the bytes of a TwistStamped are zero even when read as a Twist.
+            self._put(ZERO, frame="")
         self._report_state(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
+        """Detect changes of hub, topics and base, each _PERIOD; `opened`: s of the session's begin.
+
+        Only the first change of this order is acted on. These close the gate: hub gone, hub started
+        again, silent topics, a fault of the commands, another command type. These are only
+        reported: a conflict, a change of the link. Otherwise a zero that is due after a loss is
+        repeated.
+        """
         hubs, before = linked_hubs(session), self._hubs
         self._hubs = hubs or before
         silent = now - self._subscriptions.last_arrival
@@ -521,14 +550,15 @@ class RosDriver:
         elif self._gate.is_open and conflict != self._conflict:
             self._report_state(sink, True, self._connected_text())
         elif self._reported is not None and was_linked != self._was_linked:
-            self._report_state(sink, *self._reported[:2])  # zeros of a stopped robot arrive now
+            # Report the same state again: `gets_zero` has changed with the link.
+            self._report_state(sink, *self._reported[:2])
         elif self._gate.repeats_zero(now) and not self._foreign.source(now):
             self._put(ZERO, frame="")
         if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened >= _EXPLAIN_PERIOD:
             self._explain(sink, now, is_linked=bool(hubs))
 
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
-        """Report again why the base is lost, or what is missing although it is connected."""
+        """Report again why the base is lost, or what is missing although the base is connected."""
         if is_linked:
             is_alive = now - self._subscriptions.last_arrival <= self._sensor_timeout
             fault = self._command_fault(now) if is_alive or self._foreign.source(now) else ""
@@ -557,7 +587,7 @@ class RosDriver:
         return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def _topic_fault(self, now: float) -> str:
-        """The first fault of the robot's topics; empty without one."""
+        """The first fault of the robot's topics; empty without a fault."""
         if self._foreign.has_lasting_zeros(now):
             return (
                 f"another node stops this robot: zeros on {self._cmd_vel} that are not this"
@@ -584,11 +614,11 @@ class RosDriver:
         return self._foreign_graph().conflict(topics, self._platform.scan)
 
     def _connected_text(self) -> str:
-        """What to report of a base that is connected."""
+        """The text to report of a base that is connected."""
         return self._conflict.text if self._conflict else self._place()
 
     def _incompleteness(self) -> str:
-        """What all scans lack, as far as the last two that were examined tell."""
+        """What scans lack, if the last two calls both found a fault; empty otherwise."""
         scan, was_incomplete = self._subscriptions.scan, self._was_incomplete
         stats = next(iter(self._subscriptions.topics.values()))
         fault = "" if scan is None else diagnosis.incomplete(stats, scan, self._platform.scan)
@@ -602,6 +632,7 @@ class RosDriver:
         return f"{self._scheme.hub} at {self._options.endpoint}"
 
     def _report_state(self, sink: Sink, is_up: bool, text: str) -> None:
+        """Report the state of the base if it has changed; log a change of `is_up` or `text`."""
         self._reported_at = asyncio.get_running_loop().time()
         hold = self._conflict.reason if self._conflict else None
         report = (is_up, text, hold, self._was_linked)
@@ -615,7 +646,10 @@ class RosDriver:
         sink.state(is_up, text, hold=hold, gets_zero=self._was_linked)
 
     def _put(self, twist: Twist, frame: str) -> None:
-        """Publish a command; only zero, in each type, while that of the base is not known."""
+        """Publish a command in the type of the base.
+
+        While the type is not known, zero is published in each type, and other commands are dropped.
+        """
         kind = self._command_type
         if kind is None:
             sent = self._zero_by_key if twist.is_zero else {}
@@ -629,8 +663,10 @@ class RosDriver:
 
 
 def _command_receiver(inbox: LatestSamples, topic: str) -> Callable[[zenoh.Sample], None]:
+    """A callback that puts the samples of a topic of commands into the inbox."""
+
     def on_sample(sample: zenoh.Sample) -> None:
-        # On a key of many topics it may be of any type: empty, it counts as unreadable.
+        # A sample on a wildcard key may have any type: as empty bytes it counts as unreadable.
         inbox.put(topic, b"" if "*" in str(sample.key_expr) else sample.payload.to_bytes())
 
     return on_sample
@@ -639,6 +675,8 @@ def _command_receiver(inbox: LatestSamples, topic: str) -> Callable[[zenoh.Sampl
 def _receiver(
     scheme: KeyScheme, inbox: LatestSamples, name: str, topic: str, message_type: type
 ) -> Callable[[zenoh.Sample], None]:
+    """A callback that puts a topic's samples into the inbox as `name`, or a fault of the key."""
+
     def on_sample(sample: zenoh.Sample) -> None:
         fault = scheme.key_fault(str(sample.key_expr), topic, message_type)
         if fault:

@@ -43,7 +43,7 @@ _OPTIONS: dict[str, object] = {
 
 @dataclass(frozen=True, slots=True)
 class EmulatorSpec:
-    """What differs between the emulators; `scheme` takes options and the robot's number."""
+    """The middleware of emulated robots; `scheme` takes the options and the robot's index."""
 
     driver: str
     options: type[RosOptions]
@@ -88,7 +88,7 @@ class EmulatedRobots:
     def publish(self, robot: str, input: SensorInput) -> None:
         """Publish an input on the topics that the robot's options name.
 
-        The encoders of `to_ros` say which messages; a kind without an encoder has no topic.
+        `to_ros.encoders` gives the messages; an input of a kind without an encoder is ignored.
         """
         self._robots[robot].publish(input)
 
@@ -104,7 +104,7 @@ class EmulatedRobots:
         def on_sample(sample: zenoh.Sample) -> None:
             try:
                 twist = _command(cdr.decode(command_type, sample.payload.to_bytes()))
-            except CodecError:  # it must not replace a command that can be read
+            except CodecError:  # an unreadable command must not replace an earlier command
                 with self._lock:
                     self.dropped += 1
                 return
@@ -180,21 +180,21 @@ def _options(spec: EmulatorSpec, robot: str, platform: Platform) -> RosOptions:
 
 
 def _check_distinct(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
-    """ConfigError if two robots would use one topic."""
+    """Raise ConfigError if two robots would use one topic."""
     owners: dict[str, str] = {}
     for robot, options in read.items():
         for name in (options.cmd_vel, options.odometry, *(options.ranges or (options.scan_topic,))):
             topic = options.topic(name)
-            other = owners.setdefault(topic, robot)
-            if other != robot:
+            owner = owners.setdefault(topic, robot)
+            if owner != robot:
                 raise ConfigError(
-                    f"robots {other} and {robot} have one topic {topic}; take the first slash off"
+                    f"robots {owner} and {robot} have one topic {topic}; take the first slash off"
                     f" its name in the platform's file, under drivers.{spec.driver}"
                 )
 
 
 def _check_tags(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
-    """ConfigError if a robot's tag has the number that stands for another kind."""
+    """Raise ConfigError if the number of a robot's tag stands for another kind of object."""
     for robot, options in read.items():
         for encoder in tag_encoders(options):
             kind = encoder.taken_for(_ROBOTS, robot)

@@ -1,4 +1,7 @@
-"""How the two ways of ROS 2 over Zenoh differ: keys, framing, and how topics are announced."""
+"""The interface of a ROS 2 middleware over Zenoh: keys, attachments and liveliness tokens.
+
+`dds_bridge.py` and `rmw_zenoh.py` implement it.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ class TopicEnd:
 
 
 class Ros2Middleware:
-    """What both ways have in common."""
+    """The phrases that both middlewares have in common."""
 
     endpoint_option = "driver_options.endpoint"
     silent_topic = "look at the sensor: ros2 topic hz"
@@ -35,28 +38,23 @@ class Ros2Middleware:
 
 
 class KeyScheme(Middleware, Protocol):
-    """Keys and framing of one way of speaking ROS 2 over Zenoh.
+    """Keys, attachments and tokens of one ROS 2 middleware over Zenoh."""
 
-    `announcements` is the key expression of the tokens, `admin_space` the root of a bridge's
-    answers, with `*` for the bridge, empty where there is no bridge.
-    `is_node`: whether the driver announces itself; only a bridge announces itself to bridges.
-    """
-
-    announcements: str
-    admin_space: str
-    is_node: bool
+    announcements: str  # the key expression of the liveliness tokens
+    admin_space: str  # the root of a bridge's admin space, `*` for its id; empty without a bridge
+    is_node: bool  # the driver declares tokens of its own; with a bridge only the bridge does
 
     def subscription_key(self, topic: str) -> str:
         """The key expression to subscribe to for a topic."""
 
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
-        """What is wrong with a sample's key; empty if it is of that topic and type."""
+        """The fault of a sample's key; empty if the key is of that topic and type."""
 
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint that a liveliness token announces; None if it announces no topic."""
 
     def key(self, topic: str, message_type: type) -> str:
-        """The key to publish on, as far as the robot's samples tell."""
+        """The key to publish on; it may depend on the samples of the robot so far."""
 
     def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
         """All keys on which a robot may subscribe to commands."""

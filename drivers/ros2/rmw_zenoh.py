@@ -1,8 +1,8 @@
-"""ROS 2 over Zenoh itself (rmw_zenoh_cpp): no bridge; a key holds the type and its hash.
+"""Driver `rmw_zenoh`: ROS 2 with rmw_zenoh_cpp, without a bridge; a key has type and type hash.
 
-Keys, attachments and tokens as in rmw_zenoh's `docs/design.md`. The driver subscribes to a topic
-whatever its type and hash, so that the robot may run any distribution; commands go out on the exact
-key. `make_robots` is the robots' side, for simulated robots; its hashes are Jazzy's.
+Keys, attachments and tokens follow rmw_zenoh's `docs/design.md`. The driver subscribes to a topic
+with any type and hash, so that the robot may run any distribution. Commands are published on the
+exact key. `make_robots` makes simulated robots of this middleware, with the hashes of Jazzy.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from swarmd.drivers.ros2.zero_sender import RosZeroSender
 
 NAME = "rmw_zenoh"
 NO_HASH = "TypeHashNotSupported"
-"""Humble's placeholder for every type's hash."""
+"""The placeholder of Humble for the hash of every type."""
 
 _MAX_KEY = 600
 _BEST_EFFORT, _TRANSIENT_LOCAL = "2", "1"  # rmw's numbers for reliability and for durability
@@ -55,13 +55,13 @@ def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender
 def make_robots(
     *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
 ) -> EmulatedRobots:
-    """Robots, each a node in a namespace of its own, at one rmw_zenohd that is at `endpoint`."""
+    """Simulated robots, each a node in its own namespace, at one rmw_zenohd at `endpoint`."""
     spec = EmulatorSpec(NAME, RmwOptions, _emulated)
     return EmulatedRobots(spec, robots, endpoint, on_command)
 
 
 def gid_of(token: str) -> bytes:
-    """The 16 bytes that identify an endpoint: XXH3-128 of its token, low half first."""
+    """The 16-byte gid of an endpoint: XXH3-128 of its token, little-endian."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
 
 
@@ -104,11 +104,11 @@ class RmwZenoh(Ros2Middleware):
         self._sent: Counter[str] = Counter()
 
     def subscription_key(self, topic: str) -> str:
-        """Any type and hash of this very topic: a longer name is another topic."""
+        """The key expression for any type and hash of this topic, without longer topic names."""
         return f"{self.domain}{topic}/*/*"
 
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
-        """Another type, or a hash that the type has in no distribution."""
+        """The fault of a key: another topic or type, or a hash that no distribution has."""
         prefix = f"{self.domain}{topic}/"
         type_name, _, hashed = key.removeprefix(prefix).partition("/")
         is_one = bool(type_name) and bool(hashed) and "*" not in key and "/" not in hashed
@@ -119,12 +119,16 @@ class RmwZenoh(Ros2Middleware):
             return f"it carries {ros_name(type_name)}; expected {wanted}"
         if hashed != NO_HASH and hashed not in known_hashes(message_type):
             return f"its {wanted} has the type hash {hashed[:19]}, which no distribution has"
-        if topic != self._cmd_vel:  # others publish there: a watchdog sends zero on every key
+        # On the topic of commands other nodes publish, such as a watchdog that uses every key.
+        if topic != self._cmd_vel:
             self._is_humble = hashed == NO_HASH
         return ""
 
     def parse_token(self, token: str) -> Endpoint | None:
-        """From `@ros2_lv/<domain>/<zid>/<nid>/<eid>/{MP|MS}/<enclave>/<ns>/<node>/<topic>/...`."""
+        """The endpoint of a token.
+
+        `@ros2_lv/<domain>/<zid>/<nid>/<eid>/{MP|MS}/<enclave>/<ns>/<node>/<topic>/<type>/...`
+        """
         parts = token.split("/")
         if len(parts) < 13 or parts[5] not in ("MP", "MS") or not parts[1].isdecimal():
             return None
@@ -137,17 +141,17 @@ class RmwZenoh(Ros2Middleware):
         return Endpoint(parts[5] == "MP", topic, type_name, parts[2], domain, node, quality)
 
     def key(self, topic: str, message_type: type) -> str:
-        """With Humble's placeholder for the hash if the robot's samples have it."""
+        """The key with the type's hash, or Humble's placeholder if the robot's keys have it."""
         return self._key(topic, message_type, self._hash_of(message_type))
 
     def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
-        """One with the type's hash, and Humble's without."""
+        """Two keys: with the hash of the type, and with Humble's placeholder."""
         return tuple(
             self._key(topic, message_type, hashed) for hashed in (type_hash(message_type), NO_HASH)
         )
 
     def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
-        """The node's token, and one for each end; only the quality that is not default is named."""
+        """The node's token, and a token for each end; default qualities are left out of tokens."""
         first = 100 * self._index
         context = f"@ros2_lv/{self.domain}/{zid}/{self._index}"
         found = [f"{context}/{first}/NN/{self._node}"]
@@ -161,7 +165,7 @@ class RmwZenoh(Ros2Middleware):
         return tuple(found)
 
     def attachment(self, token: str = "") -> bytes | None:
-        """Sequence number, time in ns since 1970, and the publisher's gid; 0 without a token."""
+        """Sequence number, ns since 1970, and the publisher's gid; gid 0 without a token."""
         self._sent[token] += 1
         gid = gid_of(token) if token else bytes(16)
         return _ATTACHMENT.pack(self._sent[token], time.time_ns(), 16, gid)

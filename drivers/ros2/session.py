@@ -1,7 +1,8 @@
-"""The session to a robot's hub: a client, since only a client's data pass a Zenoh router.
+"""The Zenoh session to a robot's hub, in client mode, and its publishers and queries.
 
-Two peers at one router exchange nothing (Zenoh 1.10), and every node of rmw_zenoh is a peer. A
-client reconnects by itself once it was open; opening fails while nothing listens.
+A Zenoh router (1.10) passes no data between two peers, and every node of rmw_zenoh is a peer: the
+driver must be a client. Opening a session fails while the hub does not listen. Once open, a client
+reconnects by itself.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ LINK_TIMEOUT = 5.0
 """Seconds without an acknowledgement after which a link is given up and dialled again."""
 
 OPEN_TIME = 1.0
-"""Seconds for the first attempt to open a session: a hub that is near answers within them."""
+"""Seconds for the first attempt to open a session: a hub on a fast link answers within them."""
 
 MAX_OPEN_TIME = 2.5
 """Seconds for each further attempt: opening takes three round trips, and a link may be slow."""
@@ -34,11 +35,11 @@ _NO_TOKEN = "@swarmd/alive"
 _ANSWER_TIMEOUT = 5.0
 _KEPT_TIMEOUT = 1.0
 KEPT = ":kept"
-"""Ends the name of a topic whose message comes from a cache."""
+"""Suffix of a topic's name for a message from a publisher's cache."""
 
 
 def open_session(endpoint: str, *, within: float = OPEN_TIME) -> zenoh.Session | None:
-    """A session to the hub at `endpoint`; None if the hub does not answer within that time in s."""
+    """A session to the hub at `endpoint`; None if the hub does not answer within `within` s."""
     options: dict[str, object] = {
         **PROMPT_OPTIONS,
         "mode": "client",
@@ -59,18 +60,19 @@ def open_session(endpoint: str, *, within: float = OPEN_TIME) -> zenoh.Session |
 
 
 def linked_hubs(session: zenoh.Session) -> frozenset[str]:
-    """The ids of the hubs it is linked to, new at each start of a hub; empty without a link."""
+    """The ids of the hubs to which the session is linked; a hub has a new id at each start."""
     with contextlib.suppress(zenoh.ZError):
         return frozenset(map(str, (*session.info.routers_zid(), *session.info.peers_zid())))
     return frozenset()
 
 
 def ask_hub(session: zenoh.Session, on_answer: Callable[[], object]) -> None:
-    """Call `on_answer` on a thread of Zenoh once the hub has answered; never if it does not.
+    """Call `on_answer` on a thread of Zenoh once the hub has answered; not called on a timeout.
 
-    The question is for tokens that do not exist, which a hub answers by itself: 0.4 ms on loopback.
+    The question is a query for a liveliness token that does not exist: the hub itself answers that
+    there is none, within 0.4 ms on loopback.
     """
-    errors: list[zenoh.Reply] = []  # the timeout; there is no such token
+    errors: list[zenoh.Reply] = []  # the only possible reply is the error of a timeout
 
     def on_end() -> None:
         if not errors:
@@ -84,10 +86,10 @@ def ask_hub(session: zenoh.Session, on_answer: Callable[[], object]) -> None:
 def subscribe_with_history(
     session: zenoh.Session, key: str, receive: Callable[[zenoh.Sample], None]
 ) -> None:
-    """Subscribe also to what the publishers keep for late subscribers, in the order of publication.
+    """Subscribe, with the last message that publishers keep for late subscribers, in order.
 
-    A bridge hands on what a DDS writer keeps to the first subscriber only; to later ones from its
-    own cache.
+    A bridge hands the messages that a DDS writer keeps only to its first subscriber. Later
+    subscribers get them from the bridge's cache, which this advanced subscriber queries.
     """
     zenoh.ext.declare_advanced_subscriber(
         session,
@@ -99,17 +101,18 @@ def subscribe_with_history(
 
 
 def command_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """A publisher of commands; it skips its own session."""
+    """A publisher of commands, which subscribers of the same session do not receive."""
     return realtime_publisher(session, key, allowed_destination=zenoh.Locality.REMOTE)
 
 
 def query_kept(session: zenoh.Session, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
-    """Query the publishers of a key for their last message; a newer one may arrive before it.
+    """Query the publishers of a key for their last message.
 
-    A publisher with durability TRANSIENT_LOCAL is an advanced publisher of zenoh-ext, in the bridge
-    ros2dds 1.10 as in rmw_zenoh since 0.2.2: its cache answers to `<key>/@adv/**`. Other publishers
-    do not answer. An advanced subscriber asks too, and drops what it had before: after a loss of
-    the link the last value would not come again, as it has to for a reading.
+    A newer message may arrive before the answer. A publisher with durability TRANSIENT_LOCAL is an
+    advanced publisher of zenoh-ext, in the bridge ros2dds 1.10 and in rmw_zenoh since 0.2.2: its
+    cache answers on `<key>/@adv/**`. Other publishers do not answer. An advanced subscriber is not
+    used here: it drops a message that it has had before, so that after a loss of the link the last
+    value of a reading would not come again.
     """
 
     def on_reply(reply: zenoh.Reply) -> None:

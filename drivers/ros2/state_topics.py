@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 POSE, MARKERS, DIAGNOSTICS = "swarmd/pose", "swarmd/markers", "diagnostics"
 ODOMETRY_FRAME = "odom"
-MAX_AGE = 1.0  # s after which odometry tells no more where the robot is
+MAX_AGE = 1.0  # s after which a position by odometry is too old to publish
 _TYPES: Mapping[str, type] = {
     POSE: ros.PoseStamped,
     MARKERS: ros.MarkerArray,
@@ -63,14 +63,14 @@ class StateTopics:
 
     @property
     def ends(self) -> list[TopicEnd]:
-        """Its publishers, as a node announces them."""
+        """The publishers, as a node announces them."""
         return [
             TopicEnd(topic, _TYPES[name], is_publisher=True, is_reliable=True, depth=1)
             for name, topic in self._topics.items()
         ]
 
     def findings(self) -> tuple[Finding, ...]:
-        """What `swarmd --check` tells of the option."""
+        """The finding of `swarmd --check` on option `publish_state`."""
         if not self.is_on:
             return ()
         return (Finding("state topics", True, f"publishes {', '.join(self._topics.values())}"),)
@@ -82,10 +82,11 @@ class StateTopics:
         pose: ShownPose | None,
         odometry_age: float,
     ) -> None:
-        """Keep the newest state of the robot; None: not known, or of the status no newer one.
+        """Keep the newest state of the robot.
 
-        `odometry_age`: of `motion`, in s. The stamp of a place is the time at which it was
-        measured; a place by odometry older than MAX_AGE is not told.
+        `status` None: the last status still holds. `pose`: in a shared frame, None if not known.
+        `motion`: the pose by odometry, measured `odometry_age` s ago; used without `pose`, unless
+        older than MAX_AGE. The stamp of a message is the time of the measurement.
         """
         if status is not None:
             self._status = status
@@ -101,7 +102,7 @@ class StateTopics:
         self._changed |= {POSE, MARKERS}
 
     def open(self, session: zenoh.Session) -> None:
-        """Declare the publishers on a session; those of an earlier session have ended with it."""
+        """Declare the publishers on a new session."""
         for name, topic in self._topics.items():
             self._publishers[name] = publisher = session.declare_publisher(
                 self._scheme.key(topic, _TYPES[name]),
@@ -114,13 +115,14 @@ class StateTopics:
             self._unsure.add(name)
 
     def announced(self, tokens: Mapping[str, str]) -> None:
-        """The tokens of its publishers, by topic."""
+        """Set the liveliness tokens of the publishers, by topic."""
         self._tokens = tokens
 
     def publish(self) -> None:
-        """Publish what is new and subscribed to. The driver's task calls this.
+        """Publish the topics that have changed and have subscribers. The driver's task calls this.
 
-        A topic that cannot be published ends until the next session: no driver ends with it.
+        A topic whose message raises an error is not published until the next session; the driver
+        goes on.
         """
         changed, self._changed = self._changed, set()
         for name in changed & self._publishers.keys():
@@ -134,18 +136,18 @@ class StateTopics:
                 del self._publishers[name]
 
     def close(self) -> None:
-        """Forget the session and what it was to publish."""
+        """Forget the publishers of the session and the changes that were not published."""
         self._publishers.clear()
         self._changed.clear()
         self._tokens = {}
 
     def _on_subscribers(self, name: str, _: zenoh.MatchingStatus) -> None:
-        """On a thread of Zenoh: the first subscriber has come, or the last one has gone."""
+        """Note a first or last subscriber; a thread of Zenoh calls it."""
         self._unsure.add(name)
 
     def _is_watched(self, name: str) -> bool:
         if name in self._unsure:
-            self._unsure.discard(name)  # before the question: a later change makes it unsure again
+            self._unsure.discard(name)  # before the question: a later change adds it again
             self._watched[name] = has_subscriber(self._publishers[name])
         return self._watched[name]
 
@@ -162,7 +164,7 @@ class StateTopics:
 
 
 def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> ros.MarkerArray:
-    """Outline, heading and text of a robot, in the colour of its state."""
+    """Markers for RViz: the robot's outline, heading and text, in the colour of its state."""
     is_held = status.state is State.RUNNING and status.reason is not None
     red, green, blue = colour_of(status.state, is_held=is_held)
     length = float(abs(footprint[:, 0]).max())
@@ -198,12 +200,12 @@ def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> r
 
 
 def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
-    """State, reason, holds and the limit of protection, as one diagnostic status."""
-    one, reason = status.decision, "" if status.reason is None else status.reason.value
+    """The robot's state, reason, hold and speed limit by protection, as a diagnostic status."""
+    decision, reason = status.decision, "" if status.reason is None else status.reason.value
     is_held = status.state is State.RUNNING and bool(reason)
     limit = ""
-    if one.rows:
-        nearest = one.rows[0]
+    if decision.rows:
+        nearest = decision.rows[0]
         limit = (
             f"{nearest.cap:.2f} m/s towards {math.degrees(nearest.bearing):.0f} deg,"
             f" gap {nearest.gap:.2f} m"
@@ -214,9 +216,9 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
         "detail": status.detail,
         "pattern": status.pattern or "",
         "hold": reason if is_held else "",
-        "protection": "active" if one.is_active else "clear",
+        "protection": "active" if decision.is_active else "clear",
         "limit": limit,
-        "speed_share": f"{one.speed_share:.2f}",
+        "speed_share": f"{decision.speed_share:.2f}",
         "scan_rate": f"{status.health.scan_rate:.1f}",
         "driver": status.health.driver,
         "findings": "; ".join(status.findings),
@@ -229,14 +231,14 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
         level = kind.WARN
     if status.state in (State.ESTOPPED, State.FAULTED):
         level = kind.ERROR
-    told = kind(
+    diagnostic = kind(
         level=level,
         name=f"swarmd: {status.robot}",
         message=": ".join(filter(None, (status.state.value, reason, status.detail, lost))),
         hardware_id=status.robot,
         values=[ros.KeyValue(key=key, value=value) for key, value in values.items()],
     )
-    return ros.DiagnosticArray(header=header(stamp, ""), status=[told])
+    return ros.DiagnosticArray(header=header(stamp, ""), status=[diagnostic])
 
 
 def _scale(x: float, y: float | None = None) -> ros.Vector3:

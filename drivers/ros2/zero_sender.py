@@ -20,11 +20,12 @@ _RETRY_PERIOD = 0.5
 
 
 def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[str, bytes]:
-    """Zero, by each key to which a base may subscribe whatever type it wants.
+    """The bytes of a zero command for each key to which a base may subscribe.
 
-    `wanted`: the name of the class that the base wants, empty while that is unknown. Where one key
-    carries both types, it is then the zero of a TwistStamped without a frame: read as a Twist, its
-    empty name is a speed of 5e-324 m/s (`base_link` would be 1e180 m/s to the side).
+    `wanted`: the name of the message class that the base takes; empty while that is unknown. Where
+    both classes have one key, the zero is of that class. While it is unknown, the zero is a
+    TwistStamped with an empty frame: a base that reads these bytes as a Twist gets 5e-324 m/s. With
+    the frame `base_link` it would read 1e180 m/s to the side.
     """
     topic = options.topic(options.cmd_vel)
     return {
@@ -35,14 +36,14 @@ def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[s
 
 
 def zero_hint(kind: type | None) -> str:
-    """What the driver tells the watchdog of the base: the class of its commands; empty for None."""
+    """The name of the message class of the base's commands, for the watchdog; empty for None."""
     return "" if kind is None else name_of(kind).rpartition("/")[2]
 
 
 class RosZeroSender:
     """Sends zero on every key to which the robot may subscribe.
 
-    A thread connects, however long that takes: the hub may start after the daemon, or be far away.
+    A thread connects, without a limit of time: the hub may start after the daemon.
     """
 
     def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:
@@ -65,13 +66,13 @@ class RosZeroSender:
         return bool(self._publishers)
 
     def send_zero(self) -> None:
-        """Command zero once, now; nothing while there is no connection."""
+        """Send zero once on each key; does nothing without a connection."""
         for key, publisher in self._publishers.items():
             with contextlib.suppress(zenoh.ZError):
                 publisher.put(self._zeros[key], attachment=self._scheme.attachment())
 
     def take_hint(self, hint: str) -> None:
-        """Send the zero of the class of commands that the base wants: see `zero_hint`."""
+        """Send zero in the message class that the base takes from now on (`zero_hint`)."""
         self._zeros = zeros(self._scheme, self._options, hint)
 
     def close(self) -> None:

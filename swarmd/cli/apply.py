@@ -90,7 +90,10 @@ def _plan(operator: Operator, view: MembersView) -> Plan:
 def _carry_out(
     options: CommonOptions, operator: Operator, view: MembersView, plan: Plan
 ) -> list[Outcome]:
-    """Labels, goal or resume, then parameters, each with a look of its own: epochs move on."""
+    """Send labels, then goal or resume, then parameters.
+
+    Each step has a look of its own, since each changes the robots' epochs.
+    """
     outcomes: list[Outcome] = []
     if plan.is_empty:
         return outcomes

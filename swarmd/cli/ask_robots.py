@@ -1,4 +1,4 @@
-"""Questions of verbs to several robots, which change nothing; answers that lack are warned of."""
+"""Queries of verbs to several robots that change nothing; warns of missing answers."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def ask_robots(
 
 
 def end(robots: Collection[str], answered: Collection[str]) -> None:
-    """Warn of robots without an answer, and end with 3 if some answered, 5 without an answer."""
+    """Warn of robots without an answer; end with 3 if some robots answered, 5 if none did."""
     missing = sorted(set(robots) - set(answered))
     if missing:
         warn(f"no answer: {', '.join(missing)}")

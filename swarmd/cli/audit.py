@@ -25,7 +25,10 @@ MAX_ENTRIES = 10_000
 
 
 class _Line(NamedTuple):
-    """An entry of a robot; `at` in s since 1970 by this machine's clock, None: not known."""
+    """An entry of a robot's audit log.
+
+    `at`: s since 1970 by this machine's clock; None if not known.
+    """
 
     robot: str
     at: float | None
@@ -74,7 +77,7 @@ def _read(
     since: float | None,
     count: int,
 ) -> tuple[list[_Line], dict[str, str], set[str]]:
-    """The entries of all robots in the order of time, faults, and which robots answered."""
+    """The entries of all robots in the order of time, the faults, and the robots that answered."""
     lines: list[_Line] = []
     faults: dict[str, str] = {}
     query = AuditQuery(since=since, count=min(count, AUDIT_PAGE))

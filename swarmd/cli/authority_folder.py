@@ -1,4 +1,4 @@
-"""Where this user's authorities are, and how one is opened."""
+"""Finds and opens the folder of a swarm's authority."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ def configuration() -> Path:
 
 
 def authority_folder(swarm: str) -> Path:
-    """The folder of a swarm's authority, there or not."""
+    """The folder of a swarm's authority, whether or not it exists."""
     return configuration() / "authorities" / swarm
 
 
 def open_authority(swarm: str | None) -> Authority:
     """The authority of a swarm; asks for its passphrase if it has one.
 
-    None: of the swarm that is named before the verb, in $SWARM, in the context in use or in the
-    file of --config, else the only folder. ConfigError without a folder, or if there are several
-    and no name.
+    `swarm` None: the swarm of the option before the verb, of $SWARM, of the context in use or of
+    the file of --config; without these, the only folder. ConfigError without a folder, or with
+    several folders and no name.
     """
     from swarmd.security.authority import Authority, is_encrypted
 

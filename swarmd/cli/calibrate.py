@@ -130,7 +130,7 @@ def _check_file(write: Path | None) -> None:
 
 
 def _floor(status: Status) -> float:
-    """The side in m that the robot needs, with scans as late as it measures."""
+    """The side in m of the free floor that the robot needs, with the measured delay of scans."""
     from swarmd.calibration.floor import needed_floor
     from swarmd.settings.platforms import load_platform, platform_names
 
@@ -157,9 +157,9 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
 def _measure(
     operator: Operator, robot: str, params: dict[str, float]
 ) -> tuple[Mapping[str, object], Status]:
-    """Run the drives; the report with the figures, and the status after them.
+    """Run the drives; returns the report with the figures, and the status after them.
 
-    Every way out leaves the robot stopped.
+    The robot is stopped in any case.
     """
     for one in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C
         signal.signal(one, signal.default_int_handler)
@@ -187,8 +187,8 @@ def _measure(
 
 
 def _follow(operator: Operator, robot: str) -> Status:
-    """The first status in which the drives are over; tells each step and each hold."""
-    shown, heard = "", time.monotonic()
+    """The first status after the drives have ended; prints each step and each hold."""
+    last_line, heard = "", time.monotonic()
     while True:
         member = operator.members(timeout=_LOOK).members.get(robot)
         now = time.monotonic()
@@ -204,9 +204,9 @@ def _follow(operator: Operator, robot: str) -> Status:
                 return status
             is_held = status.reason not in _NO_HOLD
             line = f"held: {status.reason}" if is_held else str(status.report.get("step", "loads"))
-            if line != shown:
+            if line != last_line:
                 _tell(f"{robot}: {line}")
-                shown = line
+                last_line = line
         time.sleep(_PERIOD)
 
 
@@ -219,7 +219,7 @@ def _tell(line: str) -> None:
 
 
 def _report(robot: str, status: Status) -> Mapping[str, object]:
-    """The report of a finished run; Failure, with the reason, of any other."""
+    """The report of a finished run; Failure, with the reason, for any other end."""
     if status.state is State.RUNNING:
         text = f"{robot} runs {status.pattern} now, by {status.changed_by}; no figures"
         raise Failure(text, FAILED)
@@ -248,7 +248,8 @@ def _end_findings(
 ) -> None:
     """End findings of the assumption monitor about brakes that the drives do not confirm.
 
-    By the test of the monitor: the braking measured, less 2 sd, is more than SOUND of the declared.
+    The monitor's test: the measured braking, less 2 standard deviations, is more than SOUND of the
+    declared braking.
     """
     from swarmd.protection.assumption_monitor import SOUND, axis_of
 

@@ -13,7 +13,7 @@ from swarmd.core.numbers import exact_number
 
 
 def read_canary(text: str | None) -> int | str | None:
-    """A number of robots, or the name of one. UsageError for anything else."""
+    """A number of robots, or the name of a robot. UsageError for any other text."""
     if text is None:
         return None
     count = exact_number(text)
@@ -25,9 +25,9 @@ def read_canary(text: str | None) -> int | str | None:
 
 
 def canaries_of(text: str, names: Iterable[str]) -> tuple[str, ...]:
-    """The canaries among the targets: the first so many, or the one of that name.
+    """The canaries among the targets; `text`: a number of robots, or the name of a robot.
 
-    UsageError if no target is left for afterwards, RequestError if the one is no target.
+    UsageError if no target is left for later, RequestError if that robot is no target.
     """
     try:
         return choose_canaries(read_canary(text) or text, names, "--canary")

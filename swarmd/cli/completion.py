@@ -88,8 +88,8 @@ def names_or_files(names: Iterable[str], incomplete: str) -> list[CompletionItem
     """The names that begin so; files if there are none."""
     from click.shell_completion import CompletionItem
 
-    found = [CompletionItem(name) for name in names if name.startswith(incomplete)]
-    return found or [CompletionItem(incomplete, type="file")]
+    items = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+    return items or [CompletionItem(incomplete, type="file")]
 
 
 def _options(ctx: click.Context) -> CommonOptions:

@@ -1,4 +1,4 @@
-"""Asks for confirmation; `stop_and_reset.py`, `apply.py` and `calibrate.py` decide whether to."""
+"""Asks the user for confirmation before robots are changed."""
 
 from __future__ import annotations
 

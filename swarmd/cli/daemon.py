@@ -161,7 +161,7 @@ def swarmd(
 
 
 def _log_to_stderr(level: str, robot: str) -> None:
-    """Log to standard error; the journal of systemd adds time and level itself."""
+    """Log to standard error, without time and level, which the journal of systemd adds."""
     from swarmd.daemon.systemd import JournalFormatter, is_journal
 
     handler = logging.StreamHandler(sys.stderr)
@@ -195,7 +195,7 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def exit_code_of(error: SwarmError) -> int:
-    """The exit code for an error, for a process supervisor such as systemd; else 2."""
+    """The exit code for an error, for a process supervisor such as systemd; 2 for other errors."""
     codes = {IdHeldError: 3, NetworkError: 4, DriverError: 5}
     return next((code for kind, code in codes.items() if isinstance(error, kind)), 2)
 

@@ -127,7 +127,7 @@ def _print(lines: list[_Line], *, only_problems: bool) -> None:
 def rows_of(
     lines: Sequence[tuple[str, Finding]], *, only_problems: bool
 ) -> list[tuple[str, str, str, str]]:
-    """The cells below HEADER: the worst first, and equal findings of several robots in one row."""
+    """The cells below HEADER, the worst first; equal findings of several robots are one row."""
     where_of: dict[Finding, list[str]] = {}
     for where, finding in lines:
         if not only_problems or finding.level is not Level.OK:

@@ -71,8 +71,8 @@ def undo(options: CommonOptions) -> None:
 
 
 def _counted(view: MembersView, found: list[Difference]) -> list[Difference]:
-    """The lines of robots that are expected: not of those that left in order."""
-    return [one for one in found if one.robot in view.expected]
+    """The lines of the robots that are expected: robots that left in order are left out."""
+    return [difference for difference in found if difference.robot in view.expected]
 
 
 def _exit_code(view: MembersView, found: list[Difference]) -> int:

@@ -95,7 +95,7 @@ def report_identity(identity: Identity, roster: Roster) -> None:
 
 
 def _base(root: Path | None) -> Path:
-    """Where daemons of this user look for settings and identities."""
+    """The folder in which daemons of this user look for settings and identities."""
     from swarmd.security.identity import user_folder
 
     if root is not None:

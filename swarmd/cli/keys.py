@@ -237,7 +237,7 @@ def install(file: Path, interface: str | None, force: bool) -> None:
 
 
 def bundle_of(authority: Authority, name: str, *, days: float | None = None) -> Bundle:
-    """A bundle with a new certificate of a name and the settings beside the authority."""
+    """A bundle: a new certificate of a name, and the settings in the authority's folder."""
     from swarmd.security.bundle import Bundle, pack_bundle
     from swarmd.settings.installed import SWARM_YAML, checked_settings
     from swarmd.settings.yamlfile import read
@@ -273,7 +273,7 @@ def install_reader(
 
 
 def _is_in_use(swarm: str) -> bool:
-    """True if verbs without options go to this swarm."""
+    """True if verbs without options address this swarm."""
     from swarmd.settings.contexts import context_in_use
 
     chosen = context_in_use()
@@ -299,7 +299,7 @@ def _row(row: Mapping[str, Any], now: float) -> tuple[str, ...]:
 
 
 def _login_id() -> str:
-    """The login name as an id; ConfigError if nothing of it can be used."""
+    """The login name as an id; ConfigError if no part of it is valid."""
     try:
         user = getpass.getuser()
     except (OSError, KeyError):
@@ -334,7 +334,7 @@ def router(swarm: str, identity: Path | None, listen: str) -> None:
 
 
 def router_configuration(identity: Identity, listen: str) -> dict[str, Any]:
-    """The configuration of zenohd: links by TLS only, and what each name may send and hear."""
+    """The configuration of zenohd: TLS links only, and the access rules of each name."""
     from swarmd.network.access import router_access
     from swarmd.network.carriers.session import tls_options
 

@@ -158,7 +158,7 @@ def _announce(authority: Authority, what: str) -> None:
 
 
 def _outstanding(authority: Authority) -> tuple[str, ...]:
-    """The robots that have a bundle, and are not known to have the present generation."""
+    """The robots that have a bundle, and may not have the present generation of the roster."""
     records = ((name, authority.record_of(name)) for name in authority.roster.robots)
     generation = authority.roster.generation
     return tuple(name for name, one in records if one and one.generation < generation)
@@ -199,7 +199,7 @@ def _sent(
     issued: Mapping[str, Issued] = MappingProxyType({}),
     revoked: tuple[str, ...] = (),
 ) -> Outcome:
-    """Send the roster, and certificates, to robots of all generations that they may have."""
+    """Send the roster, and certificates, to robots of all generations of the roster."""
     from swarmd.network.operator.operator import Operator
 
     replies: dict[str, Reply] = {}
@@ -235,10 +235,10 @@ def _sent(
 
 
 def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> Iterator[Identity]:
-    """The own identity with all keys, then as of each other generation that a robot may have.
+    """This user's identity with all keys, for each generation that a robot may have.
 
-    Datagrams are signed with keys of one generation: a robot hears those of its own generation.
-    That may be the present one: its answer was lost, or it took a new bundle.
+    A datagram is signed with keys of one generation, and a robot accepts only its own generation. A
+    robot may already have the present generation: its answer was lost, or it took a new bundle.
     """
     present = authority.roster_of(own.name, own.roster.generation)
     yield own if present is None else as_of(own, present)
@@ -258,7 +258,7 @@ def _generation(authority: Authority, name: str) -> int:
 def _tell_revoked(
     operator: Operator, view: MembersView, authority: Authority, revoked: tuple[str, ...]
 ) -> None:
-    """Let revoked robots that are in reach know, without the new secret."""
+    """Send the roster, without the new secret, to revoked robots that are in reach."""
     reached = [name for name in revoked if view.is_in_reach(name)]
     outcome = operator.request(
         RosterRequest, view.epochs(reached), timeout=ANSWER_TIME, roster=authority.signed_roster
@@ -273,7 +273,7 @@ def _tell_revoked(
 def _finish(
     options: CommonOptions, authority: Authority, own: Identity, outcome: Outcome
 ) -> NoReturn:
-    """Keep what the robots have now, take the roster for this operator, and report."""
+    """Store what the robots have now, take the roster for this operator, and report."""
     taken = list(outcome.applied)
     own = load_identity(own.folder)  # another command may have written a newer one meanwhile
     is_newer = own.roster.generation < authority.roster.generation

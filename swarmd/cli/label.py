@@ -21,7 +21,7 @@ class LabelCommand(click.Command):
     """Reads `+red` and `-blue` as `--add red` and `--remove blue`."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """The words with options in place of signs; one letter after `-` stays an option."""
+        """Replace the signs by options; one letter after `-` stays an option."""
         words: list[str] = []
         for word in args:
             sign, label = word[:1], word[1:]

@@ -24,7 +24,7 @@ HEADER = ("ROBOT", "HEARS", "LOSS", "ROUND TRIP", "AGE", "WAY")
 
 
 class _Pair(NamedTuple):
-    """How `robot` hears `other`; `link` None: it does not know it."""
+    """How well `robot` hears `other`; `link` None: not known."""
 
     robot: str
     other: str
@@ -62,15 +62,17 @@ def links(options: CommonOptions, targets: Targets, every: bool) -> None:
             missing = sorted(set(names) - replies.keys())
             print_json("Links", {"links": [_record(pair) for pair in pairs], "missing": missing})
         else:
-            shown = pairs if every else pairs[:MAX_ROWS]
-            print_table(HEADER, [_row(pair) for pair in sorted(shown, key=lambda one: one[:2])])
-            for line in summary(pairs, len(shown)):
+            listed_pairs = pairs if every else pairs[:MAX_ROWS]
+            print_table(
+                HEADER, [_row(pair) for pair in sorted(listed_pairs, key=lambda one: one[:2])]
+            )
+            for line in summary(pairs, len(listed_pairs)):
                 click.echo(printable(f"# {line}"))
         end(names, replies)
 
 
 def pairs_of(replies: Mapping[str, LinksReply], expected: Iterable[str]) -> list[_Pair]:
-    """Each pair of an answering robot and a robot that it knows or should know; worst first."""
+    """Each pair of an answering robot and a known or expected robot; the worst come first."""
     found = []
     for robot, reply in replies.items():
         known = {link.robot: link for link in reply.links}
@@ -80,7 +82,7 @@ def pairs_of(replies: Mapping[str, LinksReply], expected: Iterable[str]) -> list
 
 
 def summary(pairs: list[_Pair], shown: int) -> Iterable[str]:
-    """What stands out: pairs that do not hear, hear badly, or in one direction alone."""
+    """The conspicuous pairs: no beacons, many losses, or only one direction."""
     yield f"{len(pairs)} pairs" + (f", the {shown} worst shown" if shown < len(pairs) else "")
     deaf = {(pair.robot, pair.other) for pair in pairs if pair.loss >= 1.0}
     asked = {pair.robot for pair in pairs}

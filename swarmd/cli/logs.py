@@ -42,7 +42,7 @@ _LEVEL_COLOURS = {logging.WARNING: "yellow", logging.ERROR: "red", logging.CRITI
 
 
 class _Line(NamedTuple):
-    """A record of a robot, and when it was made by this machine's clock, in s since 1970."""
+    """A log record of a robot, with its time by this machine's clock, in s since 1970."""
 
     at: float
     robot: str
@@ -98,7 +98,7 @@ def _follow(
     view: MembersView,
     printer: _Printer,
 ) -> None:
-    """Print lines until a signal; robots that come later count if they are targets by name."""
+    """Print lines until a signal; robots that join are included if named as targets."""
     names = set(robots_of(view, targets))
     news: queue.Queue[LogBatch] = queue.Queue(MAX_WAITING)
     decode = Decoder(LogBatch, MAX_ANSWER)
@@ -142,7 +142,7 @@ def _follow(
 
 
 class _Printer:
-    """Prints each record once, as `query` selects them."""
+    """Prints each record once; `query` selects the records."""
 
     def __init__(self, names: Iterable[str], query: LogsQuery, *, is_json: bool) -> None:
         self.query = query
@@ -171,7 +171,7 @@ class _Printer:
         return bool(batch.records) and batch.records[0].seq > last + 1
 
     def print_new(self, batches: Collection[LogBatch]) -> None:
-        """Print the records that were not printed yet, and tell what was left out."""
+        """Print the records that were not printed yet, and report left-out lines."""
         self.show(self.new_lines(batches))
         self.tell_left_out(batches)
 
@@ -195,7 +195,7 @@ class _Printer:
             click.echo(f"{datetime.fromtimestamp(line.at):%H:%M:%S}  {name}  {text}")
 
     def tell_left_out(self, batches: Iterable[LogBatch]) -> None:
-        """Say on stderr how many lines were too many for the robot to keep, when that changes."""
+        """Report on stderr how many lines a robot did not keep, when that number changes."""
         for batch in batches:
             life = batch.robot, batch.instance
             if batch.left_out > self._left_out.get(life, 0):

@@ -73,7 +73,7 @@ def forget(options: CommonOptions, name: str) -> None:
 
 
 def _secured(identity: Identity | None) -> Iterator[str]:
-    """With which keys a secured swarm was asked, and whether they end soon."""
+    """The keys with which a secured swarm was asked, and a warning if they end soon."""
     if identity is not None:
         roster = identity.roster
         yield f"secured: asked as {identity.name} ({identity.role}), roster {roster.generation}"

@@ -64,10 +64,10 @@ class Duration(click.ParamType[float]):
 
 
 class NetworkOption(click.Option):
-    """An option of the network: `swarmctl --help` explains them, and a verb names them."""
+    """An option of the network; `swarmctl --help` explains it, and a verb's help only names it."""
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
-        """The option with its meaning; of a verb all of them in one row, that of the first."""
+        """The option with its meaning; in a verb's help all of them in the row of the first."""
         if ctx.parent is None:
             return super().get_help_record(ctx)
         options = [one for one in ctx.command.params if isinstance(one, NetworkOption)]
@@ -154,8 +154,8 @@ class VerbGroup(click.Group):
 class LazyVerb(NamedTuple):
     """A verb that is imported when it is used.
 
-    `place`: `module:function`. `text`: its line for --help, which must not import it, and stands
-    under `section`. `example`: a line that the help of the verb ends with.
+    `place`: `module:function`. `text`: the line of --help, which must not import the verb.
+    `section`: the title above that line. `example`: the last line of the verb's help.
     """
 
     place: str
@@ -172,7 +172,7 @@ class LazyGroup(VerbGroup):
         self.verbs = verbs
 
     def all_verbs(self) -> Mapping[str, LazyVerb]:
-        """All verbs by name, those of a section together."""
+        """All verbs by name, grouped by section."""
         return self.verbs
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -209,25 +209,25 @@ class LazyGroup(VerbGroup):
 
 @dataclass(frozen=True, slots=True)
 class CommonOptions(NetworkOptions):
-    """The options of every verb; None or empty if not given."""
+    """The common options of every verb; None or empty if not given."""
 
     output: str | None = None
     timeout: float | None = None
 
     @property
     def is_json(self) -> bool:
-        """True if the answer is wanted as JSON."""
+        """True if the answer must be JSON."""
         return self.output == "json"
 
     def operator(self, tell: Callable[[str], object] | None = None) -> Operator:
-        """A session in the swarm's network; lines for the user are warnings unless `tell`."""
+        """A session in the swarm's network; lines for the user are warnings without `tell`."""
         from swarmd.cli.output import warn
 
         return NetworkOptions.operator(self, tell or warn)
 
 
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
-    """Give a verb the common options as its first argument; those before the verb are defaults."""
+    """Give a verb the common options as first argument; options before the verb are defaults."""
     return _with_options(function, (*_NETWORK_OPTIONS, *_LOCAL_OPTIONS))
 
 

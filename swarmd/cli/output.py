@@ -54,8 +54,8 @@ def print_table(
 ) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set.
 
-    The last column is cut so that a line has at most `width` characters, as far as that is enough,
-    and between words.
+    The last column is cut between words so that a line has at most `width` characters, if that
+    suffices.
     """
     is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
     if width is not None:
@@ -103,13 +103,13 @@ def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 def warn(text: str) -> None:
-    """Print a line on stderr, if that can be written: the answer on stdout must not fail by it."""
+    """Print a line on stderr; a failure is ignored, so that the answer on stdout does not fail."""
     with contextlib.suppress(OSError):
         click.echo(printable(text), err=True)
 
 
 def rewrite(text: str) -> None:
-    """Replace the line of a terminal on stderr on which the cursor is."""
+    """Replace the present line of a terminal on stderr."""
     click.echo(f"\r\x1b[K{printable(text)}", err=True, nl=False)
 
 
@@ -135,7 +135,7 @@ def _cell(text: str, width: int, is_coloured: bool) -> str:
 
 
 def need_terminal(verb: str, instead: str) -> None:
-    """UsageError if the verb cannot draw here: no terminal, or one without a cursor."""
+    """Raise UsageError without a terminal, or with a terminal without a cursor."""
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise click.UsageError(f"{verb} needs a terminal; {instead}")
     if os.environ.get("TERM", "dumb") == "dumb":
@@ -144,9 +144,9 @@ def need_terminal(verb: str, instead: str) -> None:
 
 @contextlib.contextmanager
 def signals_end(*numbers: signal.Signals) -> Iterator[None]:
-    """Signals, by default SIGTERM and SIGHUP, raise SystemExit within, with 128 and their number.
+    """Within the block signals raise SystemExit with 128 plus their number.
 
-    `finally` blocks run.
+    By default SIGTERM and SIGHUP. So `finally` blocks run.
     """
 
     def end(number: int, _: object) -> None:

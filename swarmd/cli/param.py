@@ -42,14 +42,16 @@ def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
     """Print the parameters, and end with the exit code of the look."""
-    found = {name: params_of(view.members[name]) for name in robots_of(view, targets, view.members)}
-    known = {key for params in found.values() for key in params}
+    by_robot = {
+        name: params_of(view.members[name]) for name in robots_of(view, targets, view.members)
+    }
+    known = {key for params in by_robot.values() for key in params}
     for key in keys:
         if key not in known:
             raise click.UsageError(unknown("parameter", key, known))
     chosen = {
         name: {key: one for key, one in params.items() if not keys or key in keys}
-        for name, params in found.items()
+        for name, params in by_robot.items()
     }
     if options.is_json:
         robots = {
@@ -64,10 +66,10 @@ def _show(
             for key, one in params.items()
         ]
         print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
-        idle = [name for name in found.keys() & view.answered if not found[name]]
+        idle = [name for name in by_robot.keys() & view.answered if not by_robot[name]]
         if idle:
             click.echo(f"# no pattern is running on {', '.join(sorted(idle))}")
-    click.get_current_context().exit(exit_code_of(view, found.keys() & view.expected))
+    click.get_current_context().exit(exit_code_of(view, by_robot.keys() & view.expected))
 
 
 @param.command("set")

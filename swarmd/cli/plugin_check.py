@@ -1,7 +1,7 @@
-"""Inspects plugin code in a child process: swarmctl and swarmd import none of it.
+"""Inspects plugin code in a child process: swarmctl and swarmd import no plugin code.
 
-Plugin code may end the child, or keep it for ever. Then that item is reported with the line of
-code, and another child goes on with the others (`swarmd.pattern_host.plugin_inspector`).
+Plugin code may end the child, or never return. Then the present item is reported with the line of
+code, and another child goes on with the remaining items (`swarmd.pattern_host.plugin_inspector`).
 """
 
 from __future__ import annotations
@@ -61,10 +61,10 @@ class Point:
 def describe_patterns(
     names: Sequence[str], plugin_dir: Path | None, platform: str, timeout: float = DESCRIBE_TIMEOUT
 ) -> list[Record]:
-    """The named patterns (none named: all), a row each.
+    """A row for each of the named patterns; without names, for all patterns.
 
-    A pattern that cannot be loaded within `timeout` s has a row with `error`. Raises PluginError
-    if the child itself fails.
+    A pattern that cannot be loaded within `timeout` s has a row with `error`. Raises PluginError if
+    the child itself fails.
     """
     options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
     left = list(names or pattern_names(plugin_dir))
@@ -84,7 +84,7 @@ def describe_patterns(
 
 
 def parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str:
-    """What is wrong with a parameter by its name, type and bounds; empty if nothing."""
+    """The fault of a parameter's name, type or bounds; empty without a fault."""
     if key not in specs:
         return unknown("parameter", key, specs)
     spec = specs[key]
@@ -118,7 +118,7 @@ def check_parameters(
 def check_mission(
     file: Path, platform: str, plugin_dir: Path, timeout: float = MISSION_TIMEOUT
 ) -> list[str]:
-    """A line for each fault of the mission; PluginError if a pattern that it names is lost."""
+    """A line for each fault of the mission; PluginError if importing a pattern ends the child."""
     options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
     for row in _inspect([*options, "mission", str(file)], timeout, plugin_dir):
         if "result" in row:
@@ -130,7 +130,7 @@ def check_mission(
 
 
 def check_file(path: Path, timeout: float) -> Iterator[Point]:
-    """The points of a pattern's file, each as soon as it is known and within `timeout` s.
+    """Yields the points of a pattern's file, each as soon as known and within `timeout` s.
 
     Raises PluginError if the child itself fails.
     """
@@ -164,7 +164,7 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
 
 
 def _point(name: str, row: Record, faults: set[str]) -> Point:
-    """The point, `repeated` if its fault differs from an earlier one in numbers at most."""
+    """The point, `repeated` if its fault equals an earlier one up to numbers."""
     fault = row.get("fault")
     if fault is None:
         return Point(name, "ok", str(row.get("text", "")))
@@ -246,10 +246,10 @@ def _inspect(
 
 
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
-    """Whole lines until the end of the stream; TimeoutError if none comes for `timeout` s.
+    """Yields whole lines until the end of the stream; TimeoutError without a line for `timeout` s.
 
-    A process that a busy machine or a cold disk delays has more time: it works, and has used less
-    than `timeout` s of its processor.
+    A process that has used less than `timeout` s of processor time gets longer while it works,
+    since a busy machine or a cold disk may delay it.
     """
     buffer = b""
     deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
@@ -274,7 +274,7 @@ def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
 def used_by(pid: int) -> tuple[float, bool]:
     """The processor time of a process in s, and whether it runs or waits for a processor or disk.
 
-    (0.0, False) if it has ended.
+    (0.0, False) for a process that has ended.
     """
     try:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
@@ -284,7 +284,7 @@ def used_by(pid: int) -> tuple[float, bool]:
 
 
 def _record_of(line: bytes) -> Record:
-    """The line as a row; empty for any other line, which plugin code may have written."""
+    """The line as a row; empty for a line that the child's plugin code has printed."""
     with contextlib.suppress(ValueError):
         row = json.loads(line)
         if isinstance(row, dict):
@@ -302,7 +302,7 @@ def _place_of(line: bytes, folder: Path | None) -> str:
 
 
 def _is_running(child: subprocess.Popen[bytes]) -> bool:
-    """True unless the child is ending; after it has closed its output that takes a moment."""
+    """True unless the child is ending, which takes a moment after it has closed its output."""
     try:
         child.wait(timeout=1.0)
     except subprocess.TimeoutExpired:

@@ -52,7 +52,7 @@ LOOK_PERIOD = 0.5
 
 
 class Source(NamedTuple):
-    """What a file to be pushed holds."""
+    """The content of a file to be pushed."""
 
     name: str
     kind: Literal["file", "wheel"]
@@ -145,16 +145,16 @@ def list_pushed(options: CommonOptions, targets: Targets) -> None:
     with options.operator() as operator:
         view = known_members(options, operator, needs_status=bool(targets.labels))
         names = targets_of(view, targets)
-        found = pushed_patterns_of(options, operator, view, names)
-        missing = [name for name in names if name not in found]
-        code = code_of_answers(names, found)
-        marked = _differing(found)
+        pushed = pushed_patterns_of(options, operator, view, names)
+        missing = [name for name in names if name not in pushed]
+        code = code_of_answers(names, pushed)
+        marked = _differing(pushed)
         if options.is_json:
-            _print_list_json(found, missing, marked, code)
+            _print_list_json(pushed, missing, marked, code)
         else:
             rows = [
                 (robot, *_row(one), "!" if (robot, one.name) in marked else "")
-                for robot, reply in found.items()
+                for robot, reply in pushed.items()
                 for one in reply.patterns
             ]
             header = ("NAME", "PATTERN", "VERSION", "HASH", "STANDING", "FROM", "TEXT", "")
@@ -181,7 +181,7 @@ def _row(one: PushedPatternReport) -> tuple[str, ...]:
 
 
 def _differing(found: Mapping[str, PushedPatternsReply]) -> set[tuple[str, str]]:
-    """Robots and names whose hash differs from that of most robots that have the name."""
+    """Pairs of robot and name whose hash differs from the most frequent hash of the name."""
     hashes: dict[str, Counter[str]] = {}
     for reply in found.values():
         for one in reply.patterns:
@@ -219,7 +219,7 @@ def _print_list_json(
 
 
 def read_source(file: Path) -> Source:
-    """What FILE holds. PluginError or ConfigError in one line, if it cannot be pushed."""
+    """The content of FILE; PluginError or ConfigError if it cannot be pushed."""
     code = file.read_bytes()
     if len(code) > MAX_CODE:
         raise PluginError(f"{file} has {len(code)} bytes; at most {MAX_CODE} (1 MiB) are sent")
@@ -286,11 +286,11 @@ class _Pusher:
         Failure if no robot answers; ConfigError after the last generation.
         """
         options, view = self._asked.options, self._asked.view
-        found = pushed_patterns_of(options, self._operator, view, view.members)
-        if not found:
+        pushed = pushed_patterns_of(options, self._operator, view, view.members)
+        if not pushed:
             names = ", ".join(sorted(view.members)) or "any robot"
             raise Failure(f"no answer about patterns from {names}; nothing was sent", TIMEOUT)
-        generation = 1 + greatest_of(found.values(), self._operator.identity)
+        generation = 1 + greatest_of(pushed.values(), self._operator.identity)
         if generation > MAX_GENERATION:
             raise ConfigError(
                 f"a pattern of the last generation, {MAX_GENERATION}, was pushed; nothing can"
@@ -300,7 +300,7 @@ class _Pusher:
         return generation
 
     def push(self, targets: Collection[str], names: Collection[str], generation: int) -> Outcome:
-        """Push to robots in pieces; a robot that refuses a piece gets no more."""
+        """Push to robots in pieces; a robot that refuses a piece gets no further piece."""
         content, signature = self._manifest(tuple(targets), generation)
         code = b"" if self._source is None else self._source.code
         epochs, outcome = self._asked.view.epochs(names), None
@@ -361,7 +361,7 @@ class _Pusher:
 
 
 def _joined(before: Outcome, after: Outcome) -> Outcome:
-    """The outcome of two pieces: what was not applied before stays as it was."""
+    """The outcome after two pieces: a robot that refused the first keeps that reply."""
     replies = {**before.replies, **after.replies}
     missing = tuple(sorted({*before.missing, *after.missing}))
     seconds = before.seconds + after.seconds
@@ -388,12 +388,12 @@ def _await_canary(
     until = time.monotonic() + limit
     while True:
         view = operator.members(timeout=options.timeout)
-        found = pushed_patterns_of(options, operator, view, first)
+        pushed = pushed_patterns_of(options, operator, view, first)
         is_waiting, unproven = False, []
         for name in first:
-            one = _named(found.get(name), source.name)
+            one = _named(pushed.get(name), source.name)
             if one is None or one.digest != digest:
-                why = "does not answer" if name not in found else "has another version"
+                why = "does not answer" if name not in pushed else "has another version"
                 if one is not None and one.text:
                     why = f"returned: {one.text}"
                 raise _untouched(f"canary {name} {why}", rest)

@@ -1,4 +1,4 @@
-"""`swarmd --check`: checks everything that a run needs, and moves nothing."""
+"""`swarmd --check`: checks everything that a run needs; moves nothing."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ def _check_passage(settings: DaemonSettings) -> list[Finding]:
 
 
 def peers_text(settings: DaemonSettings) -> str:
-    """Beside which platforms that come with swarmd this robot is held; its roster names none.
+    """The platforms of swarmd beside which this robot is held; its roster names no platform.
 
-    An accepted platform may be a file of another robot, so an unknown one is no fault.
+    An accepted platform may be a file of another robot, so that an unknown platform is no fault.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []
@@ -222,7 +222,7 @@ def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding
 
 
 def command_timeout_text(settings: DaemonSettings, driver: Driver) -> str:
-    """How the base stops when its daemon dies."""
+    """How the base stops after the daemon has ended."""
     base = base_options(settings.driver_options, f"driver {settings.driver}")
     command_timeout = effective_command_timeout(base, driver)
     if command_timeout == "none":

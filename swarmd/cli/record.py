@@ -144,18 +144,18 @@ record.add_command(merge)
 def _recordings(
     options: CommonOptions, operator: Operator, targets: Targets
 ) -> tuple[dict[str, RecordingsReply], list[str]]:
-    """The recordings of each target, and the targets that did not tell theirs."""
+    """The recordings of each target, and the targets that did not answer."""
     from swarmd.recording.fetch import recordings_of
 
     view = known_members(options, operator)
-    found, failed = {}, []
+    recordings, failed = {}, []
     for robot in targets_of(view, targets):
         try:
-            found[robot] = recordings_of(partial(_ask, options, operator), robot)
+            recordings[robot] = recordings_of(partial(_ask, options, operator), robot)
         except NetworkError as error:
             warn(str(error))
             failed.append(robot)
-    return found, failed
+    return recordings, failed
 
 
 def _ask(

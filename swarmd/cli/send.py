@@ -1,7 +1,4 @@
-"""Requests to robots on the command line: their outcome printed, and the exit code.
-
-The outcome is a line for each robot, a count, and the exit code.
-"""
+"""Sends requests to robots on the command line, prints the outcome, and ends with its exit code."""
 
 from __future__ import annotations
 
@@ -54,7 +51,7 @@ def known_members(
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The targets of a verb, whose outcomes are printed."""
+    """The targets of a verb, with the session, for requests whose outcomes are printed."""
 
     options: CommonOptions
     targeted: TargetedView
@@ -144,7 +141,7 @@ def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | No
 
 
 def _mistake(outcome: Outcome) -> str | None:
-    """The mistake of the operator that robots refused, and where to look it up."""
+    """The mistake of the operator that robots refused, and the verb that shows valid values."""
     if not outcome.mistake:
         return None
     refusal = next(iter(outcome.replies.values())).refusal
@@ -154,7 +151,7 @@ def _mistake(outcome: Outcome) -> str | None:
 
 
 def _rows(outcome: Outcome) -> list[tuple[str, str, str]]:
-    """A row for each robot that applied it; each reason of others once, with their names."""
+    """A row for each robot that applied it; each other answer once, with its robots."""
     by_reason: dict[tuple[str, str], list[str]] = {}
     rows = []
     for name, reply in outcome.replies.items():
@@ -173,7 +170,10 @@ def _rows(outcome: Outcome) -> list[tuple[str, str, str]]:
 
 
 def _silence(name: str, outcome: Outcome) -> str:
-    """What is known of a robot that did not answer; it denies silently what it does not permit."""
+    """What is known of a robot that did not answer, in words.
+
+    A robot that does not permit a request does not answer.
+    """
     return "no answer or not permitted" if name in outcome.mute else NOTHING
 
 

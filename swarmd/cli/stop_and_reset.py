@@ -75,8 +75,8 @@ def reset(
             text = f" ({latch.reason})" if latch.reason else ""
             of = "all robots" if latch.scope == "swarm" else "named robots"
             warn(f"clears emergency stop {latch_id} of {latch.issuer} for {of}{text}")
-        found = findings_of(asked.view, names)
-        for robot, text in found:
+        findings_shown = findings_of(asked.view, names)
+        for robot, text in findings_shown:
             warn(f"{robot}: {'ends' if findings else 'keeps (--findings ends it)'}: {text}")
         if len(names) > 1 and not yes:
             question, to_check = f"Reset {', '.join(names)}?", "all of them may move again"

@@ -49,7 +49,7 @@ def stop_base(config: Path | None, within: float) -> None:
 
 
 def _send_zeros(spec: ZeroSenderSpec, within: float) -> int:
-    """Send zeros for ZERO_TIME once connected; how many. DriverError if it does not connect."""
+    """Send zeros for ZERO_TIME once connected; returns how many. DriverError if not connected."""
     sender = made_zero_sender(spec.maker, spec.options)
     sender.open()
     try:
@@ -72,7 +72,7 @@ def _is_connected(sender: ZeroSender) -> bool:
 
 
 def _end_after(seconds: float) -> None:
-    """End this process after that time: a library may block while it connects or closes."""
+    """End this process after `seconds`: a library may block while it connects or closes."""
     timer = threading.Timer(seconds, os._exit, (_NO_DRIVER,))
     timer.daemon = True
     timer.start()

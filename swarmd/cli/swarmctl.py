@@ -46,7 +46,7 @@ CLOSED_PIPE = 141
 
 
 def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
-    """A verb by its name; `text`: its line of --help; `file`: if not that of its name."""
+    """A verb by name; `text`: its line of --help; `file`: its module, by default its name."""
     place = f"swarmd.cli.{file or name}:{name}"
     return name, LazyVerb(place, text, section, f"swarmctl {name} {example}".rstrip())
 
@@ -181,9 +181,9 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def _flushed() -> int:
-    """Write what is buffered; the exit code if that fails: a closed pipe, or a full disk.
+    """Write buffered output; the exit code if that fails: a closed pipe, or a full disk.
 
-    What cannot be written goes nowhere then: else Python fails at its end, with exit code 120.
+    Unwritten output is then discarded: otherwise Python would fail at its end, with exit code 120.
     """
     code = 0
     for stream in (sys.stdout, sys.stderr):
@@ -202,8 +202,8 @@ def run_cli(
 ) -> int:
     """Run a command and return its exit code; an error is one line on stderr.
 
-    With `-o json` it is a document on stdout, too: no other one was printed before. While a shell
-    completes a line, nothing is written on stderr: it would be drawn into that line.
+    With `-o json` an error is also a JSON document on stdout, the only one. While a shell completes
+    a line, nothing is written on stderr: the shell would show it in that line.
     """
     words = sys.argv[1:] if args is None else args
     stdout = sys.stdout
@@ -249,10 +249,10 @@ def run_cli(
 
 
 def _not_text(words: Sequence[str]) -> str:
-    """The fault of the first word that is not UTF-8; empty without one, and for a stop.
+    """The fault of the first word that is not UTF-8; empty without such a word, and for a stop.
 
-    No answer, manifest or message to a process can hold the name of such a file. A stop reads no
-    file that it names to robots: it checks their names, and cleans its reason.
+    Answers, manifests and messages to processes cannot contain such a file name. A stop sends no
+    file name, checks the names of robots, and replaces wrong characters in its reason.
     """
     bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)
     if bad is None or any(map(_is_stop, words)):
@@ -261,14 +261,14 @@ def _not_text(words: Sequence[str]) -> str:
 
 
 def _is_stop(word: str) -> bool:
-    """Whether a datagram carries the request of the verb `word`."""
+    """True if a datagram carries the request of the verb `word`."""
     from swarmd.core.verbs import VERBS as requests  # not for `--help`: msgspec takes 15 ms
 
     return word in requests and requests[word].is_datagram
 
 
 def exit_code_of(error: SwarmError) -> int:
-    """2 for a wrong option or file, 6 for a network that cannot be used, else that of the error."""
+    """2 for a wrong option or file, 6 for an unusable network, otherwise the error's code."""
     if isinstance(error, RequestError):
         return error.exit_code
     if isinstance(error, ConfigError | PluginError):

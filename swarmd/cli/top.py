@@ -109,7 +109,7 @@ def records(view: MembersView, names: Sequence[str], known: Known) -> Iterator[d
 
 
 def rows(view: MembersView, names: Sequence[str], known: Known, sort: str) -> list[list[str]]:
-    """The table: the highest figure first, the lowest for scan rates; silent robots at the end."""
+    """The sorted table: the highest figure first, for scan rates the lowest; silent robots last."""
     ranked, silent = [], []
     for one in records(view, names, known):
         if not one["answered"]:
@@ -139,7 +139,7 @@ def _row(one: Mapping[str, Any]) -> list[str]:
 
 
 def _rank(one: Mapping[str, Any], sort: str) -> float:
-    """Low for what is shown first."""
+    """The sort key; a row with a low key is shown first."""
     if sort == "name":
         return 0.0
     if sort == "scan":
@@ -156,7 +156,7 @@ def _usage(prefix: str, usage: ProcessUsage | None) -> dict[str, Any]:
 
 
 def _is_present(view: MembersView, name: str, known: Known) -> bool:
-    """True if the robot's figures are those of now."""
+    """True if the robot's figures are recent."""
     member = view.members.get(name)
     is_gone = member is None or member.presence is not Presence.ALIVE
     return name in known and not is_gone and known[name][1] <= STATUS_SILENCE

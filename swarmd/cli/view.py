@@ -87,7 +87,7 @@ def view(
 def _live(
     options: CommonOptions, reason: str, *, with_patterns: bool = True
 ) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
-    """The swarm as views show it, and what carries their commands out; latches keep `reason`.
+    """The source of a living swarm, and the commander of its pages; latches keep `reason`.
 
     `with_patterns`: a child process describes the patterns, for views that command.
     """

@@ -138,7 +138,7 @@ def check_web(web: WebOptions) -> None:
 def serve(source: Source, commander: Commander | None, web: WebOptions) -> None:
     """Serve a page until Ctrl-C or SIGTERM.
 
-    NetworkError if the port is in use, ConfigError without a token or certificate that is needed.
+    NetworkError if the port is in use; ConfigError if a required token or certificate is missing.
     """
     asyncio.run(_serve(source, commander, web))
 
@@ -155,10 +155,10 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
 
 
 class Served:
-    """A page that a thread serves until `close`, while another part of the program runs.
+    """A page that a thread serves until `close`, while the program does other work.
 
-    `reason`: what the page shows when the server has ended. `addresses`, a line for each, are
-    printed on standard error: standard output is that part's.
+    `reason`: the text that the page shows after the end of the server. `addresses` are printed on
+    standard error, a line each, since the program itself uses standard output.
     """
 
     def __init__(

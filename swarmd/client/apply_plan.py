@@ -1,4 +1,4 @@
-"""What a swarm file wants of robots beside what they are, and the changes that are left. Pure."""
+"""Compares a swarm file with the present state of robots, and makes a plan of changes. Pure."""
 
 from __future__ import annotations
 
@@ -19,22 +19,16 @@ Params = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The changes that lead to a swarm file.
+    """The changes that bring robots to the content of a swarm file."""
 
-    `labels`: the new labels of robots. `goal`: the content of a new goal, for the
-    robots in `targets`. `resume`: robots that were offered the goal that is there. `params`: of
-    running robots. `lines`: each change in words, with the robots that it is for. `unknown`: what
-    keeps a robot from being compared. `left`: differences that no change of this plan ends.
-    """
-
-    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    goal: Mapping[str, Any] | None = None
-    targets: tuple[str, ...] = ()
-    resume: tuple[str, ...] = ()
-    params: Mapping[str, Params] = field(default_factory=dict)
-    lines: tuple[tuple[str, str, str], ...] = ()
-    unknown: Mapping[str, str] = field(default_factory=dict)
-    left: Mapping[str, str] = field(default_factory=dict)
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # new labels, by robot
+    goal: Mapping[str, Any] | None = None  # the content of a new goal
+    targets: tuple[str, ...] = ()  # robots of the new goal
+    resume: tuple[str, ...] = ()  # robots that are to run the goal that they were offered
+    params: Mapping[str, Params] = field(default_factory=dict)  # new parameters, by running robot
+    lines: tuple[tuple[str, str, str], ...] = ()  # each change in words, with its robots
+    unknown: Mapping[str, str] = field(default_factory=dict)  # why a robot was not compared
+    left: Mapping[str, str] = field(default_factory=dict)  # differences that the plan does not end
 
     @property
     def is_empty(self) -> bool:
@@ -43,15 +37,16 @@ class Plan:
 
     @property
     def moves(self) -> bool:
-        """True if it starts motion, or changes that of running robots."""
+        """True if the plan starts motion, or changes the motion of running robots."""
         starts = self.goal is not None and self.goal["pattern"] is not None
         return starts or bool(self.resume or self.params)
 
 
 def plan_of(file: SwarmFile, view: MembersView) -> Plan:
-    """The changes from the robots in `view` to a file; robots without a status are `unknown`.
+    """The changes that bring the robots in `view` to the content of a file.
 
-    A file without labels leaves them as they are; without a goal or parameters likewise.
+    A robot without a status is `unknown`. A file without labels leaves all labels as they are. The
+    same holds for the goal and for parameters.
     """
     there = {
         name: member.status
@@ -111,7 +106,7 @@ def labels_in(file: SwarmFile, robot: str) -> tuple[str, ...]:
 
 
 def is_like(goal: Goal | None, content: Mapping[str, Any]) -> bool:
-    """True if a goal has this content, and no lease of its own."""
+    """True if a goal has this content, and no run lease."""
     if goal is None or goal.lease is not None:
         return False
     known = content_of(goal)
@@ -119,7 +114,10 @@ def is_like(goal: Goal | None, content: Mapping[str, Any]) -> bool:
 
 
 def params_in(file: SwarmFile, robot: str, labels: tuple[str, ...], pattern: str) -> Params:
-    """The parameters of a robot's pattern in a file: of its labels, then its own above them."""
+    """The parameters of a robot's pattern in a file.
+
+    A robot's own parameters replace those of its labels.
+    """
     params: dict[str, Any] = {}
     for label in labels:
         params |= file.parameters.labels.get(label, {}).get(pattern, {})
@@ -133,9 +131,10 @@ def _param_changes(
     labels: Mapping[str, tuple[str, ...]],
     goal: Mapping[str, Any] | None,
 ) -> Params:
-    """The parameters of a running pattern that differ; those of a goal count more.
+    """The parameters of a running pattern that differ from the file.
 
-    None where a new goal lets the robot run something else: they are compared after that.
+    Parameters of a goal take precedence over the file. None where a new goal lets the robot run
+    another pattern: its parameters are compared after that.
     """
     pattern = status.pattern
     if status.state is not State.RUNNING or pattern is None or goal is not None:
@@ -148,7 +147,7 @@ def _param_changes(
 
 
 def _is_left(goal: GoalStatus) -> bool:
-    """True if the run has ended; parameters of a run that goes on are compared by themselves."""
+    """True if the run has ended. Of a run that goes on, parameters are compared separately."""
     return bool(goal.reason) and goal.state not in (GoalState.OFFERED, GoalState.RUNNING)
 
 

@@ -1,4 +1,4 @@
-"""Arguments of the client's methods: times, words and parameters, checked and made plain."""
+"""Checks and converts arguments of the client's methods: times, words and parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Words: TypeAlias = str | Iterable[str]
 
 
 def check_time(name: str, value: float | None) -> None:
-    """ConfigError unless a time that is given is a finite number of seconds above 0."""
+    """Raise ConfigError unless a given time is a finite number of seconds above 0."""
     is_number = isinstance(value, Real) and not isinstance(value, bool)
     if value is not None and not (is_number and 0.0 < value <= MAX_TIME):
         raise ConfigError(
@@ -28,7 +28,7 @@ def check_time(name: str, value: float | None) -> None:
 
 
 def check_words(words: Words, what: str) -> tuple[str, ...]:
-    """The words as a tuple; ConfigError unless they are a text or several ones."""
+    """The words as a tuple; ConfigError unless they are a text or several texts."""
     some = tuple(words) if isinstance(words, Iterable) and not isinstance(words, str) else (words,)
     if not all(isinstance(word, str) for word in some):
         raise ConfigError(f"{what} is {words!r}; expected a text, or a list of texts")
@@ -36,18 +36,18 @@ def check_words(words: Words, what: str) -> tuple[str, ...]:
 
 
 def plain_params(values: Mapping[str, Any]) -> dict[str, Value]:
-    """Values that can be sent: numbers of numpy as those of Python. ConfigError for any other."""
+    """Values that can be sent: numpy's numbers as Python's. ConfigError for any other type."""
     if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
         raise ConfigError(f"parameters are {values!r}; expected a dict, such as {{'speed': 0.15}}")
-    found: dict[str, Value] = {}
+    plain: dict[str, Value] = {}
     for key, value in values.items():
         if isinstance(value, bool | str) or value is None:
-            found[key] = value
+            plain[key] = value
         elif isinstance(value, Integral) and -(2**63) <= int(value) < 2**63:
-            found[key] = int(value)
+            plain[key] = int(value)
         elif isinstance(value, Real) and not isinstance(value, Integral) and math.isfinite(value):
-            found[key] = float(value)
+            plain[key] = float(value)
         else:
             wanted = "a finite number of at most 64 bits, a text, True, False or None"
             raise ConfigError(f"parameter {key} is {value!r}; expected {wanted}")
-    return found
+    return plain

@@ -1,4 +1,4 @@
-"""What several robots tell: answers to questions that change nothing, and statuses as they come."""
+"""Queries to several robots that change nothing, and the statuses that robots publish."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Answer(Protocol):
 
     @property
     def robot(self) -> str:
-        """The robot in whose name it is."""
+        """The name of the robot in the answer."""
         ...
 
 
@@ -40,13 +40,13 @@ _status = Decoder(Status)
 def ask_robots(
     session: Session, robots: Iterable[str], verb: Verb[Any, T], question: Struct | None = None
 ) -> dict[str, T]:
-    """The answers to a question, by robot; tells of an answer that cannot be read."""
+    """The answers to a query, by robot. Reports an answer that cannot be read to `session.tell`."""
     decode = Decoder(verb.answer, MAX_ANSWER)
     answers = {}
     payload = b"" if question is None else encode(question)
     timeout = session.timeout or ASK_TIME
-    found = session.operator.ask_all(robots, verb.name, payload, timeout=timeout)
-    for robot, answer in sorted(found.items()):
+    payloads = session.operator.ask_all(robots, verb.name, payload, timeout=timeout)
+    for robot, answer in sorted(payloads.items()):
         try:
             read = decode(answer)
         except CodecError as error:
@@ -61,7 +61,7 @@ def ask_robots(
 
 @contextmanager
 def statuses_of(operator: Operator) -> Iterator[SimpleQueue[Status]]:
-    """The statuses that robots of the swarm send in the block; see `next_status`."""
+    """Subscribe to the statuses of robots within the `with` block; see `next_status`."""
     from queue import SimpleQueue
 
     news: SimpleQueue[Status] = SimpleQueue()
@@ -79,7 +79,7 @@ def statuses_of(operator: Operator) -> Iterator[SimpleQueue[Status]]:
 
 
 def next_status(news: SimpleQueue[Status], seconds: float) -> Status | None:
-    """The next status; None if none comes within so many seconds."""
+    """The next status; None if no status comes within `seconds`."""
     from queue import Empty
 
     try:
@@ -89,5 +89,5 @@ def next_status(news: SimpleQueue[Status], seconds: float) -> Status | None:
 
 
 def in_reach(view: MembersView, robots: Iterable[str]) -> tuple[str, ...]:
-    """The robots of a look that can be asked: others are not waited for."""
+    """The robots of a look that can be asked; unreachable robots are not waited for."""
     return tuple(robot for robot in robots if view.is_in_reach(robot))

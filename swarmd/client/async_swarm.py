@@ -55,12 +55,14 @@ def _iterated(
 class AsyncSwarm:
     """A swarm, as `swarmd.connect` gives it in an `async with` block.
 
-    It has the methods of `Swarm`, with the same parameters and results: `events` and `states` are
-    async iterators, all others are awaited. The loop does not wait for robots: each method runs on
-    a thread of its own, and a stop waits for no other method. SwarmError if 8 requests are under
-    way. A task that is cancelled waits no more; its request may have been applied all the same. A
-    `wait` and a canary end then, and canaries are stopped. So are the robots of a run `at` a moment
-    that has not come: they do not start.
+    It has the methods of `Swarm`, with the same parameters and results. `events` and `states` are
+    async iterators; all other methods are awaited. Each method runs on a thread, so that the event
+    loop does not wait for robots. A stop waits for no other method. SwarmError if 8 requests are
+    under way.
+
+    If a task is cancelled, it no longer waits, but robots may have applied its request. Three
+    methods also end: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
+    later moment, whose robots are stopped before they start.
     """
 
     def __init__(self, swarm: Swarm) -> None:
@@ -98,8 +100,8 @@ class AsyncSwarm:
     async def close(self) -> None:
         """Leave the network; see `Swarm.close`.
 
-        Waits up to 6 s for calls under way to end: those that are cancelled stop their robots,
-        which a program that ends would prevent.
+        Waits up to 6 s for calls under way. A cancelled call may still have to stop its robots,
+        which the end of the program would prevent.
         """
 
         def close() -> None:
@@ -112,7 +114,7 @@ class AsyncSwarm:
 async def _from_thread(
     make: Callable[[], Iterator[R]], cancelled: threading.Event
 ) -> AsyncGenerator[R, None]:
-    """The items of an iterator that runs on a thread; an error of it is raised at its place."""
+    """The items of an iterator that runs on a thread; an error of the iterator is raised here."""
     loop = asyncio.get_running_loop()
     items: asyncio.Queue[R] = asyncio.Queue()
     room = threading.Semaphore(MAX_WAITING)

@@ -1,4 +1,4 @@
-"""Robots that try something before the others do: whether they run well for some time."""
+"""Canaries: robots that run something before all others, and are watched for some time."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ MIN_DECISIONS = 60
 def choose_canaries(
     wanted: int | str, names: Iterable[str], option: str = "canary"
 ) -> tuple[str, ...]:
-    """The canaries among the targets: the first `wanted`, or the one of that name.
+    """The canaries among the targets: the first `wanted` robots, or the robot with that name.
 
-    RequestError if that one is no target, ConfigError for a number below 1 and if no target is left
-    for afterwards; each names `option`.
+    RequestError if that robot is no target. ConfigError for a number below 1, and if no target is
+    left for the run after the canaries. Each error names `option`.
     """
     known = tuple(names)
     is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)
@@ -44,7 +44,7 @@ def choose_canaries(
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """Why a canary does not run well; empty if it does. Pure.
 
-    `before`: its status before the run, `first`: the first one of the run.
+    `before`: its status before the run. `first`: its first status in the run.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:
@@ -69,10 +69,10 @@ def watch_canary(
     seconds: float,
     before: Mapping[str, Status | None] | None = None,
 ) -> dict[str, str]:
-    """Watch robots for `seconds`; returns those that do not run well, with the reason.
+    """Watch canaries for `seconds`; returns those that do not run well, with the reason.
 
-    It ends at the first fault, and when the session is cancelled. A robot that sends no status is
-    one.
+    It ends at the first fault, and when the session is cancelled. A robot that sends no status has
+    a fault.
     """
     from swarmd.client.ask_robots import next_status, statuses_of  # most runs have no canary
 

@@ -1,4 +1,4 @@
-"""Requests that start no motion: reset, parameters, labels, members that are forgotten."""
+"""Requests that start no motion: reset, parameters, labels, and forgetting members."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 
 
 def reset(targeted: TargetedView, *, reason: str = "", findings: bool = False) -> Outcome:
-    """Clear the emergency stops and faults that the look has shown; a later one stays.
+    """Clear the emergency stops and faults that the look has shown.
 
-    With `findings` also end those of the assumption monitor that it has shown.
+    An emergency stop that comes later stays. With `findings` the findings of the assumption monitor
+    that the look has shown end, too.
     """
     ids = tuple(sorted(targeted.view.latches(targeted.names)))
-    found = findings_of(targeted.view, targeted.names) if findings else ()
-    ended = tuple(dict.fromkeys(text for _, text in found))
+    shown_findings = findings_of(targeted.view, targeted.names) if findings else ()
+    ended = tuple(dict.fromkeys(text for _, text in shown_findings))
     return targeted.request(ResetRequest, ids=ids, findings=ended, reason=reason)
 
 
@@ -49,7 +50,7 @@ def params_of(member: Member) -> dict[str, Param]:
 def change_labels(
     targeted: TargetedView, added: Collection[str], removed: Collection[str]
 ) -> Outcome:
-    """Give labels and take them away; a robot whose labels are not known counts as missing."""
+    """Add and remove labels of robots; a robot whose labels are not known counts as missing."""
     known = labels_of(targeted.view)
     wanted: dict[tuple[str, ...], list[str]] = defaultdict(list)
     for name in targeted.names:
@@ -61,9 +62,9 @@ def change_labels(
 
 
 def forget(session: Session, view: MembersView, name: str) -> Outcome:
-    """Remove a robot that failed or left from the lists of all robots.
+    """Remove a robot that failed or left from the member lists of all robots.
 
-    RequestError if it is alive.
+    RequestError if the robot is alive.
     """
     if view.members[name].presence is Presence.ALIVE:
         text = f"{name} is alive; only robots that failed or left can be forgotten"

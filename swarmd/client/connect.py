@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Connection:
-    """What `connect` gives: the swarm of a `with` block, of an `async with` block, or of `open`."""
+    """The result of `connect`, for a `with` block, an `async with` block, or `open`."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class Connection:
 
 
 def _close_opened(opening: Future[Swarm]) -> None:
-    """Close what was opened for a caller that has gone."""
+    """Close a connection that was opened for a cancelled caller."""
     if opening.exception() is None:
         opening.result().close()
 

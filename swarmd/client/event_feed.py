@@ -1,4 +1,4 @@
-"""What happened to robots, as lines, from statuses and looks as they come. Pure."""
+"""Makes event lines from the statuses and looks of robots. Pure."""
 
 from __future__ import annotations
 
@@ -19,29 +19,31 @@ from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.operator.members_view import MembersView, SeenMember
 
 RATE, BURST = 2.0, 20.0
-"""Lines of one robot per second, and at once; others are counted."""
+"""Lines of one robot per second, and at once; further lines are only counted."""
 TOGETHER = 1.0
-"""What robots tell within so many s, numbers aside, is one line for all of them."""
+"""s within which equal texts of several robots, numbers aside, become one line."""
 _NUMBER = re.compile(r"(-?\d+(?:\.\d+)?)")
 _NO_HOLD = (None, Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION)
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class EventLine:
-    """An event: `at` in s on the clock of the caller. `kind`: event, hold, watch or gap.
+    """An event of a robot, for display.
 
-    `event`: by the robot's own log. `hold`: by its statuses. `watch`: it appeared, fell silent or
-    returned. `gap`: events are not known.
+    - `event`: from the robot's own log.
+    - `hold`: a change of the hold in its statuses.
+    - `watch`: the robot appeared, fell silent or returned.
+    - `gap`: some events are not known.
     """
 
-    at: float
+    at: float  # s on the clock of the caller
     robot: str
-    kind: str
+    kind: str  # event, hold, watch or gap
     text: str
 
 
 class EventFeed:
-    """Turns statuses and looks into lines; times in s on one clock.
+    """Turns statuses and looks into event lines. Times in s on one clock.
 
     Events that are older than `since` s at the first status of a robot are left out.
     """
@@ -73,7 +75,7 @@ class EventFeed:
         return lines
 
     def on_view(self, view: MembersView, now: float) -> list[EventLine]:
-        """The lines that follow from a look: robots that are gone, or were never heard."""
+        """The lines that follow from a look: robots that left or failed, or were never heard."""
         lines = []
         self._has_looked = True
         for name in sorted(view.members.keys() | view.roster):
@@ -85,7 +87,7 @@ class EventFeed:
         return lines
 
     def advance(self, now: float) -> list[EventLine]:
-        """The lines that follow from the time: robots that fell silent, and what was left out."""
+        """The lines that follow from the time: robots that fell silent, and left-out events."""
         lines = []
         for name, (_, at) in self._last.items():
             if now - at > STATUS_SILENCE and name not in self._absent:
@@ -99,12 +101,12 @@ class EventFeed:
         return lines
 
     def _logged(self, before: Status | None, status: Status, now: float) -> list[EventLine]:
-        """The events of a status that the one before did not have, and a change of its hold."""
+        """The events that the status before did not have, and a change of the hold."""
         name, events = status.robot, status.events
         new = events if before is None else _new(before.events, events)
         lines = [
-            EventLine(now - max(status.uptime - one.at, 0.0), name, "event", one.text)
-            for one in new
+            EventLine(now - max(status.uptime - event.at, 0.0), name, "event", event.text)
+            for event in new
         ]
         if before is None:
             lines = [line for line in lines if now - line.at <= self._since]
@@ -131,9 +133,9 @@ class EventFeed:
 
 
 def together(lines: Iterable[EventLine]) -> list[tuple[EventLine, tuple[str, ...]]]:
-    """The lines with their robots; what several robots tell within TOGETHER is one line.
+    """The lines, each with its robots: equal texts of several robots within TOGETHER are one line.
 
-    Numbers that differ among the robots are `..`, such as the port of a request.
+    A number that differs among the robots is shown as `..`, such as the port of a request.
     """
     groups: dict[tuple[str, str], list[list[EventLine]]] = {}
     ordered: list[list[EventLine]] = []
@@ -146,13 +148,16 @@ def together(lines: Iterable[EventLine]) -> list[tuple[EventLine, tuple[str, ...
         else:
             last.append(line)
     return [
-        (replace(some[0], text=_common(one.text for one in some)), tuple(one.robot for one in some))
-        for some in ordered
+        (
+            replace(group[0], text=_common(line.text for line in group)),
+            tuple(line.robot for line in group),
+        )
+        for group in ordered
     ]
 
 
 def _common(texts: Iterable[str]) -> str:
-    """The text of several that differ in numbers alone."""
+    """The common text of texts that differ only in numbers."""
     pieces = zip(*map(_NUMBER.split, texts), strict=True)
     return "".join(same[0] if len({*same}) == 1 else ".." for same in pieces)
 
@@ -160,7 +165,7 @@ def _common(texts: Iterable[str]) -> str:
 def _new(
     before: tuple[LoggedEvent, ...], events: tuple[LoggedEvent, ...]
 ) -> tuple[LoggedEvent, ...]:
-    """The events after those that both have: the later list begins with the end of the earlier."""
+    """The events that `before` lacks. `events` begins with the last events of `before`."""
     for shared in range(min(len(before), len(events)), 0, -1):
         if before[-shared:] == events[:shared]:
             return events[shared:]
@@ -168,7 +173,7 @@ def _new(
 
 
 def _is_overtaken(status: Status, last: Status) -> bool:
-    """True if a status is older than the status that came last: a frozen robot thaws."""
+    """True if a status is older than the last one, such as from a robot that was frozen."""
     return status.instance == last.instance and status.uptime < last.uptime
 
 

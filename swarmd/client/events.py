@@ -1,4 +1,4 @@
-"""What happened to robots, by one look, and what happens, as it comes."""
+"""Past events of robots by one look, and events as they happen."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def events_of(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[
 
 
 def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterator[list[EventLine]]:
-    """Events as they come, until the session is cancelled or the iterator is closed.
+    """Yields lists of events until the session is cancelled or the iterator is closed.
 
-    Those before the first look come at once, in the order of time. An empty list comes each 0.5 s
-    in which nothing happens.
+    Events before the first look come first, in the order of time. An empty list comes each 0.5 s
+    without an event.
     """
     news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
     watch = SwarmWatch(session.operator, on_status=news.put, on_view=news.put)
@@ -56,7 +56,7 @@ def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterat
 
 
 def _next(news: queue.SimpleQueue[Status | MembersView]) -> Status | MembersView | None:
-    """The next status or look; None if none came within the period."""
+    """The next status or look; None if neither comes within the period."""
     try:
         return news.get(timeout=PERIOD)
     except queue.Empty:

@@ -21,9 +21,9 @@ def states_frame(states: Iterable[RobotState]) -> Any:
     import pandas
 
     rows = list(states) if isinstance(states, Iterable) else [states]
-    if not all(isinstance(one, RobotState) for one in rows):
+    if not all(isinstance(state, RobotState) for state in rows):
         raise ConfigError("frame takes what `states` gives: a list of RobotState")
-    table = pandas.DataFrame([_flat(one) for one in rows])
+    table = pandas.DataFrame([_flat(state) for state in rows])
     if len(table):
         table["time"] = pandas.to_datetime(table["time"], unit="s", utc=True)
     return table

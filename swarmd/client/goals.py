@@ -1,4 +1,4 @@
-"""The goal of a swarm: what robots are to do beside what they do; resumed, and set again."""
+"""The goals of robots (what they are to do): resumed, and set again."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def resume_on(
     operator: Operator, view: MembersView, names: tuple[str, ...], *, timeout: float | None
 ) -> Outcome:
-    """Ask robots to run their own goals, as `view` shows them."""
+    """Ask each robot to run its own goal, as `view` shows it."""
     by_digest: dict[str, dict[str, Epoch | None]] = defaultdict(dict)
     for name, epoch in view.epochs(names).items():
         status = view.members[name].status if name in view.members else None
@@ -37,9 +37,9 @@ def resume_on(
 
 
 def undo(session: Session) -> Outcome:
-    """Set the goal before the present one again; robots that only the present one is for stop.
+    """Set the goal before the present one again. Robots of only the present goal are stopped.
 
-    RequestError if there is none, or if it had a run lease.
+    RequestError if there is no such goal, or if that goal had a run lease.
     """
     operator = session.operator
     view = signed_goals(session.look(is_request_next=True), operator.identity)

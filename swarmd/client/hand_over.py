@@ -1,4 +1,4 @@
-"""Work of an operator that an event loop hands over to threads."""
+"""Runs the blocking work of an operator on threads, for an event loop."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ HAND_OVER = "swarmd-commanding"
 
 
 def begin(work: Callable[[], R]) -> Future[R]:
-    """Do `work` on a daemon thread, which the program may end before. Gives its result."""
+    """Run `work` on a daemon thread; returns the future of its result.
+
+    The program may end before the thread.
+    """
     result: Future[R] = Future()
     result.set_running_or_notify_cancel()
 
@@ -30,5 +33,5 @@ def begin(work: Callable[[], R]) -> Future[R]:
 
 
 async def in_thread(work: Callable[[], R]) -> R:
-    """The result of `work`, done as `begin` does; a cancelled task leaves the thread to end."""
+    """The result of `work`, run as by `begin`; a cancelled task leaves the thread to end."""
     return await asyncio.wrap_future(begin(work))

@@ -1,4 +1,4 @@
-"""Names and labels of robots for completion, kept in the user's cache between looks."""
+"""A cache of robots' names and labels for the completion of command lines."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LOOK_TIME = 0.25
 
 
 def remember(settings: NetworkSettings, view: MembersView) -> None:
-    """Keep what a look has found, whole or not at all; a failure is no error."""
+    """Write the names and labels of a look to the user's cache; a failure is ignored."""
     names = view.members.keys() | view.roster
     if names:
         _write(settings, names, _labels(view))
@@ -38,14 +38,14 @@ def remember(settings: NetworkSettings, view: MembersView) -> None:
 
 def _labels(view: MembersView) -> list[str] | None:
     """The labels of all robots; None if the look has no status."""
-    statuses = [one.status for one in view.members.values() if one.status is not None]
-    return [label for one in statuses for label in one.labels] if statuses else None
+    statuses = [status.status for status in view.members.values() if status.status is not None]
+    return [label for status in statuses for label in status.labels] if statuses else None
 
 
 def _write(
     settings: NetworkSettings, names: Iterable[str], labels: Iterable[str] | None = None
 ) -> None:
-    """Keep names and labels; without `labels` those that were kept stay."""
+    """Write names and labels; None for `labels` keeps the labels in the file."""
     with contextlib.suppress(OSError, RuntimeError):
         path = _path(settings)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def _write(
 
 
 def remembered(settings: NetworkSettings) -> tuple[list[str], float]:
-    """The names that were kept, and their age in s: infinite without any."""
+    """The cached names, and their age in s; an infinite age without a cache."""
     try:
         age = max(time.time() - _path(settings).stat().st_mtime, 0.0)
     except (OSError, RuntimeError):
@@ -75,7 +75,7 @@ def remembered(settings: NetworkSettings) -> tuple[list[str], float]:
 
 
 def known_labels(settings: NetworkSettings) -> list[str]:
-    """The labels that were kept."""
+    """The cached labels."""
     return _read(settings, "labels")
 
 
@@ -88,7 +88,7 @@ def _read(settings: NetworkSettings, key: str) -> list[str]:
 
 
 def known_names(operator: Operator) -> list[str]:
-    """The names that were kept, after a short look if they are old."""
+    """The cached names; if they are old, a short look renews them."""
     settings = operator.settings
     names, age = remembered(settings)
     if age <= (MAX_AGE if names else EMPTY_AGE) or settings.profile == "routed":

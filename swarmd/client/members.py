@@ -23,11 +23,11 @@ _SIDE = 320  # px of the map
 
 @dataclass(frozen=True, eq=False)
 class Members(Mapping[str, SeenMember]):
-    """The robots by name. `poses`: where each is, if that was asked for; `frame`: by what."""
+    """The robots of a swarm by name, as a look has shown them."""
 
     view: MembersView
-    poses: Mapping[str, Pose] = field(default_factory=dict)
-    frame: str = "each by its own odometry"
+    poses: Mapping[str, Pose] = field(default_factory=dict)  # empty if not asked for
+    frame: str = "each by its own odometry"  # the frame of the poses, in words
 
     def __getitem__(self, name: str) -> SeenMember:
         return self.view.members[name]
@@ -114,7 +114,7 @@ def map_of(members: Members) -> str:
     poses = members.poses
     if not poses:
         return ""
-    xs, ys = [one[0] for one in poses.values()], [one[1] for one in poses.values()]
+    xs, ys = [pose[0] for pose in poses.values()], [pose[1] for pose in poses.values()]
     side = 1.2 * max(max(xs) - min(xs), max(ys) - min(ys), 1.0)
     left, top = (min(xs) + max(xs) - side) / 2, (min(ys) + max(ys) + side) / 2
     scale = _SIDE / side

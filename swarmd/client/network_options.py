@@ -1,4 +1,4 @@
-"""Which swarm an operator asks, and as whom: options, environment, context and swarm file."""
+"""Finds the swarm that an operator addresses, from options, environment, context and swarm file."""
 
 from __future__ import annotations
 
@@ -40,10 +40,11 @@ class NetworkOptions:
         return cls(config=Path(config) if config else None)
 
     def in_context(self) -> Self:
-        """These options, and those of the context in use where neither they nor $SWARM set any.
+        """These options, completed from the context in use.
 
-        A swarm file that the options or $SWARM_CONFIG name takes the place of the context. A
-        context of one swarm is not used for another swarm. ConfigError if it does not exist.
+        The context counts only for options that neither the command line nor $SWARM sets. A swarm
+        file that the options or $SWARM_CONFIG name replaces the context. A context of one swarm is
+        not used for another swarm. ConfigError if the context does not exist.
         """
         import msgspec
 

@@ -1,4 +1,4 @@
-"""Operators of one program, of which each carries out one verb at a time."""
+"""A pool of `Operator` objects for one program; each carries out one verb at a time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAX_IDLE = 2
 
 
 class RequestLimit:
-    """Counts the requests under way, stops apart."""
+    """Limits the number of requests under way; stops are not limited."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -27,7 +27,7 @@ class RequestLimit:
 
     @contextmanager
     def request(self) -> Iterator[None]:
-        """A request under way, in the block; SwarmError if too many are."""
+        """Count a request as under way within the block; SwarmError if too many are under way."""
         with self._lock:
             if self._count >= MAX_REQUESTS:
                 raise SwarmError(
@@ -42,7 +42,7 @@ class RequestLimit:
 
 
 class OperatorPool:
-    """Lends operators that `make` makes: an idle one, else a new one, so that no verb waits."""
+    """Lends operators that `make` creates, an idle one or a new one: no verb waits."""
 
     def __init__(self, make: Callable[[], Operator]) -> None:
         self._make = make
@@ -53,9 +53,9 @@ class OperatorPool:
         self._is_closed = False
 
     def close(self) -> None:
-        """End leases and close idle operators, within 0.2 s each; nothing is lent afterwards.
+        """End leases and close idle operators, within 0.2 s each; then no operator is lent.
 
-        An operator that is in use closes when it is given back.
+        An operator that is in use is closed when it is given back.
         """
         with self._lock:
             self._is_closed = True
@@ -68,7 +68,10 @@ class OperatorPool:
 
     @contextmanager
     def lend(self) -> Iterator[Operator]:
-        """An operator for one verb; one that failed is closed. SwarmError after `close`."""
+        """Lend an operator for one verb; it is closed if the verb raises.
+
+        SwarmError after `close`.
+        """
         with self._lock:
             if self._is_closed:
                 raise SwarmError("the connection to the swarm is closed; connect again")
@@ -86,22 +89,22 @@ class OperatorPool:
                 operator.close()
 
     def keep_lease(self, robots: Collection[str], lease: ExitStack) -> None:
-        """Close `lease` with the pool, or once a later one is for all of its `robots`.
+        """Close `lease` with the pool, or once a later lease covers all of its `robots`.
 
-        At once if the pool is closed: no lease outlives the connection.
+        It is closed at once if the pool is closed: no lease outlives the connection.
         """
         with self._lock:
-            ended = [one for one in self._leases if one[0] <= frozenset(robots)]
-            self._leases = [one for one in self._leases if one not in ended]
+            ended = [entry for entry in self._leases if entry[0] <= frozenset(robots)]
+            self._leases = [entry for entry in self._leases if entry not in ended]
             if self._is_closed:
                 ended.append((frozenset(robots), lease))
             else:
                 self._leases.append((frozenset(robots), lease))
-        for _, one in ended:
-            one.close()
+        for _, entry in ended:
+            entry.close()
 
     @contextmanager
     def lend_for_request(self) -> Iterator[Operator]:
-        """The same for a request that is no stop; SwarmError if too many are under way."""
+        """As `lend`, for a request that is no stop; SwarmError if too many are under way."""
         with self._limit.request(), self.lend() as operator:
             yield operator

@@ -1,4 +1,4 @@
-"""Runs under a lease: they end when robots no longer hear the operator that renews it."""
+"""Runs under a lease: they end when robots no longer hear the operator that renews the lease."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ PARTS = 4
 def follow_runs(
     session: Session, goal: Goal, patience: float, running: dict[str, Epoch | None]
 ) -> None:
-    """Return once no robot of `running` runs the goal any more; tells of each end.
+    """Wait until no robot of `running` runs the goal any more; reports each end.
 
-    With the epoch of each since the run: an earlier status of the same daemon counts for nothing.
-    A robot that tells no status for `patience` s is not waited for.
+    `running`: robots with their epochs at the run; an earlier status of the same daemon is ignored.
+    A robot that sends no status for `patience` s is no longer waited for.
     """
     heard = dict.fromkeys(running, boottime())
     with statuses_of(session.operator) as news:
@@ -47,7 +47,7 @@ def follow_runs(
 
 
 def _is_on(status: Status, goal: Goal) -> bool:
-    """True while a robot runs the goal, or loads its pattern."""
+    """True while a robot runs the goal, or loads the pattern of the goal."""
     goals = status.goal
     if goals is None or goals.own is None or goals.own.goal.id != goal.id:
         return False
@@ -63,7 +63,7 @@ def _is_older(status: Status, since: Epoch | None) -> bool:
 
 
 class LeaseKeeper(threading.Thread):
-    """Renews the lease of a goal, of `lease` s, on the robots `names`, from `start` to `close`."""
+    """Renews the lease (`lease` s) of a goal on the robots `names`, from `start` to `close`."""
 
     def __init__(
         self, operator: Operator, goal_id: str, lease: float, names: Collection[str]

@@ -1,4 +1,4 @@
-"""Starts of runs: at once, at one moment, a canary first, or under a lease."""
+"""Starts runs: at once, at one moment, with canaries first, or under a lease."""
 
 from __future__ import annotations
 
@@ -35,24 +35,27 @@ MIN_LEASE, MAX_LEASE = 1.0, 3600.0  # s
 
 
 class Run(Struct, frozen=True, kw_only=True):
-    """A run as `swarmctl run`, `Swarm.run` and the page describe it, before robots are known.
+    """The options of a run, as `swarmctl run`, `Swarm.run` and the page give them.
 
-    Times are in s. `check` before robots are asked; `carry_out` starts it.
+    Call `check` before robots are asked, and then `carry_out`. Times are in s.
     """
 
     pattern: str
     params: Mapping[str, Value] = {}
-    seconds: float | None = None  # until the run ends
-    conditions: tuple[str, ...] = ()  # as of `--until`: the first that is met ends the run
-    on_join: str = "offer"  # or "run": robots that join within `valid` run it
-    valid: float | None = None
-    lease: float | None = None  # robots stop after so long without a renewal
-    at: float | None = None  # from now: all robots start at one moment
-    canary: int | str | None = None  # a robot, or so many, that run alone at first
-    canary_time: float | None = None  # for which they run alone; None: CANARY_TIME
+    seconds: float | None = None  # duration of the run; None: until a stop
+    conditions: tuple[str, ...] = ()  # as `--until`: the first condition that is met ends the run
+    on_join: str = "offer"  # to robots that join; "run": they run the goal within `valid`
+    valid: float | None = None  # s from now on
+    lease: float | None = None  # s without a renewal after which robots stop
+    at: float | None = None  # s from now at which all robots start
+    canary: int | str | None = None  # the number, or the name, of robots that run first
+    canary_time: float | None = None  # s for which only canaries run; None: CANARY_TIME
 
     def check(self, option: Callable[[str], str] = str) -> None:
-        """ConfigError for values that cannot be or do not go together; `option` spells a name."""
+        """Raise ConfigError for values that are not valid, or do not go together.
+
+        `option` returns the name of an option as the user writes it.
+        """
         if not isinstance(self.pattern, str) or not is_id(self.pattern):
             raise ConfigError(f"{self.pattern!r} is no pattern name; expected a-z, 0-9, _ and -")
         if self.on_join not in ON_JOIN:
@@ -87,7 +90,7 @@ class Run(Struct, frozen=True, kw_only=True):
             raise ConfigError(f"{names} do not go together; take one of them")
 
     def goal(self, targeted: TargetedView, targets: Collection[str]) -> Goal:
-        """The goal that it sets: greater than all that the look has shown. See `next_goal`."""
+        """The goal of this run, greater than all goals that the look has shown; see `next_goal`."""
         return next_goal(
             targeted.operator,
             targeted.view,
@@ -103,11 +106,11 @@ class Run(Struct, frozen=True, kw_only=True):
 
 
 class StartedRun(NamedTuple):
-    """How a run began: its goal, the answers of robots, and more of it for JSON."""
+    """A run that was started."""
 
     goal: Goal
     outcome: Outcome
-    notes: Mapping[str, Any] = {}
+    notes: Mapping[str, Any] = {}  # further fields of the JSON answer
 
 
 def carry_out(
@@ -117,10 +120,11 @@ def carry_out(
     opened: ExitStack,
     option: Callable[[str], str] = str,
 ) -> StartedRun:
-    """Start a checked run on the robots of `targeted`; `targets` are those of its goal.
+    """Start a checked run on the robots of `targeted`.
 
-    A lease is renewed until `opened` is closed. ConfigError, RequestError and SwarmError as
-    `choose_canaries`, `start_at` and `run_with_canary`.
+    `targets`: the targets of the goal. A lease is renewed until `opened` is closed. Raises
+    ConfigError, RequestError and SwarmError as `choose_canaries`, `start_at` and `run_with_canary`
+    do.
     """
     first: tuple[str, ...] = ()
     if run.canary is not None:
@@ -143,9 +147,9 @@ def carry_out(
 
 
 def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
-    """The targets of a goal: as they were typed, so that robots that join later are among them.
+    """The targets of a goal: globs and labels as typed, so that robots that join later match.
 
-    With excluded robots, the names that are left.
+    With excluded robots: the names of the remaining robots.
     """
     if targets.exclude:
         return tuple(sorted(names))
@@ -155,7 +159,7 @@ def goal_targets(targets: Targets, names: Collection[str]) -> tuple[str, ...]:
 def send_goal(
     operator: Operator, epochs: Mapping[str, Epoch | None], goal: Goal, **fields: Any
 ) -> Outcome:
-    """Send a goal: its run, or the goal alone if it has no pattern."""
+    """Send a goal to robots: as a run request, or as a goal request if it has no pattern."""
     if goal.pattern is None:
         return operator.request(GoalRequest, epochs, goal=goal, **fields)
     return operator.request(
@@ -173,12 +177,12 @@ def send_goal(
 def start_at(
     targeted: TargetedView, goal: Goal, at: float
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
-    """Send the run of a goal, and let all targets start at one moment, in `at` s.
+    """Send the run of a goal; all robots start at one moment, in `at` s.
 
-    Also gives what is known of the start: `in` and `skew` in s, and the error of each clock. A
-    robot whose clock is not known is not asked, and counts as missing. ConfigError if no time is
-    left for it. SwarmError if the session is cancelled before that moment: robots that were asked
-    and have not refused are stopped.
+    Returns the outcome, and notes on the start: `in` and `skew` in s, and the error of each clock.
+    A robot whose clock does not answer is not asked, and counts as missing. ConfigError if the
+    timeout ends before the start. SwarmError if the session is cancelled before the start: robots
+    that were asked and have not refused are then stopped.
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
@@ -189,7 +193,7 @@ def start_at(
     moment = boottime() + at
     starts, skew = start_times(offsets, moment)
     known = targeted.view.epochs(targeted.names)
-    epochs = {name: one for name, one in known.items() if name in starts}
+    epochs = {name: epoch for name, epoch in known.items() if name in starts}
     unknown = tuple(sorted(set(targeted.names) - epochs.keys()))
     if unknown:
         session.tell(f"not asked, since their clocks did not answer: {', '.join(unknown)}")
@@ -210,12 +214,12 @@ def start_at(
     try:
         outcome = send_goal(operator, epochs, goal, **fields)
     except (KeyboardInterrupt, SystemExit):
-        stop_on_interrupt(session, epochs)  # they would start without an operator who wants it
+        stop_on_interrupt(session, epochs)  # otherwise they would start without their operator
         raise
-    accepted = epochs.keys() - outcome.replies.keys()  # they answer once they start
+    accepted = epochs.keys() - outcome.replies.keys()  # robots reply when they start
     if is_withdrawn and accepted:
         raise SwarmError(stop_on_interrupt(session, accepted, "start cancelled"))
-    errors = {name: round(one.error, 6) for name, one in offsets.items()}
+    errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
     notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
     return replace(outcome, missing=tuple(sorted((*outcome.missing, *unknown)))), notes
 
@@ -223,11 +227,12 @@ def start_at(
 def run_with_canary(
     targeted: TargetedView, goal: Goal, canaries: tuple[str, ...], seconds: float | None
 ) -> tuple[Outcome, Mapping[str, list[str]]]:
-    """Run a goal on canaries for `seconds`, then on all; gives the canaries and the others, too.
+    """Run a goal on canaries for `seconds`, then on all targets.
 
-    `seconds` None: CANARY_TIME. The goal of the canaries is for them alone, so that it ends no run
-    of another robot. A canary that does not start is stopped, and the outcome is that of the
-    canaries. RequestError if one fails: all canaries are stopped.
+    `seconds` None: CANARY_TIME. Returns the outcome, and the names of the canaries and of the
+    others. The goal of the canaries targets only them, so that it ends no run of another robot. If
+    a canary does not start, the canaries are stopped, and their outcome is returned. If a canary
+    fails, all canaries are stopped, and RequestError is raised.
     """
     from swarmd.client.canary import CANARY_TIME, watch_canary
 
@@ -254,7 +259,7 @@ def run_with_canary(
     others = tuple(name for name in targeted.names if name not in canaries)
     later = operator.members(timeout=session.timeout)
     goal = resigned(operator, goal, generation=next_generation(operator, later))
-    # A robot that was stopped, or changed otherwise, while the canaries ran refuses.
+    # A robot that was stopped or changed while the canaries ran refuses, by its epoch.
     epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
     outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
     return outcome, {"canary": list(canaries), "others": list(others)}

@@ -1,4 +1,4 @@
-"""Looks at a swarm before a request, and the robots that the request is for."""
+"""A session of an operator: looks at a swarm, and the targets of requests."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ LEAST_REQUEST_TIME = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """An operator who asks: `timeout` in s bounds a verb, `tell` takes lines for the user.
+    """An operator's session for a verb.
 
-    `is_cancelled`: True once the caller does not wait any more; verbs that wait end then.
+    `timeout`: bound of the verb in s. `tell` takes lines for the user. `is_cancelled` returns True
+    once the caller no longer waits; verbs that wait then end.
     """
 
     operator: Operator
@@ -35,10 +36,10 @@ class Session:
     is_cancelled: Callable[[], bool] = lambda: False
 
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
-        """The swarm, once all have answered or after `timeout`; tells what is missing.
+        """The members, once all robots have answered or after `timeout`; reports missing robots.
 
-        With `is_request_next` half of `timeout` is left for a request (see `time_left`).
-        NetworkError, naming the swarms that were found, if no daemon was reached; before a request
+        With `is_request_next` half of `timeout` is left for a request (see `time_left`). If no
+        daemon was reached: NetworkError, which names the swarms that were found. Before a request:
         SwarmError as `check_awaited`.
         """
         timeout = self.timeout
@@ -55,12 +56,12 @@ class Session:
         return view
 
     def check_awaited(self) -> None:
-        """Raise SwarmError if the caller has gone or the connection is closed."""
+        """Raise SwarmError if the caller no longer waits or the connection is closed."""
         if self.is_cancelled():
             raise SwarmError("not sent: its caller has gone, or the connection was closed")
 
     def time_left(self, view: MembersView) -> float | None:
-        """What the look has left of `timeout` for a request, in s; None without `timeout`."""
+        """Seconds of `timeout` that the look has left for a request; None without `timeout`."""
         if self.timeout is None:
             return None
         return max(self.timeout - view.seconds, LEAST_REQUEST_TIME)
@@ -75,11 +76,14 @@ class Session:
         return TargetedView(self, view, names, unlabelled(view, targets))
 
     def named_now(self, targets: Targets) -> Targets:
-        """The targets by name alone, as a look shows labels now. For verbs that follow robots."""
+        """The targets with labels replaced by names, by a look now.
+
+        For verbs that follow robots.
+        """
         return named(self.look(), targets) if targets.labels else targets
 
     def tell_awaited(self, view: MembersView, targets: Targets) -> None:
-        """Tell whom a verb that follows robots waits for: any robot, or a name that none has."""
+        """Report whom a following verb waits for: any robot, or a name that no robot has."""
         known = view.members.keys() | view.roster
         if not view.members:
             self.tell("no robot is heard yet")
@@ -88,13 +92,13 @@ class Session:
                 self.tell(f"{unknown('robot', glob, known)}; waits for it")
 
     def tell_notices(self) -> None:
-        """Tell what the operator noted about rosters."""
+        """Report the operator's notices about rosters."""
         for text in self.operator.notices:
             self.tell(text)
         self.operator.notices.clear()
 
     def tell_gaps(self, view: MembersView, missing: Iterable[str]) -> None:
-        """Tell which of the expected robots did not answer, and what is known of them."""
+        """Report the expected robots that did not answer, and what is known of them."""
         lines = [gap(view, name) for name in missing]
         if lines:
             self.tell(f"view not complete: {'; '.join(lines)}")
@@ -102,9 +106,9 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class TargetedView:
-    """The robots `names` that requests of a verb are for, in the swarm as `view` shows it.
+    """The target robots `names` of a verb's requests, and the look `view` that showed them.
 
-    `unlabelled`: robots that may be targets by a label, since theirs are not known.
+    `unlabelled`: robots whose labels are not known, so that they may be targets of a label.
     """
 
     session: Session
@@ -119,29 +123,29 @@ class TargetedView:
 
     @property
     def time_left(self) -> float | None:
-        """What the look has left of the timeout, in s."""
+        """Seconds of the timeout that the look has left."""
         return self.session.time_left(self.view)
 
     def request(
         self, kind: type[AnyRequest], names: Collection[str] | None = None, **fields: Any
     ) -> Outcome:
-        """The outcome of a request to all targets or `names`, in the time that is left."""
+        """Send a request to all targets, or to `names`, in the time that is left; the outcome."""
         epochs = self.view.epochs(self.names if names is None else names)
         return self.operator.request(kind, epochs, timeout=self.time_left, **fields)
 
     def counted(self, outcome: Outcome) -> Outcome:
-        """The outcome as it counts: with robots whose labels are not known."""
+        """The outcome with `unlabelled` robots, as it counts for the exit code."""
         return replace(outcome, unlabelled=self.unlabelled)
 
 
 def unreachable(operator: Operator, sent: str = "") -> NetworkError:
-    """The error of a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
+    """The error for a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
     text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
     return NetworkError(f"{text}{instead(operator)}")
 
 
 def instead(operator: Operator) -> str:
-    """What is heard in place of a swarm in which no robot was reached."""
+    """The other swarms that were heard, in words, when no robot was reached."""
     swarm, profile, found = operator.settings.swarm, operator.settings.profile, operator.swarms()
     if swarm in found:
         keys = "has no keys for it (--identity)" if operator.identity is None else "has other keys"
@@ -153,7 +157,7 @@ def instead(operator: Operator) -> str:
 
 
 def where(operator: Operator) -> str:
-    """Where an operator asks."""
+    """The network in which an operator looks, in words."""
     settings = operator.settings
     if settings.profile == "routed":
         return f"through {', '.join(settings.routers)}"
@@ -161,7 +165,7 @@ def where(operator: Operator) -> str:
 
 
 def gap(view: MembersView, name: str) -> str:
-    """What is known of a robot that did not answer."""
+    """What is known of a robot that did not answer, in words."""
     from swarmd.texts.why import absence  # most looks lack no robot
 
     return f"{name} {absence(view.members.get(name))}"

@@ -1,4 +1,4 @@
-"""How the robots of a swarm are and move, as it comes: a state for each status, and each pose."""
+"""The states and poses of robots as they are published."""
 
 from __future__ import annotations
 
@@ -37,35 +37,32 @@ _motion = Decoder(Motion)
 
 
 class RobotState(Struct, frozen=True, kw_only=True):
-    """A robot at one moment: `time` in s since 1970, by this machine's clock, when it was heard.
+    """The state of a robot at one moment.
 
-    `x` and `y` in m and `yaw` in rad are by the robot's own odometry, in a frame of its own; NaN if
-    they are not known. `linear` in m/s, `angular` in rad/s and `lateral` in m/s to the left: the
-    safe command. `report`: what the pattern reports, `readings`: its scalar sensors, such as
-    `battery` from 0 to 1.
+    The pose is by the robot's own odometry, in a frame of its own. Unknown numbers are NaN.
     """
 
-    time: float
+    time: float  # s since 1970 by this machine's clock, when the robot was heard
     robot: str
     state: State
     reason: Reason | None
     pattern: str | None
-    x: float = math.nan
-    y: float = math.nan
-    yaw: float = math.nan
-    linear: float = math.nan
-    angular: float = math.nan
-    lateral: float = math.nan
-    report: Mapping[str, Scalar] = {}
-    readings: Mapping[str, Scalar] = {}
+    x: float = math.nan  # m
+    y: float = math.nan  # m
+    yaw: float = math.nan  # rad
+    linear: float = math.nan  # m/s of the safe command
+    angular: float = math.nan  # rad/s of the safe command
+    lateral: float = math.nan  # m/s to the left, of the safe command
+    report: Mapping[str, Scalar] = {}  # of the pattern
+    readings: Mapping[str, Scalar] = {}  # scalar sensors, such as `battery` from 0 to 1
 
 
 def follow_states(
     session: Session, targets: Targets, *, seconds: float | None = None, poses: bool = False
 ) -> Iterator[RobotState]:
-    """A state for each status: on each change, and each second; with `poses` ten times a second.
+    """Yields a state for each status: on each change and each second; with `poses` 10 a second.
 
-    With `poses` the states of a robot begin with its first pose: none has an unknown place. The
+    With `poses` the states of a robot begin with its first pose, so that no pose is unknown. The
     iterator ends after `seconds`, when the session is cancelled, or when the iterator is closed.
     """
     news: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
@@ -114,21 +111,21 @@ def follow_states(
 
 
 def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:
-    """The poses of robots that the last look has found, as far as they come within 0.3 s."""
-    found: dict[str, Pose] = {}
+    """The poses of the robots of the last look, as far as they come within 0.3 s."""
+    poses: dict[str, Pose] = {}
     is_whole = threading.Event()
 
     def on_motion(robot: str, payload: bytes) -> None:
         motion = _motion(payload)
         if motion.robot == robot and _has_pose(motion):
-            found[robot] = motion.x, motion.y, motion.yaw
-            if robots <= found.keys():
+            poses[robot] = motion.x, motion.y, motion.yaw
+            if robots <= poses.keys():
                 is_whole.set()
 
     operator.watch("motion", on_motion)
     is_whole.wait(POSE_TIME if robots else 0.0)
     operator.unwatch("motion")
-    return dict(found)
+    return dict(poses)
 
 
 def _has_pose(motion: Motion | None) -> bool:

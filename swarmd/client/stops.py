@@ -28,9 +28,10 @@ def send_stop(
 ) -> Outcome:
     """Stop the targets at once; a full name that no robot has counts as not answering.
 
-    `on_progress` takes the robots without an acknowledgement, as they change; by default they are
-    told. With `until_all` it ends when all have acknowledged, or when the session is cancelled.
-    NetworkError if no daemon was reached, RequestError if no robot is targeted.
+    `on_progress` gets the robots without an acknowledgement whenever they change; by default they
+    are reported to the user. With `until_all` the stop ends once all robots have acknowledged, or
+    when the session is cancelled. NetworkError if no daemon was reached, RequestError if no robot
+    is targeted.
     """
     operator = session.operator
     if targets.labels:
@@ -84,7 +85,7 @@ def send_stop(
 
 
 def stop_on_interrupt(session: Session, names: Collection[str], why: str = "interrupted") -> str:
-    """Stop these robots as the verb is interrupted, and tell which of them stopped, as given."""
+    """Stop these robots when a verb is interrupted; reports and returns which of them stopped."""
     text = f"{why}: stop sent: {stop_names(session.operator, names).line}"
     session.tell(text)
     return text

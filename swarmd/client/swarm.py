@@ -127,8 +127,8 @@ class Swarm:
         with self._session(timeout) as session:
             view = session.look()
             names = [name for name in robots_of(view, targets) if name in view.answered]
-            found = {name: params_of(view.members[name]).items() for name in names}
-            return {name: {key: one.value for key, one in some} for name, some in found.items()}
+            by_robot = {name: params_of(view.members[name]).items() for name in names}
+            return {name: {key: one.value for key, one in some} for name, some in by_robot.items()}
 
     def events(
         self,

@@ -1,4 +1,4 @@
-"""Watches a swarm: its members each second, and the statuses of robots as they come."""
+"""Watches a swarm: looks for members each second, and takes the statuses that robots publish."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _status = Decoder(Status)
 
 
 class SwarmWatch:
-    """Looks from `start` to `close`; the operator belongs to the caller.
+    """Looks from `start` to `close`; the caller closes the operator.
 
     `on_status` and `on_view` are called on other threads, with each status and each look.
     """
@@ -48,7 +48,7 @@ class SwarmWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """End; robots publish no status for this watch any more."""
+        """End the watch and its subscriptions."""
         self._ending.set()
         self._thread.join(2.0 * LOOK_TIME)
         self._operator.unwatch("status")  # a look that dials subscribes to what is watched
@@ -78,9 +78,10 @@ class SwarmWatch:
             self._ending.wait(max(LOOK_PERIOD - (time.monotonic() - began), 0.05))
 
     def _lacks_status(self) -> bool:
-        """True unless each robot that is heard sends its status by itself, as it does at 1 Hz.
+        """True if a robot that is heard does not publish its status at 1 Hz by itself.
 
-        With 50 robots a look that asks for statuses takes three times the processor time.
+        Then the look must ask for statuses. With 50 robots such a look takes three times the
+        processor time.
         """
         recent = {name for name, (_, age) in self.statuses().items() if age <= STATUS_SILENCE}
         heard = [m.robot for m in self._view.members.values() if m.contact in _HEARD]

@@ -1,6 +1,6 @@
-"""The robots that an operator means: names, globs and labels, and the robots that they name.
+"""The targets of an operator's request: names, globs and labels, and the robots that they match.
 
-`targets_of` gives the robots that must answer. Labels are known by statuses alone.
+`targets_of` gives the robots that must answer. Labels are known only from statuses.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ The stop is sent to robots that have not answered by then, too.
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Names and globs of robots, and labels, less the robots in `exclude`.
+    """Names and globs of robots, and labels, without the robots in `exclude`.
 
-    A robot with any of the `labels` is a target. Without names and labels all robots are. Labels
-    are known by statuses alone: `named` puts names in their place.
+    A robot with any of the `labels` is a target. Without names and labels all robots are targets.
+    Labels are known only from statuses: `named` replaces them by names.
     """
 
     names: tuple[str, ...] = ()
@@ -50,8 +50,8 @@ class Targets:
     def select(self, known: Collection[str]) -> tuple[str, ...]:
         """The targets among `known`.
 
-        RequestError if a name or glob, excluded or not, matches no robot, and if there are labels,
-        which names alone do not show.
+        RequestError if a name or glob, excluded or not, matches no robot. RequestError if there are
+        labels, which names do not show.
         """
         if self.labels:
             raise RequestError("this verb takes names, not labels; see `swarmctl members`", USAGE)
@@ -61,7 +61,7 @@ class Targets:
         return self.matching(known)
 
     def matching(self, known: Iterable[str]) -> tuple[str, ...]:
-        """The targets among `known`; names that match none are ignored."""
+        """The targets among `known`; names and globs that match no robot are ignored."""
         return tuple(
             name
             for name in sorted(known)
@@ -80,9 +80,9 @@ class Targets:
 def make_targets(
     names: Iterable[str] = (), exclude: Iterable[str] = (), labels: Iterable[str] = ()
 ) -> Targets:
-    """The targets of words; ConfigError for a wrong one.
+    """The targets of words; ConfigError for a wrong word.
 
-    Ranges such as `tb3-[01-07]` are expanded, so that robots see names and globs alone.
+    Ranges such as `tb3-[01-07]` are expanded: requests contain only names and globs.
     """
     wanted, excluded = _expanded(names), _expanded(exclude)
     labels = tuple(labels)
@@ -110,7 +110,7 @@ def labels_of(view: MembersView) -> dict[str, tuple[str, ...]]:
 
 
 def unlabelled(view: MembersView, targets: Targets) -> tuple[str, ...]:
-    """Expected robots that may be targets by a label: their labels are not known."""
+    """The expected robots whose labels are not known, so that they may be targets of a label."""
     if not targets.labels:
         return ()
     lacking = view.expected - labels_of(view).keys()
@@ -119,26 +119,31 @@ def unlabelled(view: MembersView, targets: Targets) -> tuple[str, ...]:
 
 
 def named(view: MembersView, targets: Targets) -> Targets:
-    """The targets by name alone; RequestError, with the nearest label, if no robot has a label."""
+    """The targets with labels replaced by names.
+
+    RequestError, with the nearest label, if no robot has a label.
+    """
     if not targets.labels:
         return targets
-    found = labels_of(view)
-    _check(targets.labels, found.values())
-    robots = (name for name, labels in sorted(found.items()) if {*labels} & {*targets.labels})
+    labels_by_robot = labels_of(view)
+    _check(targets.labels, labels_by_robot.values())
+    robots = (
+        name for name, labels in sorted(labels_by_robot.items()) if {*labels} & {*targets.labels}
+    )
     return replace(targets, names=(*targets.names, *robots), labels=())
 
 
 def stopped(view: MembersView, targets: Targets) -> Targets:
     """The targets of a stop: all robots except those whose known labels match no label.
 
-    RequestError if all robots have answered and no robot has such a label. All robots if none was
-    heard.
+    All robots if no robot was heard. RequestError if all robots have answered and none has such a
+    label.
     """
-    found = labels_of(view)
-    if view.expected and view.expected <= found.keys():
-        _check(targets.labels, found.values())
-    by_name = set(Targets(targets.names).matching(found)) if targets.names else set[str]()
-    others = {name for name, labels in found.items() if not {*labels} & {*targets.labels}}
+    labels_by_robot = labels_of(view)
+    if view.expected and view.expected <= labels_by_robot.keys():
+        _check(targets.labels, labels_by_robot.values())
+    by_name = set(Targets(targets.names).matching(labels_by_robot)) if targets.names else set[str]()
+    others = {name for name, labels in labels_by_robot.items() if not {*labels} & {*targets.labels}}
     return Targets(("*",), (*targets.exclude, *sorted(others - by_name)))
 
 

@@ -1,4 +1,4 @@
-"""Waiting until robots are as they are wanted."""
+"""Waits until robots meet conditions."""
 
 from __future__ import annotations
 
@@ -23,28 +23,26 @@ PERIOD = 0.3  # s between looks
 
 @dataclass(frozen=True, slots=True)
 class Waited:
-    """The targets `names` at the end of a wait: those in `met` meet the conditions.
+    """The result of a wait."""
 
-    `missing`: what each other robot is instead, if more had to meet them; empty if all is met.
-    """
-
-    names: tuple[str, ...]
-    met: tuple[str, ...]
-    missing: Mapping[str, str]
-    limit: float
+    names: tuple[str, ...]  # the targets
+    met: tuple[str, ...]  # targets that meet the conditions
+    missing: Mapping[str, str]  # the state of targets that do not; empty if the wait succeeded
+    limit: float  # s
 
     @property
     def text(self) -> str:
-        """What is still missing, in one line."""
+        """The targets that do not meet the conditions, in one line."""
         why = "; ".join(f"{name} {text}".strip() for name, text in self.missing.items())
         return f"after {self.limit:g} s still not: {why}"
 
 
 def wait_for(session: Session, targets: Targets, conditions: Awaited) -> Waited:
-    """Wait until the targets, or all robots, meet the conditions; for the timeout, or 30 s.
+    """Wait until the targets, or all robots, meet the conditions; for the timeout, or TIME.
 
-    A robot of the roster, or that is named, is waited for until it is there. NetworkError if no
-    daemon was reached by then. Ends early if the session is cancelled.
+    A robot of the roster, and a robot that is named, is waited for even before it is heard.
+    NetworkError if no daemon was reached by the end. The wait ends early if the session is
+    cancelled.
     """
     limit = TIME if session.timeout is None else session.timeout
     operator, until = session.operator, boottime() + limit
@@ -62,15 +60,17 @@ def wait_for(session: Session, targets: Targets, conditions: Awaited) -> Waited:
 
 
 def _names(view: MembersView, targets: Targets) -> tuple[str, ...]:
-    """The targets so far; a glob or label without a robot stands for itself, so that no robot
-    meets it."""
+    """The names of the targets so far.
+
+    A glob or label without a robot is returned itself, as a name that meets no condition.
+    """
     known = view.expected | set(targets.full_names)
     by_name = Targets(targets.names, targets.exclude)
-    found = set(by_name.matching(known)) if targets.names or not targets.labels else set[str]()
+    names = set(by_name.matching(known)) if targets.names or not targets.labels else set[str]()
     for label in targets.labels:
         with_label = [name for name, labels in labels_of(view).items() if label in labels]
-        found |= {*Targets((), targets.exclude).matching(with_label)} or {f"label {label}"}
+        names |= {*Targets((), targets.exclude).matching(with_label)} or {f"label {label}"}
     lacking = [
         glob for glob in targets.names if not Targets((glob,)).matching(known) and glob not in known
     ]
-    return tuple(sorted(found | set(lacking)))
+    return tuple(sorted(names | set(lacking)))

@@ -21,17 +21,17 @@ _VALUES = {
 
 @dataclass(frozen=True, slots=True)
 class Awaited:
-    """What each robot must be; None or False: any. `count`: how many must be so; None: all."""
+    """The conditions of a wait; None or False: no condition."""
 
     state: str | None = None
     pattern: str | None = None
     presence: str | None = None
     goal: bool = False
-    count: int | None = None
+    count: int | None = None  # robots that must meet the conditions; None: all
 
 
 def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
-    """Conditions in words such as `state=running`. ConfigError for a wrong one, with `option`."""
+    """Read conditions such as `state=running`; ConfigError, with `option`, for a wrong word."""
     values: dict[str, str] = {}
     for word in words:
         kind, sign, value = word.partition("=")
@@ -59,15 +59,16 @@ def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
 
 
 def meeting(view: MembersView, names: Iterable[str], awaited: Awaited) -> tuple[str, ...]:
-    """The robots in `names` that meet the conditions; for `count` alive ones."""
+    """The robots in `names` that meet the conditions; with `count` only robots that are alive."""
     is_met = {name: not _unmet_by(view, name, view.members.get(name), awaited) for name in names}
     return tuple(name for name, met in is_met.items() if met)
 
 
 def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str, str]:
-    """The robots in `names` that do not meet the conditions, each with what it is instead.
+    """The robots in `names` that do not meet the conditions, each with its present state in words.
 
-    With `count` empty once so many meet them; else the key is empty, with their number.
+    With `count`: empty once `count` robots meet them; otherwise one entry with an empty name and
+    the number of robots that do.
     """
     names = tuple(names)
     texts = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}

@@ -1,4 +1,4 @@
-"""What facts of machines and robots mean: findings, each with what to do. Pure."""
+"""Makes findings, each with the next step, from facts of machines and robots. Pure."""
 
 from __future__ import annotations
 
@@ -116,11 +116,11 @@ def of_robot(
     now: float,
     roster: int | None = None,
 ) -> Iterator[Finding]:
-    """Findings of a robot: `skew` of its wall clock against this machine's, known to `error` s.
+    """The findings of a robot.
 
-    `version` is that of this swarmctl, `ways` those by which this machine hears the robot,
-    `others` the number of other robots that are alive, `now` in s since 1970, `roster` the
-    generation of the roster here.
+    `skew`: its wall clock against this machine's in s, with a bound `error`. `version`: of this
+    swarmctl. `ways`: the ways by which this machine hears the robot. `others`: the number of other
+    robots alive. `now`: s since 1970. `roster`: the generation of the roster here.
     """
     yield _skew(skew, error)
     if reply.version != version:

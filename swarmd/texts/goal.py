@@ -1,4 +1,4 @@
-"""Goals of robots beside what the robots do, and the reason of each difference. Pure."""
+"""Compares the goals of robots with their states, and gives the reason of each difference. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from swarmd.texts.why import absence
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A robot's goal beside its state."""
+    """The goal of a robot, and its actual state."""
 
     robot: str
     goal: Goal | None  # the greatest known goal that is for this robot
@@ -33,12 +33,12 @@ class Difference:
 
     @property
     def desired(self) -> str:
-        """What the goal wants of it: a pattern, `stand`, or nothing."""
+        """What the goal wants of the robot: a pattern, `stand`, or nothing."""
         return NOTHING if self.goal is None else self.goal.pattern or "stand"
 
 
 def differences(view: MembersView, names: Iterable[str]) -> list[Difference]:
-    """The line of each robot in `names`."""
+    """The `Difference` of each robot in `names`."""
     known = goals_of(view)
     undone = {known_goal.goal.undoes for known_goal in known.values()}
     wanted = {
@@ -50,7 +50,7 @@ def differences(view: MembersView, names: Iterable[str]) -> list[Difference]:
 
 
 def goals_of(view: MembersView) -> dict[str, KnownGoal]:
-    """All goals that robots know, by digest, the greatest last."""
+    """All goals that robots know, by digest; the greatest comes last."""
     by_digest: dict[str, KnownGoal] = {}
     for member in view.members.values():
         goals = None if member.status is None else member.status.goal
@@ -82,9 +82,9 @@ def content_of(goal: Goal) -> dict[str, Any]:
 
 
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
-    """The expected robots of goal `before`, and those that only goal `present` runs on.
+    """The expected robots of goal `before`, and the robots of only goal `present` that run it.
 
-    A robot whose labels are not known is matched by its name alone.
+    A robot whose labels are not known is matched only by its name.
     """
     labels = {
         name: member.status.labels
@@ -157,7 +157,7 @@ def _difference(
 
 
 def _reason(status: Status, wanted: KnownGoal) -> str:
-    """Why a robot does not do what the goal wants; empty if it does."""
+    """Why a robot does not do what its goal wants; empty if it does."""
     goals, goal = status.goal, wanted.goal
     if status.state is State.ESTOPPED:
         issuers = ", ".join(sorted({latch.issuer for latch in status.latches.values()}))
@@ -185,7 +185,7 @@ def _place(member: SeenMember) -> str:
 
 
 def _with_age(first: KnownGoal | None, second: KnownGoal) -> KnownGoal:
-    """The copy of a goal with the greater age: a copy handed on lacks the time on the way."""
+    """The copy of a goal with the greater age: a relayed copy lacks time on the network."""
     if first is None or first.age is None:
         return second
     return first if second.age is None or first.age >= second.age else second

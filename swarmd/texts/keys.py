@@ -21,9 +21,9 @@ def day(expires: float) -> str:
 
 
 def end_of_certificate(expires: float, now: float) -> str:
-    """Words on a certificate that has ended or ends within WARN_DAYS; empty for a longer life.
+    """The text for a certificate that has ended or ends within WARN_DAYS; otherwise empty.
 
-    `expires` and `now` in s since 1970. A clock that was not set knows nothing of it.
+    `expires` and `now` in s since 1970. Also empty if the clock of this machine was not set.
     """
     left = expires - now
     if now < FIRST_WALL:
@@ -41,7 +41,7 @@ def own_remedy(name: str) -> str:
 
 
 def own_end(name: str, expires: float, now: float) -> str:
-    """Words on an own certificate that has ended; else empty."""
+    """The text for an own certificate that has ended; otherwise empty."""
     if expires > now:
         return ""
     return (
@@ -52,13 +52,13 @@ def own_end(name: str, expires: float, now: float) -> str:
 
 
 def life(left: float) -> str:
-    """What is left of a certificate, in whole days; less than a day in hours or minutes."""
+    """The time that a certificate has left, in whole days; below a day in hours or minutes."""
     days = int(left // _DAY)
     return f"{days} day{'s' * (days != 1)}" if days else seconds(left)
 
 
 def key_warnings(statuses: Iterable[Status], now: float) -> Iterator[str]:
-    """A line for each end of certificates that is near, and for each roster that is not the newest.
+    """A line for each certificate that ends soon, and for each roster that is not the newest.
 
     `now`: in s since 1970.
     """

@@ -74,7 +74,7 @@ def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
 
 
 def body_text(body: Body) -> str:
-    """What a robot tells others of its body, in one line."""
+    """The body that a robot reports to other robots, in one line."""
     text = f"surfaces of up to {body.surface_speed:.2f} m/s"
     if body.scan_plane is None or body.lowest is None or body.highest is None:
         return f"{text}; its platform has no heights"
@@ -114,7 +114,7 @@ def _latch(status: Status, latch_id: str) -> str:
 
 
 def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:
-    """Rows of texts, of which the first alone has the title."""
+    """Rows of texts; only the first row has the title."""
     return [("" if number else title, text) for number, text in enumerate(texts)]
 
 

@@ -26,7 +26,10 @@ def seconds(value: float) -> str:
 
 
 def sandbox_text(sandbox: Sandbox) -> str:
-    """What plugin code cannot reach: `files, network, processes denied`, and what it can."""
+    """The accesses that the sandbox denies to plugin code: `files, network, processes denied`.
+
+    Accesses that are not denied are listed, too.
+    """
     denied = f"{', '.join(sandbox.denied)} denied" if sandbox.denied else "not confined"
     return f"{denied}; not denied: {sandbox.missing}" if sandbox.missing else denied
 
@@ -42,7 +45,7 @@ def number(value: object) -> str:
 
 
 def short_number(value: object) -> str:
-    """As `number`, but floats below 1000 with four digits, for people who only look."""
+    """As `number`, but floats below 1000 with four digits, for display."""
     if isinstance(value, float) and abs(value) < 1000.0:
         return f"{value + 0.0:.4g}"
     return number(value)

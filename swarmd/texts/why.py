@@ -119,7 +119,7 @@ def why(member: SeenMember) -> str:
 
 
 def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
-    """What is known of a robot without a present status, in a few words."""
+    """The text for a robot without a present status, in a few words."""
     if member is None:
         return "not seen by any robot"
     if member.contact is Contact.OTHER_VERSION:
@@ -135,7 +135,7 @@ def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
 
 
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
-    """Each obstacle as `an obstacle at -30 deg, 0.21 m`, with its first row.
+    """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with its first row.
 
     Rows within 10 deg of one another count as one obstacle.
     """
@@ -150,16 +150,16 @@ def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingO
 
 
 def activity(decision: DecisionSummary) -> str:
-    """Whether protection changes the requested command: a `protection_word`.
+    """The `protection_word`, with the speed share of the assumption monitor if that is below 1.
 
-    After a violated assumption with the share of the speed that is left: `active, speed 60%`.
+    For example `active, speed 60%`.
     """
     word = protection_word_of(decision)
     return word if decision.speed_share == 1.0 else f"{word}, speed {decision.speed_share:.0%}"
 
 
 def protection_word_of(decision: DecisionSummary) -> str:
-    """The `protection_word` of a status."""
+    """The `protection_word` of a decision."""
     return protection_word(
         is_active=decision.is_active,
         is_recovering=decision.is_recovering,
@@ -168,14 +168,17 @@ def protection_word_of(decision: DecisionSummary) -> str:
 
 
 def protection_word(*, is_active: bool, is_recovering: bool, avoiding: str = "") -> str:
-    """`clear`, `active`, `recovering`, or what avoidance does, such as `avoiding tb3-04`."""
+    """One word on protection: `clear`, `active`, `recovering`, or the avoidance's text.
+
+    That text is for example `avoiding tb3-04`.
+    """
     if is_recovering:
         return "recovering"
     return avoiding or ("active" if is_active else "clear")
 
 
 def lost_base(status: Status) -> str:
-    """Why the base of a robot is lost now, so that it may be moved by others; else empty."""
+    """Why the robot's base is lost now; empty if it is not. Other nodes may move a lost base."""
     return "" if status.health.driver_up else status.health.driver
 
 

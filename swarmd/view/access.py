@@ -1,4 +1,4 @@
-"""The address of a page, and who may look and command: tokens, hosts, headers of other sites."""
+"""The address of a page, and the rights of a browser: tokens, hosts, and origins of other sites."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ HEADERS = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Tokens of pages: of operators, and of viewers; if `is_read_only`, all pages only look.
+    """The tokens of operators and of viewers; with `is_read_only` no page may command.
 
-    Without tokens each page may command, so a server without them listens on loopback only.
+    Without tokens each page may command, so that a server without tokens listens on loopback only.
     ConfigError for tokens that protect nothing.
     """
 
@@ -80,10 +80,11 @@ class Access:
             )
 
     def allows(self, headers: Headers) -> bool:
-        """False for the script of another site, which a browser lets connect to this address.
+        """False for a script of another site: a browser lets any site connect to this address.
 
-        Its origin differs from the host that it asks for. A site may also point a name of its own
-        at loopback; without a token a name other than `localhost` is therefore refused.
+        The origin of such a script differs from the host in the request. A site may also let a host
+        name of its own point to loopback. So without a token any host name other than `localhost`
+        is refused.
         """
         try:
             origin, host = headers.get("Origin"), headers.get("Host", "")
@@ -105,7 +106,7 @@ def check_address(host: str, port: int, access: Access) -> None:
 
 
 def unusable(host: str, port: int, error: OSError) -> NetworkError:
-    """The error of an address at which no server can listen, in one line."""
+    """The error for an address at which no server can listen, in one line."""
     why = (
         "is in use"
         if error.errno == errno.EADDRINUSE
@@ -121,7 +122,7 @@ def page_url(scheme: str, host: str, port: int) -> str:
 
 
 def own_address() -> str:
-    """The address of this machine in its network, for pages on others; else its name."""
+    """This machine's address in its network, for pages on other machines; else its host name."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
         probe.connect(("192.0.2.1", 9))  # sends nothing
         return str(probe.getsockname()[0])

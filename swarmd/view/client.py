@@ -1,7 +1,7 @@
-"""One open page: what it has acknowledged, what it knows, and what is sent to it next.
+"""One open page: its acknowledgements, its state, and the next messages to it.
 
-A page gets a frame only while it has acknowledged all but MAX_UNACKED of those before, and only
-once the last message has left: a slow page gets fewer frames, and nothing waits in a queue for it.
+A page gets a frame only while at most MAX_UNACKED earlier frames are not acknowledged, and only
+once the last message was sent. So a slow page gets fewer frames, and no queue grows.
 """
 
 from __future__ import annotations
@@ -29,14 +29,11 @@ MAX_ANSWERS = 100
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The rows of all robots as JSON, and the age in s of each by index (inf: never heard).
-
-    `whole`: those of selected robots, with what only their details show.
-    """
+    """The rows of all robots as JSON, by robot."""
 
     short: Mapping[str, str]
-    whole: Mapping[str, str]
-    ages: Sequence[float]
+    whole: Mapping[str, str]  # of selected robots, with the values that only details show
+    ages: Sequence[float]  # s, by the index of the robot; inf: never heard
     others: Sequence[str] = field(default_factory=tuple)
     """Messages of links and boxes."""
 
@@ -64,27 +61,27 @@ class Client:
         self._requests: set[asyncio.Task[None]] = set()
 
     def on_ack(self) -> None:
-        """The page has received a frame."""
+        """Note that the page has received a frame."""
         self._unacked = max(0, self._unacked - 1)
 
     def select(self, names: Sequence[str]) -> None:
-        """The robots that the page shows in detail, the last one first of all."""
+        """Set the robots that the page shows in detail, the last one first of all."""
         self.selected = list(names)[-MAX_SELECTED:]
         self._detail_at = 0.0
 
     async def send_hello(self, source: Source) -> None:
-        """Tell the page what it shows."""
+        """Send the description of what the page shows."""
         await self.connection.send(self._hello(source))
 
     def tell(self, message: Mapping[str, Any]) -> None:
-        """Send an answer as soon as the last message has left, whatever the page acknowledged."""
+        """Send an answer once the last message was sent, without waiting for acknowledgements."""
         self._answers.append(json.dumps(message))
         del self._answers[:-MAX_ANSWERS]
         if not self._is_sending:
             self._sending = asyncio.create_task(self._send([], [], None))
 
     def plot(self, history: History | Survey) -> None:
-        """Add what is new in the plots to what is sent next, unless the page is behind."""
+        """Add new values of the plots to the next messages, unless the page is behind."""
         if self._is_sending:
             return
         self._plotted, message = history.since(self._plotted)
@@ -111,9 +108,9 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send a moment of the past once, with the number that its frame had, and what else waits.
+        """Send a past moment, with the number of its frame, and other waiting messages.
 
-        A command that quotes that number is as late as the picture is old.
+        A command that quotes that number counts as old as the picture.
         """
         if self._is_sending:
             return
@@ -152,12 +149,12 @@ class Client:
         return json.dumps({"kind": "hello", **hello_of(source, self.role)})
 
     def _changes(self, rows: Rows) -> list[str]:
-        """The rows that changed, the ages of all, and what else changed."""
+        """The message of the rows that changed, the ages of all robots, and other changes."""
         mine = {**rows.short, **{n: rows.whole[n] for n in self.selected if n in rows.whole}}
         changed = (f"{json.dumps(n)}:{r}" for n, r in mine.items() if self._rows.get(n) != r)
         ages = ",".join(f"{age:.1f}" if age < math.inf else "null" for age in rows.ages)
         text = f'{{"kind":"rows","rows":{{{",".join(changed)}}},"ages":[{ages}]}}'
-        others = [one for one in rows.others if one not in self._others]
+        others = [message for message in rows.others if message not in self._others]
         self._rows, self._others = mine, rows.others
         return [text, *others]
 

@@ -1,4 +1,4 @@
-"""Commands of pages to a living swarm, carried out by the operator code of swarmctl."""
+"""Carries out commands of pages on a living swarm, by the client code of swarmctl."""
 
 from __future__ import annotations
 
@@ -29,12 +29,13 @@ MAX_STOPS = 16
 
 
 class LiveCommander:
-    """Carries commands of pages out; each with an operator and a thread of its own.
+    """Carries out commands of pages, each with an operator and a thread of its own.
 
-    `known` names the robots that pages show: a stop of all expects each of them. Latches and resets
-    keep `reason`. An emergency stop is repeated until all robots have acknowledged it, another one
-    begins, or `end_estop`. Requests that wait for answers delay no stop, and not the program's end.
-    A task of `act` that is cancelled sends no request any more; a stop is sent all the same.
+    `known`: the robots that pages show; a stop of all robots expects each of them. `reason` is
+    stored with each emergency stop and reset. An emergency stop is repeated until all robots have
+    acknowledged it, another emergency stop begins, or `end_estop` is called. Requests that wait for
+    answers delay neither a stop nor the end of the program. A cancelled task of `act` sends no
+    further request, but a stop is sent.
     """
 
     def __init__(
@@ -53,11 +54,11 @@ class LiveCommander:
         self.end_estop()
 
     def end_estop(self) -> None:
-        """Repeat the emergency stop no longer, even if acknowledgements are missing."""
+        """Stop repeating the emergency stop, even if acknowledgements are missing."""
         self._ending.set()
 
     async def act(self, verb: str, fields: Mapping[str, Any], tell: Tell) -> None:
-        """Carry a command out; its answers are told as they come, the last one final."""
+        """Carry out a command; `tell` gets the answers as they come, the last one final."""
         loop = asyncio.get_running_loop()
 
         def tell_later(answer: CommandProgress) -> None:
@@ -155,7 +156,7 @@ class LiveCommander:
 async def _unless_cancelled(
     work: Callable[[], CommandProgress], cancelled: threading.Event
 ) -> CommandProgress:
-    """The result of `work`, done on a thread; tells it if the task is cancelled."""
+    """The result of `work`, run on a thread, which is told if the task is cancelled."""
     try:
         return await in_thread(work)
     except asyncio.CancelledError:

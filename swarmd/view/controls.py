@@ -1,4 +1,4 @@
-"""What an operator has chosen at a terminal, and what the keys command. Pure."""
+"""The state of a terminal view's controls, and the commands that keys give. Pure."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PAGE = 10
 
 
 class Mode(StrEnum):
-    """What the keys mean now."""
+    """The present meaning of the keys."""
 
     LOOK = "look"
     FILTER = "filter"
@@ -33,7 +33,7 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What a key asks for: `quit`, or a request with its robots; None: all of the swarm."""
+    """The command of a key: `quit`, or a request with its robots; None: all robots of the swarm."""
 
     verb: str
     targets: tuple[str, ...] | None = None
@@ -42,7 +42,7 @@ class Command:
 
 @dataclass(slots=True)
 class Controls:
-    """The cursor, the selection, the filter and the text that is being typed."""
+    """The cursor, the selection, the filter, and the text that is being typed."""
 
     patterns: Sequence[str] = ()
     mode: Mode = Mode.LOOK
@@ -55,7 +55,7 @@ class Controls:
     targets: tuple[str, ...] = ()
 
     def shown(self, rows: Mapping[str, str]) -> tuple[str, ...]:
-        """The robots that pass the filter; `rows` has by robot what the filter searches."""
+        """The robots that pass the filter; `rows`: by robot, the text that the filter searches."""
         wanted = self.filter.lower()
         return tuple(
             robot
@@ -64,13 +64,13 @@ class Controls:
         )
 
     def follow(self, robots: Sequence[str], before: Sequence[str] = ()) -> None:
-        """Keep the cursor on a robot that is shown, near its earlier place in `before`."""
+        """Keep the cursor on a shown robot, near its place in the earlier order `before`."""
         if self.cursor not in robots:
             at = before.index(self.cursor) if self.cursor in before else 0
             self.cursor = robots[min(at, len(robots) - 1)] if robots else ""
 
     def on_key(self, key: str, robots: Sequence[str], known: Sequence[str]) -> Command | None:
-        """Act on a key, with the robots that are shown and all that are known."""
+        """Act on a key; takes the robots that are shown, and all that are known."""
         self.note = ""
         self.is_help_shown = key == "?" and self.mode is Mode.LOOK and not self.is_help_shown
         if key == "ctrl-e":
@@ -167,7 +167,7 @@ class Controls:
         return [name for name in self.patterns if name.startswith(begin)]
 
     def _completed(self, begin: str) -> str:
-        """The text, longer by what all matching patterns share."""
+        """The typed text, extended by the common prefix of all patterns that begin with it."""
         found = self._matching(begin)
         if not found:
             return begin
@@ -182,7 +182,7 @@ class Controls:
 
 
 def names_of(names: Sequence[str], most: int = 4) -> str:
-    """The names, or their number and the first of them."""
+    """The names; for many, their number and the first names."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{len(names)} robots ({', '.join(names[: most - 1])}, ...)"

@@ -1,7 +1,7 @@
-"""A living swarm for Foxglove, by its WebSocket protocol: what `view --web` shows, read only.
+"""Serves a living swarm to Foxglove by its WebSocket protocol, read only.
 
-The messages are those of Foxglove's SDK. `FoxgloveServer.publish` makes them on the caller's
-thread, of a channel only while a client subscribes to it.
+The messages are those of Foxglove's SDK. `FoxgloveServer.publish` encodes a message only if a
+client subscribes to its channel.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from swarmd.view.source import ShownRobot, Source, json_of
 PERIOD = 0.1
 """Seconds between two calls of `publish`; Foxglove gets statuses at a tenth of that rate."""
 WORLD = "world"
-"""The frame of all robots. Of robots on a floor it is that of each robot's own odometry."""
+"""The common parent frame. Real robots have no common frame: each pose is by its own odometry."""
 _STATUS_EVERY = 10
 _MAX_NEW_LINES = 50
 _STATUS_SCHEMA: dict[str, Any] = {
@@ -46,14 +46,14 @@ _STATUS_SCHEMA: dict[str, Any] = {
 
 
 class FoxgloveServer:
-    """Serves a source until `close`; a context manager. `address`: with the secret in its path.
+    """Serves a source until `close`; a context manager. `address`: its path has the secret.
 
     Channels: `/tf`, `/robots` (outlines, headings and names in the colours of states), `/events`,
     and for each robot `/NAME/status` and `/NAME/scan`.
     """
 
     def __init__(self, source: Source, host: str, port: int) -> None:
-        """Listen, on any free port for 0. NetworkError if the address cannot be had."""
+        """Listen; port 0: any free port. NetworkError if the address cannot be bound."""
         self._source = source
         self._places = protobuf_channel("/tf", messages.FrameTransforms)
         self._scene = protobuf_channel("/robots", messages.SceneUpdate)
@@ -77,7 +77,7 @@ class FoxgloveServer:
         self._socket.close()
 
     def publish(self) -> None:
-        """Hand the present state to the clients; called each PERIOD."""
+        """Send the present state to the clients; call it each PERIOD."""
         is_status_due = self._count % _STATUS_EVERY == 0
         is_drawn = self._scene.is_read or self._places.is_read
         rows = self._source.rows() if is_status_due or is_drawn else {}
@@ -85,7 +85,7 @@ class FoxgloveServer:
         for robot in robots:
             if robot.name not in self._statuses:
                 self._add(robot.name)
-        self._source.select([name for name, one in self._scans.items() if one.is_read])
+        self._source.select([name for name, channel in self._scans.items() if channel.is_read])
         _, frame = self._source.frame()
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
@@ -117,10 +117,10 @@ class FoxgloveServer:
         marks = self._source.marks()
         new = [mark for mark in marks if mark[:2] not in self._shown]
         self._shown = {mark[:2] for mark in marks}
-        ago = time.time() - time.monotonic()
+        monotonic_to_epoch = time.time() - time.monotonic()  # s
         for at, text, names in new[-_MAX_NEW_LINES:]:
             line = messages.Log(
-                timestamp=messages.Timestamp.from_epoch_secs(at + ago),
+                timestamp=messages.Timestamp.from_epoch_secs(at + monotonic_to_epoch),
                 level=messages.LogLevel.Info,
                 message=text,
                 name=", ".join(names),
@@ -135,12 +135,12 @@ class FoxgloveServer:
 
 
 def _is_absent(row: Mapping[str, Any]) -> bool:
-    """True of a robot that does not answer: where and how it is now is not known."""
+    """True for a robot that does not answer: its pose and state now are not known."""
     return bool(row.get("presence", "alive") != "alive")
 
 
 def _heard(row: Mapping[str, Any], now: float) -> messages.Timestamp:
-    """When a robot was last heard, as its place is older than that; 0 if that is not known."""
+    """The time at which a robot was last heard, as the stamp of its pose; 0 if not known."""
     at = now - float(row.get("age", math.inf))
     return messages.Timestamp.from_epoch_secs(max(at, 0.0))
 
@@ -161,9 +161,9 @@ def _transform(
 def _entity(
     robot: ShownRobot, row: Mapping[str, Any], stamp: messages.Timestamp
 ) -> messages.SceneEntity:
-    """Outline, heading and name of a robot in its own frame, gone 2 s after the last one.
+    """Outline, heading and name of a robot in its own frame; Foxglove removes them after 2 s.
 
-    Grey and without a state for a robot that does not answer.
+    A robot that does not answer is grey and without a state.
     """
     is_absent = _is_absent(row)
     state = "" if is_absent else str(row.get("state", ""))

@@ -1,9 +1,9 @@
-"""Foxglove's WebSocket protocol, for a server that shows channels and takes no messages.
+"""A server of Foxglove's WebSocket protocol that offers channels and takes no messages.
 
 Source: the server of Foxglove's SDK for the subprotocol `foxglove.sdk.v1`
-(github.com/foxglove/foxglove-sdk, rust/foxglove/src/websocket). That server admits every origin and
-has no token: any web page in a browser of the computer could read it, also behind a gate, since its
-port would stay open. This one refuses a connection without the secret before the handshake.
+(github.com/foxglove/foxglove-sdk, rust/foxglove/src/websocket). That server accepts every origin
+and has no token: any web page in a browser of the computer could read the data. This server refuses
+a connection without the secret before the handshake.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _DATA = struct.Struct("<BIQ")  # kind 1, subscription, time in ns
 
 @dataclass(slots=True, eq=False)
 class Channel:
-    """A channel of messages: its topic, and how they are encoded."""
+    """A channel of messages: its topic, and the encoding of its messages."""
 
     topic: str
     encoding: str
@@ -58,12 +58,12 @@ class Channel:
 
     @property
     def is_read(self) -> bool:
-        """Whether a client subscribes."""
+        """True if a client subscribes."""
         return bool(self.subscriptions)
 
 
 def protobuf_channel(topic: str, kind: Any) -> Channel:
-    """A channel of a message class of the SDK; what it carries is `encode` of such a message."""
+    """A channel for a message class of the SDK; its content is `encode` of such a message."""
     schema = kind.get_schema()
     text = base64.b64encode(schema.data).decode()
     return Channel(topic, "protobuf", schema.name, "protobuf", text)
@@ -75,7 +75,7 @@ class _Subscription(msgspec.Struct, rename="camel"):
 
 
 class _Ask(msgspec.Struct, rename="camel"):
-    """What a client asks; other words than `subscribe` and `unsubscribe` are passed over."""
+    """A request of a client; operations other than `subscribe` and `unsubscribe` are ignored."""
 
     op: str
     subscriptions: list[_Subscription] = []
@@ -86,10 +86,10 @@ _ask = msgspec.json.Decoder(_Ask)
 
 
 class FoxgloveSocket:
-    """Serves channels until `close`, from a thread of its own. `address` has the secret."""
+    """Serves channels until `close`, from its own thread. `address` has the secret."""
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        """Listen, on any free port for 0. NetworkError if the address cannot be had."""
+        """Listen; port 0: any free port. NetworkError if the address cannot be bound."""
         self._name = name
         self._secret = secrets.token_urlsafe(16)
         self._session = str(time.time_ns() // 1_000_000)
@@ -115,11 +115,11 @@ class FoxgloveSocket:
         self._end_thread()
 
     def add(self, channels: Iterable[Channel]) -> None:
-        """Offer further channels, also to clients that are there."""
+        """Offer further channels, also to connected clients."""
         self._loop.call_soon_threadsafe(self._offer, tuple(channels))
 
     def send(self, channel: Channel, payload: bytes) -> None:
-        """Send a message to the subscribers; one that reads too slowly does not get it."""
+        """Send a message to the subscribers; a subscriber that reads too slowly misses it."""
         self._loop.call_soon_threadsafe(self._send, channel, time.time_ns(), payload)
 
     def _run(self, work: Coroutine[Any, Any, Result]) -> Result:
@@ -203,7 +203,7 @@ class FoxgloveSocket:
             broadcast(self._clients, text)
 
     def _offers(self, places: range) -> Iterator[str]:
-        """The messages that offer the channels at these places."""
+        """The messages that offer the channels with these indices."""
         for start in range(0, len(places), _BATCH):
             some = [self._plain(place) for place in places[start : start + _BATCH]]
             yield _json({"op": "advertise", "channels": some})

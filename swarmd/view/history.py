@@ -1,4 +1,4 @@
-"""What a page plots over time, and the last minutes of a living swarm, at which pages look back."""
+"""The plotted values of a swarm over time, and the last minutes of a living swarm."""
 
 from __future__ import annotations
 
@@ -26,17 +26,20 @@ SURVEY_TIME = 0.01
 MAX_KEYS = 40
 """Reports and readings that are plotted; robots may report any number of them."""
 
+_JITTER = 0.01  # s by which a moment may be early or late
+_COMMON_VALUES = 3  # `clusters`, `speed` and `active`, which all swarms have
+
 Measured = Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """`frame` and `rows` as they went to pages then; `rows` is compressed JSON."""
+    """A moment of a swarm, as pages saw it."""
 
-    time: float
-    values: Measured
+    time: float  # s
+    values: Measured  # the plotted values
     frame: bytes
-    rows: bytes
+    rows: bytes  # compressed JSON
 
     @property
     def text(self) -> str:
@@ -45,7 +48,7 @@ class Moment:
 
 
 class History:
-    """The moments of a living swarm within SPAN, each PERIOD."""
+    """The moments of a living swarm within SPAN, one each PERIOD."""
 
     def __init__(self, source: Source, clock: Callable[[], float] = time.monotonic) -> None:
         self._source, self._clock = source, clock
@@ -54,9 +57,9 @@ class History:
         self._count = 0
 
     def advance(self, sequence: int) -> None:
-        """Keep the present moment if it is due; pages have the frame `sequence` now."""
+        """Keep the present moment if it is due; `sequence`: the number of the pages' frame."""
         now = self._clock()
-        if self._moments and now - self._moments[-1].time < PERIOD - 0.01:
+        if self._moments and now - self._moments[-1].time < PERIOD - _JITTER:
             return
         source = self._source
         at, places = source.frame()
@@ -69,12 +72,14 @@ class History:
         self._count += 1
 
     def at(self, time: float) -> Moment | None:
-        """The last moment until a time, else the oldest; None without any."""
-        older = [one for one in self._moments if one.time <= time + 0.01]
-        return older[-1] if older else self._moments[0] if self._moments else None
+        """The last moment until a time, else the oldest; None without moments."""
+        if not self._moments:
+            return None
+        until = [moment for moment in self._moments if moment.time <= time + _JITTER]
+        return until[-1] if until else self._moments[0]
 
     def since(self, known: int) -> tuple[int, Mapping[str, Any] | None]:
-        """The number of moments ever, and a message of those that a page does not know yet."""
+        """The number of all moments so far, and a message of those after number `known`."""
         new = min(self._count - known, len(self._moments))
         if new <= 0:
             return self._count, None
@@ -82,7 +87,7 @@ class History:
 
 
 class Survey:
-    """The values that are plotted of a recorded run, computed little by little."""
+    """The plotted values of a recorded run, computed in small steps."""
 
     def __init__(self, source: Source) -> None:
         self._source = source
@@ -92,17 +97,17 @@ class Survey:
         self._left: Iterator[float] = iter(())
 
     def advance(self, sequence: int) -> None:
-        """Compute the values of some more moments; those of another run begin anew."""
+        """Compute the values of further moments for SURVEY_TIME; start again for another run."""
         del sequence
         ends = time.monotonic() + SURVEY_TIME
         while self._advance() and time.monotonic() < ends:
             pass
 
     def at(self, time: float) -> None:
-        """A recorded run is played instead."""
+        """None: a recorded run is played, not looked back at."""
 
     def _advance(self) -> bool:
-        """Compute the values of one more moment; False if there are none left."""
+        """Compute the values of one moment; False if no moment is left."""
         playback = self._source.playback
         assert playback is not None
         if playback.run != self._run:
@@ -123,7 +128,7 @@ class Survey:
         return True
 
     def since(self, known: int) -> tuple[int, Mapping[str, Any] | None]:
-        """As `History.since`; a page that knows another run alone gets all anew."""
+        """As `History.since`; a page that knows only another run gets all moments."""
         count = self._before + len(self._moments)
         if known == count:
             return count, None
@@ -132,15 +137,18 @@ class Survey:
 
 
 def plots_of(moments: Sequence[Moment], first: int) -> Mapping[str, Any]:
-    """Moments from number `first` on as a message: times, and by name a value for each or None."""
-    known = dict.fromkeys(key for one in reversed(moments) for key in one.values)
-    # The three of all swarms, then the latest: a robot may give other names each second.
-    keys = sorted(known, key=lambda key: ":" in key)[: 3 + MAX_KEYS]
+    """The message `plots` of moments from number `first` on.
+
+    It has the times, and for each name a value (or None) at each time.
+    """
+    known = dict.fromkeys(key for moment in reversed(moments) for key in moment.values)
+    # The common values first, then the latest reports and readings: robots may rename them often.
+    keys = sorted(known, key=lambda key: ":" in key)[: _COMMON_VALUES + MAX_KEYS]
     return {
         "kind": "plots",
         "first": first,
-        "times": [round(one.time, 2) for one in moments],
-        "values": {key: [_rounded(one.values.get(key)) for one in moments] for key in keys},
+        "times": [round(moment.time, 2) for moment in moments],
+        "values": {key: [_rounded(moment.values.get(key)) for moment in moments] for key in keys},
     }
 
 
@@ -151,21 +159,24 @@ def measured(
     rows: Mapping[str, Mapping[str, Any]],
     link: float | None,
 ) -> dict[str, float]:
-    """What is plotted at a moment.
+    """The values that are plotted at a moment.
 
-    `places` and `before`, `seconds` earlier, are rows (k, 4) of index, x, y in m, yaw. `clusters`:
-    chains of robots, each within `link` m of the next (single linkage); not without `link`.
-    `speed`: mean over robots in m/s, from their places. `active`: the share of running robots whose
-    command protection changes. Of each report and reading the mean of numbers; of words the share
-    of the most frequent.
+    `places`: rows (k, 4) of index, x, y in m, yaw. `before`: the same, `seconds` earlier. The
+    values:
+
+    - `clusters`: the number of chains of robots, each within `link` m of the next (single linkage);
+      left out without `link`.
+    - `speed`: the mean over robots in m/s, from their places.
+    - `active`: the share of running robots whose command protection changes.
+    - each report and reading: the mean of numbers; of words the share of the most frequent word.
     """
     values: dict[str, float] = {}
     if link is not None and len(places):
         values["clusters"] = float(_clusters(places[:, 1:3], link))
     both, now, then = np.intersect1d(places[:, 0], before[:, 0], return_indices=True)
     if len(both) and seconds > 0.0:
-        ways = np.linalg.norm(places[now, 1:3] - before[then, 1:3], axis=1)
-        values["speed"] = float(ways.mean()) / seconds
+        distances = np.linalg.norm(places[now, 1:3] - before[then, 1:3], axis=1)
+        values["speed"] = float(distances.mean()) / seconds
     alive = [row for row in rows.values() if row.get("presence", "alive") == "alive"]
     running = [row for row in alive if row.get("state") == "running"]
     if running:
@@ -176,17 +187,17 @@ def measured(
         for kind in ("report", "readings"):
             for key, value in row.get(kind, {}).items():
                 given.setdefault(f"{kind}:{key}", []).append(value)
-    for key, found in [*given.items()][:MAX_KEYS]:
-        words = [one for one in found if isinstance(one, str | bool)]
+    for key, of_robots in [*given.items()][:MAX_KEYS]:
+        words = [value for value in of_robots if isinstance(value, str | bool)]
         if words:
             values[key] = max(Counter(words).values()) / len(words)
         else:
-            values[key] = sum(found) / len(found)
+            values[key] = sum(of_robots) / len(of_robots)
     return {key: value for key, value in values.items() if math.isfinite(value)}
 
 
 def _packed(source: Source, rows: Mapping[str, Mapping[str, Any]]) -> bytes:
-    """The message of rows with the ages of all robots, compressed."""
+    """The message `rows` with the ages of all robots, compressed."""
     hidden = DETAIL_KEYS | {"age"}
     short = {name: {k: v for k, v in row.items() if k not in hidden} for name, row in rows.items()}
     ages = [rows.get(robot.name, {}).get("age", 0.0) for robot in source.robots]

@@ -1,4 +1,4 @@
-"""A living swarm on the page: statuses and motions of its robots."""
+"""The source of a page for a living swarm: statuses and motions of its robots."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from swarmd.view.history import SPAN
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
 
 PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
-"""The footprint of a robot whose platform is not known here, in m."""
+"""The footprint in m of a robot whose platform file is not on this machine."""
 
 MAX_ROBOTS = 1024
 MAX_LINKED = 64
-"""Robots up to which the page shows links: in a room each robot hears each other one."""
+"""The most robots with which the page shows links: in a room all robots hear each other."""
 GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
-"""Why a robot that is not alive is shown so."""
+"""The text for a robot that is not alive."""
 
 MAX_LINES, MAX_MARKS = 2000, 200
-"""Events of single robots that are kept, and marks that pages get; of more, the last ones."""
+"""The number of the latest event lines that are kept, and of the latest marks that pages get."""
 Describe = Callable[[str], Sequence[Mapping[str, Any]]]
-"""Gives the patterns as they are on a platform, as `Source.descriptions`; it may take seconds."""
+"""Takes a platform; returns its patterns as `Source.descriptions`. It may take seconds."""
 
 _motion = Decoder(Motion)
 _tracks = Decoder(Tracks)
@@ -49,7 +49,7 @@ _WATCHED_AGE = 1.5  # s after which tracks and scans are not shown
 
 
 class LiveSource:
-    """See `swarmd.view.source.Source`. Positions are those of each robot's own odometry."""
+    """A `swarmd.view.source.Source` of a living swarm; poses are by each robot's own odometry."""
 
     kind = "live"
     arena: ShownArena | None = None
@@ -88,7 +88,7 @@ class LiveSource:
         self._watch.start()
 
     def close(self) -> None:
-        """End; the operator is closed by its owner."""
+        """End the watch; the owner of the operator closes it."""
         self._watch.close()
 
     @property
@@ -97,9 +97,9 @@ class LiveSource:
         return self._watch.view
 
     def expected(self) -> list[str]:
-        """The robots that a stop of all must reach: all that are shown and did not leave."""
+        """The robots that a stop of all must reach: all shown robots except those that left."""
         members = self.view.members
-        left = {name for name, one in members.items() if one.presence is Presence.LEFT}
+        left = {name for name, member in members.items() if member.presence is Presence.LEFT}
         return [robot.name for robot in self._robots if robot.name not in left]
 
     def statuses(self) -> dict[str, tuple[Status, float]]:
@@ -115,27 +115,31 @@ class LiveSource:
 
     @property
     def revision(self) -> int:
-        """Changes when a robot is found, or its platform, and when patterns are described."""
+        """A number that rises when a robot or its platform is added, or patterns are described."""
         return self._revision + self._descriptions
 
     @property
     def programs(self) -> Sequence[str]:
-        """The Zenoh programs that any robot sees."""
+        """The Zenoh programs that any robot sees, sorted."""
         heard = [status for status, age in self.statuses().values() if age <= STATUS_SILENCE]
         return sorted({name for status in heard for name in status.programs})
 
     def frame(self) -> tuple[float, Array]:
-        """The last pose of each robot."""
+        """The time, and the last pose of each robot."""
         with self._lock:
             motions = list(self._motions.values())
         index = self._index
-        if any(one.robot not in index for one in motions):
-            self._add((one.robot for one in motions), self.statuses())
-        rows = [(index[m.robot], m.x, m.y, m.yaw) for m in motions if m.robot in index]
+        if any(motion.robot not in index for motion in motions):
+            self._add((motion.robot for motion in motions), self.statuses())
+        rows = [
+            (index[motion.robot], motion.x, motion.y, motion.yaw)
+            for motion in motions
+            if motion.robot in index
+        ]
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
-        """The last status of each robot, and what is known of a robot that does not answer."""
+        """The values of each robot's last status, and what is known of a silent robot."""
         statuses = self.statuses()
         with self._lock:
             motions = dict(self._motions)
@@ -162,7 +166,7 @@ class LiveSource:
                 row |= {
                     "requested": list(motion.requested),
                     "safe": list(motion.safe),
-                    "rows": [list(astuple(one)) for one in motion.rows],
+                    "rows": [list(astuple(obstacle)) for obstacle in motion.rows],
                 }
             row["tracks"] = self._tracks_of(name)
             platform = self._platform(status.platform)
@@ -187,25 +191,25 @@ class LiveSource:
         return points_of(scan.ranges, scan.bearings, offset)
 
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
-        """Not known of a real room."""
+        """Empty: boxes are not known in a real room."""
         return ()
 
     def links(self) -> Sequence[tuple[int, int]]:
-        """Pairs that report each other as alive; of a large swarm they are not known."""
+        """Pairs that report each other as alive; empty for more than MAX_LINKED robots."""
         index = self._index
         return [(index[a], index[b]) for a, b in self._links if a in index and b in index]
 
     def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
-        """What robots logged and what became of them, a line for robots that tell the same."""
+        """The events of robots; equal texts of several robots are one line."""
         with self._lock:
             self._note(self._feed.advance(time.monotonic()))
             if self._marks is None:
-                found = together(self._lines)[-MAX_MARKS:]
-                self._marks = [(round(one.at, 1), one.text, robots) for one, robots in found]
+                marks = together(self._lines)[-MAX_MARKS:]
+                self._marks = [(round(one.at, 1), one.text, robots) for one, robots in marks]
             return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
-        """What `swarmctl describe` tells."""
+        """The content of `swarmctl describe`, and events."""
         known, member = self.statuses().get(name), self.view.members.get(name)
         if known is None or member is None:
             return None
@@ -240,13 +244,13 @@ class LiveSource:
             self._note(self._feed.on_status(status, time.monotonic()))
 
     def _note(self, lines: Iterable[EventLine]) -> None:
-        """Keep events; call it with the lock."""
+        """Keep event lines; call it with the lock held."""
         if found := [line for line in lines if line.kind != "gap"]:
             self._lines.extend(found)
             self._marks = None
 
     def _on_view(self, view: MembersView) -> None:
-        """Called after each look, on its thread."""
+        """Take a look; the thread of the watch calls this after each look."""
         with self._lock:
             self._note(self._feed.on_view(view, time.monotonic()))
         is_few = len(view.members) <= MAX_LINKED
@@ -267,19 +271,19 @@ class LiveSource:
             self._scans[robot] = time.monotonic(), decode_scan(payload, platform.scan)
 
     def _on_tracks(self, robot: str, payload: bytes) -> None:
-        found = _tracks(payload)
-        if found.robot == robot:
-            self._tracks[robot] = time.monotonic(), found
+        tracks = _tracks(payload)
+        if tracks.robot == robot:
+            self._tracks[robot] = time.monotonic(), tracks
 
     def _tracks_of(self, name: str) -> list[list[float]]:
         """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
         at, found = self._tracks.get(name, (-math.inf, None))
         if found is None or time.monotonic() - at > _WATCHED_AGE:
             return []
-        return [[round(value, 3) for value in astuple(one)] for one in found.tracks]
+        return [[round(value, 3) for value in astuple(track)] for track in found.tracks]
 
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
-        """List robots; a robot without a status has a plain footprint until one comes."""
+        """Add robots to the list; without a status a robot has a plain footprint."""
         for name in names:
             index, known = self._index.get(name), statuses.get(name)
             platform = "" if known is None else known[0].platform
@@ -297,9 +301,9 @@ class LiveSource:
                 self._robots[index] = ShownRobot(name, index, platform, shape)
 
     def _take_patterns(self, describe: Describe, platforms: Sequence[str]) -> None:
-        """Learn the patterns' groups and parameters, and on which platforms they cannot run.
+        """Describe the patterns on new platforms: groups, parameters, and where they cannot run.
 
-        Defaults of parameters are those on the platform that is described first.
+        The defaults of parameters are those on the platform that is described first.
         """
         for platform in platforms:
             with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine
@@ -324,7 +328,7 @@ class LiveSource:
 
 
 def _unanswered(member: SeenMember | None) -> dict[str, Any]:
-    """The row of a robot without a status."""
+    """The row of a robot that sent no status."""
     row: dict[str, Any] = {"state": "", "report": {}, "presence": "expected"}
     if member is None:
         return row | {"why": absence(None), "age": math.inf}

@@ -1,4 +1,4 @@
-"""The time of recorded runs: which run is shown, where it is, whether it plays and how fast."""
+"""The playback of recorded runs: the present run, its time, and its speed."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ MIN_SPEED, MAX_SPEED = 0.01, 100.0
 class Playback:
     """Plays `run`, one of `runs`, of `duration` s; all pages see the same time.
 
-    `choose` shows another run: it loads the run, which may take a second, and calls `load`. It
-    raises SwarmError for a run that cannot be loaded; then the former one stays.
+    `choose` loads another run, which may take a second, and calls `load`. It raises SwarmError if
+    the run cannot be loaded; then the former run stays.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class Playback:
         self._looked: float | None = None
 
     def load(self, run: str, duration: float) -> None:
-        """Begin another run; whether it plays, and how fast, stays."""
+        """Begin another run; playing and speed stay as they are."""
         self.run, self.duration = run, duration
         self._offset, self._since = 0.0, self._clock()
 
@@ -48,7 +48,7 @@ class Playback:
         return min(self._offset + rate * (self._clock() - self._since), self.duration)
 
     def play(self, *, is_playing: bool, speed: float) -> None:
-        """Play or pause; at its end a run plays from the start. ValueError for a wrong speed."""
+        """Play or pause; a run at its end plays from its start. ValueError for a wrong speed."""
         _check(speed)
         now = self.time
         self._offset = 0.0 if is_playing and now >= self.duration else now
@@ -63,7 +63,7 @@ class Playback:
 
     @contextmanager
     def looking_at(self, time: float) -> Iterator[None]:
-        """Another `time` for the caller alone, such as a sample of the whole run."""
+        """Another `time` within the `with` block, such as a sample of the whole run."""
         self._looked = time
         try:
             yield

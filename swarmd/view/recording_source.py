@@ -1,4 +1,4 @@
-"""Recordings of robots on the page: one timeline of one or several of them, or of a merged file."""
+"""The source of a page for recordings of robots, or for a merged file."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RecordingSource:
     _marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
 
     def __init__(self, paths: Sequence[Path], clock: Callable[[], float] = time.monotonic) -> None:
-        """SwarmError as `read_timeline`."""
+        """Read the recordings. SwarmError as `read_timeline`."""
         self.timeline = read_timeline(paths)
         tracks = self.timeline.tracks
         self.robots = [
@@ -54,14 +54,14 @@ class RecordingSource:
         self.playback.load(run, self.timeline.duration)
 
     def frame(self) -> tuple[float, Array]:
-        """The pose of each robot that is recorded at the present time."""
+        """The present time, and the pose of each robot that is recorded then."""
         now = self.playback.time
-        found = []
+        rows = []
         for shown in self.robots:
             pose = self.timeline.pose(shown.name, now)
             if pose is not None:
-                found.append((shown.index, *pose))
-        return now, np.array(found, dtype=np.float64).reshape(-1, 4)
+                rows.append((shown.index, *pose))
+        return now, np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
         """The last status and decision of each robot."""
@@ -77,15 +77,15 @@ class RecordingSource:
         return points_of(scan.ranges, scan.bearings, track.platform.scan.offset)
 
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
-        """Not known of a real room."""
+        """Empty: boxes are not known in a real room."""
         return ()
 
     def links(self) -> Sequence[tuple[int, int]]:
-        """Not known."""
+        """Empty: links are not recorded."""
         return ()
 
     def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
-        """The last events that robots logged, a line for robots that tell the same."""
+        """The last events that robots logged; equal texts of several robots are one line."""
         if self._marks is None:
             end, tracks = self.playback.duration, self.timeline.tracks
             lines = [
@@ -94,8 +94,8 @@ class RecordingSource:
                 for at, text in track.events(end, MAX_MARKS)
                 if at >= 0.0
             ]
-            found = together(lines)[-MAX_MARKS:]
-            self._marks = [(round(one.at, 2), one.text, robots) for one, robots in found]
+            marks = together(lines)[-MAX_MARKS:]
+            self._marks = [(round(one.at, 2), one.text, robots) for one, robots in marks]
         return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
@@ -112,7 +112,7 @@ class RecordingSource:
         return {"sections": titled, "events": events}
 
     def select(self, names: Sequence[str]) -> None:
-        """All is known of each robot already."""
+        """Nothing to do: all values of each robot are in the recording."""
 
 
 def _row(robot: Track, now: float) -> dict[str, Any]:
@@ -131,7 +131,7 @@ def _row(robot: Track, now: float) -> dict[str, Any]:
 
 
 def _decided(decision: Any, row: Mapping[str, Any]) -> dict[str, Any]:
-    """What a decision tells, which comes more often than a status."""
+    """The values of a decision, which is recorded more often than a status."""
     is_running = decision.state == "running"
     protection = protection_word(
         is_active=decision.is_active,

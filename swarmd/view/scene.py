@@ -1,4 +1,4 @@
-"""What a terminal shows of a fleet: the robots, their places, and what an operator has chosen."""
+"""The content of a terminal view: robots, poses, and the operator's cursor and selection."""
 
 from __future__ import annotations
 
@@ -25,25 +25,19 @@ class Area:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """The state to show.
-
-    `poses` by robot; robots without a known place are in `robots` alone, which is their order in
-    the table (empty: that of `poses`). `statuses` lacks robots that did not answer; `notes` has
-    what is known of those instead, in a few words. `cursor` is the robot that keys act on, None
-    for a view without keys. `below`: lines under the table and the map, with their styles.
-    """
+    """The content of a terminal view."""
 
     title: str
     area: Area
-    poses: Mapping[str, Place]
-    statuses: Mapping[str, Status]
+    poses: Mapping[str, Place]  # of robots whose pose is known
+    statuses: Mapping[str, Status]  # of robots that answered
     footer: str = ""
     footer_style: str = "dim"
-    robots: Sequence[str] = ()
-    notes: Mapping[str, str] = field(default_factory=dict)
-    cursor: str | None = None
+    robots: Sequence[str] = ()  # all robots in the order of the table; empty: that of `poses`
+    notes: Mapping[str, str] = field(default_factory=dict)  # a few words on robots without status
+    cursor: str | None = None  # the robot that keys act on; None: a view without keys
     selected: frozenset[str] = frozenset()
-    below: Sequence[tuple[str, str]] = ()
+    below: Sequence[tuple[str, str]] = ()  # lines under table and map, with their styles
     map_note: str = ""
 
     @property

@@ -68,13 +68,13 @@ MAX_UNREAD = 8 * 2**20
 
 
 class Commander(Protocol):
-    """Carries commands of pages out."""
+    """Carries out commands of pages."""
 
     async def act(self, verb: str, fields: Mapping[str, Any], tell: Any) -> None:
-        """Carry a command out; `tell(answer)` is called as answers come, the last one final."""
+        """Carry out a command; `tell(answer)` is called with each answer, the last one final."""
 
     def end_estop(self) -> None:
-        """Repeat the emergency stop no longer."""
+        """Stop repeating the emergency stop, even if acknowledgements are missing."""
 
 
 class ViewServer:
@@ -124,7 +124,7 @@ class ViewServer:
         return page_url(scheme, bound[0], bound[1])
 
     async def close(self, reason: str = "") -> None:
-        """End the server; its pages show `reason` why it has ended, at most 120 bytes of it."""
+        """End the server; its pages show `reason`, at most 120 bytes."""
         text = reason.encode()[:120].decode(errors="ignore")
         await asyncio.gather(*(self._dismiss(client, text) for client in self._clients))
         for connection in list(self._waiting):
@@ -255,12 +255,12 @@ class ViewServer:
             await self._commander.act(verb, message, tell)
 
     def _is_late(self, seen: Any) -> bool:
-        """True if the page sent a command long ago: it quotes the frame that it had drawn."""
+        """True if a command quotes the number of a frame that was drawn long ago."""
         now = asyncio.get_running_loop().time()
         return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
 
     def _show_estop(self, id: str, answer: CommandProgress, *, is_new: bool = False) -> None:
-        """Show the emergency stop on all pages; of two, the later one."""
+        """Show the emergency stop on all pages; of two, the later one is shown."""
         current = self._estop
         if not is_new and (current is None or current["id"] != id):
             return
@@ -270,7 +270,10 @@ class ViewServer:
             client.tell(message)
 
     def _tell_selection(self) -> None:
-        """Scans load the robots' network: few are watched, those of operators first."""
+        """Select the robots whose scans are watched, at first those of operators' pages.
+
+        Their number is limited, since scans load the robots' network.
+        """
         order = sorted(self._clients, key=lambda client: client.role != "operator")
         names = dict.fromkeys(name for one in order for name in reversed(one.selected))
         watched = sorted(list(names)[:MAX_WATCHED])
@@ -279,7 +282,7 @@ class ViewServer:
             self.source.select(watched)
 
     async def _send_frames(self) -> None:
-        """Send frames with their period, and rows less often."""
+        """Send frames at `frame_period`, and rows less often."""
         loop = asyncio.get_running_loop()
         due, rows_at, selected_at = loop.time(), 0.0, 0.0
         while True:
@@ -298,7 +301,7 @@ class ViewServer:
                 self._fault = repr(error)
 
     def _send_frame(self, now: float, rows_at: float) -> float:
-        """Send a frame to each page, and rows if they are due; the time of the last rows."""
+        """Send a frame to each page, and rows if due; returns the time of the last rows."""
         at, places = self.source.frame()
         frame = pack_frame(self.frames + 1, at, places)
         is_few = len(self.source.robots) <= FEW_ROBOTS
@@ -368,9 +371,9 @@ def _refusal(id: str, text: str) -> dict[str, Any]:
 
 
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
-    """Connections that enter themselves into `waiting`; a role takes a connection out.
+    """The connections, each of which adds itself to `waiting` until it has a role.
 
-    Clients that send much, read nothing or never ask do not fill the server.
+    Clients that send much, read nothing or never ask cannot fill the server.
     """
 
     class Limited(ServerConnection):

@@ -1,4 +1,4 @@
-"""What a page shows: robots, their places, and a row of values for each."""
+"""The interface between a page and its data: robots, poses, and a row of values for each robot."""
 
 from __future__ import annotations
 
@@ -44,18 +44,15 @@ class ShownRobot:
 
 @dataclass(frozen=True, slots=True)
 class ShownArena:
-    """Walls: `size` in m, `shapes` of fixed boxes (k, 2) in m, and `poles` as x, y, radius.
+    """The walls, fixed objects and scalar fields of an arena."""
 
-    `fields`: scalar fields by name, as values (rows, columns) at the middles of equal cells that
-    cover the arena; the first row is that of the lowest y. `floor`: a picture of the arena's floor
-    as a data URL, empty without one.
-    """
-
-    size: tuple[float, float]
-    shapes: Sequence[Array] = ()
-    poles: Sequence[tuple[float, float, float]] = ()
+    size: tuple[float, float]  # m
+    shapes: Sequence[Array] = ()  # corners (k, 2) in m of fixed boxes
+    poles: Sequence[tuple[float, float, float]] = ()  # x, y, radius in m
     fields: Mapping[str, Array] = field(default_factory=dict)
-    floor: str = ""
+    """Scalar fields by name: values (rows, columns) at the centres of equal cells that cover the
+    arena; the first row has the lowest y."""
+    floor: str = ""  # a picture of the floor as a data URL
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""
@@ -70,11 +67,11 @@ class ShownArena:
 
 @dataclass(slots=True)
 class CommandProgress:
-    """What came of a command so far: each robot's reply, and which robots have not answered."""
+    """The answers to a command so far."""
 
-    line: str
-    replies: list[tuple[str, str, str]] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
+    line: str  # the count
+    replies: list[tuple[str, str, str]] = field(default_factory=list)  # robot, code, text
+    missing: list[str] = field(default_factory=list)  # robots that have not answered
     is_good: bool = False
     is_final: bool = False
 
@@ -84,7 +81,7 @@ class CommandProgress:
 
 
 class Source(Protocol):
-    """A swarm, a simulated world, recorded runs or recordings.
+    """The data of a page: a swarm, a simulated world, recorded runs or recordings.
 
     All methods run on the server's loop.
     """
@@ -102,23 +99,23 @@ class Source(Protocol):
 
     @property
     def playback(self) -> Playback | None:
-        """The time of recorded runs; None for what happens now."""
+        """The playback of recorded runs; None for a living swarm."""
 
     @property
     def programs(self) -> Sequence[str]:
-        """The Zenoh programs beside the robots, sorted."""
+        """The Zenoh programs that robots see, sorted."""
 
     @property
     def link(self) -> float | None:
-        """The distance in m within which two robots are of one cluster; None: no shared frame."""
+        """The distance in m within which two robots are in one cluster; None: no shared frame."""
 
     @property
     def revision(self) -> int:
-        """Changes whenever the robots, the arena or the run have changed."""
+        """A number that changes when the robots, the arena or the run have changed."""
 
     @property
     def robots(self) -> Sequence[ShownRobot]:
-        """All robots by index. They become more; an index keeps its robot within a run."""
+        """All robots by index. Robots may be added; an index keeps its robot within a run."""
 
     def frame(self) -> tuple[float, Array]:
         """The time in s, and rows (k, 4) of index, x, y in m and yaw in rad of known robots."""
@@ -130,35 +127,39 @@ class Source(Protocol):
         """Points (k, 2) of a robot's latest scan in its base frame in m; None: not known."""
 
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
-        """Shapes (k, 2) of movable boxes in their own frames, and their poses."""
+        """Corners (k, 2) in m of movable boxes in their own frames, and their poses."""
 
     def links(self) -> Sequence[tuple[int, int]]:
         """Pairs of indices of robots that hear each other."""
 
     def marks(self) -> Sequence[tuple[float, str, Sequence[str]]]:
-        """Events in order of time: the time in s, a text and the robots.
+        """Events in the order of time: time in s, text, and robots.
 
-        The time is that of the run, or of the machine's monotonic clock for what happens now.
+        The time is that of the run, or of the machine's monotonic clock for a living swarm.
         """
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
-        """`sections`: titles with pairs of name and text; `events`: pairs of age and text.
+        """The details of a robot.
 
-        `values`: pairs without a title, `why`: one sentence; each may be missing.
+        `sections`: titles with pairs of name and text. `events`: pairs of age and text. `values`:
+        pairs without a title. `why`: one sentence. Each may be missing.
         """
 
     def select(self, names: Sequence[str]) -> None:
-        """The robots that any page has selected: whose scans and details are wanted."""
+        """Set the robots whose scans and details pages want."""
 
 
 def link_of(platforms: Iterable[Platform]) -> float | None:
-    """The `link` of robots in one frame: twice the largest protection threshold, as of metrics."""
+    """The distance `link` of robots in one frame: twice the largest protection threshold.
+
+    The metrics use the same distance.
+    """
     thresholds = (one.protection.get("threshold", 0.0) for one in platforms)
     return 2.0 * max(thresholds, default=0.0) or None
 
 
 def hello_of(source: Source, role: str) -> dict[str, Any]:
-    """What a page, or the player of a report, learns first."""
+    """The message `hello`, the first to a page or to the player of a report."""
     playback = source.playback
     return {
         "swarm": source.swarm,
@@ -173,7 +174,7 @@ def hello_of(source: Source, role: str) -> dict[str, Any]:
 
 
 def pack_frame(sequence: int, time: float, places: Array) -> bytes:
-    """A frame as the page reads it."""
+    """A frame in the binary form that the page reads."""
     head = struct.pack("<IIdI", FRAME, sequence & 0xFFFFFFFF, time, len(places))
     body = np.empty(len(places), dtype=PLACE)
     for name, column in zip(PLACE.names or (), places.T, strict=True):
@@ -182,12 +183,12 @@ def pack_frame(sequence: int, time: float, places: Array) -> bytes:
 
 
 def pack_scan(index: int, points: Array) -> bytes:
-    """A scan as the page reads it."""
+    """A scan in the binary form that the page reads."""
     return struct.pack("<III", SCAN, index, len(points)) + points.astype("<f4").tobytes()
 
 
 def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Array:
-    """The returns (k, 2) of a scan in the base frame in m; `offset` is that of the sensor."""
+    """The returns (k, 2) of a scan in the base frame in m; `offset`: of the sensor in the base."""
     is_return = np.isfinite(ranges) & (ranges > 0.0)  # drivers mark rays without return by 0
     ranges, bearings = ranges[is_return], bearings[is_return]
     return np.stack(
@@ -196,7 +197,7 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 
 
 def row_of(status: Status) -> dict[str, Any]:
-    """The row of a status."""
+    """The row of values of a status."""
     decision = status.decision
     protection = protection_word_of(decision)
     row: dict[str, Any] = {
@@ -225,7 +226,10 @@ def row_of(status: Status) -> dict[str, Any]:
 
 
 def standing_of(state: str, reason: str) -> str:
-    """How a robot stands that runs: `at rest` as its pattern wants, or `held`; else empty."""
+    """Of a running robot that stands: `at rest` if its pattern wants it, else `held`.
+
+    Empty for other robots.
+    """
     if state != State.RUNNING or not reason:
         return ""
     return "at rest" if reason == Reason.NO_REQUESTED_COMMAND else "held"
@@ -251,7 +255,7 @@ def _reason(status: Status) -> str:
 
 
 def json_of(value: Any) -> str:
-    """JSON without NaN and infinity, which browsers refuse: they become null."""
+    """JSON with null for NaN and infinity, which browsers refuse."""
     try:
         return json.dumps(value, separators=(",", ":"), allow_nan=False)
     except ValueError:

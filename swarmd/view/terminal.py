@@ -1,4 +1,4 @@
-"""A fleet on a terminal: a table of the robots beside a small map seen from above."""
+"""Draws a fleet on a terminal: a table of the robots beside a small map seen from above."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ CURSOR = 1  # the line of the cursor, below the view
 
 
 def render(scene: Scene, width: int, height: int) -> Group:
-    """The view for a terminal of `width` by `height` characters, less a line for its cursor."""
+    """The view as text, for a terminal of `width` by `height`; one line is left for the cursor."""
     return Group(*lines_of(scene, width, height - CURSOR))
 
 
 def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
     """At most `height` lines of at most `width` characters.
 
-    With more robots than lines, those around the cursor are shown, without a cursor first those
-    that do not run. The rest is counted.
+    If the robots do not all fit, those around the cursor are shown; without a cursor at first those
+    that do not run. The others are counted.
     """
     heading = _line(scene.title, "bold")
     last = [_line(text, style) for text, style in scene.below] + [
@@ -63,33 +63,33 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
         if under >= MIN_MAP[1] + FRAME:
             body += map_of(scene, *map_size(scene.area, width - MARGIN, under - FRAME))
     room = max(height - len(last), 0)
-    shown = [heading, *body][:room] + last[-max(height, 1) :]
-    for line in shown:
+    lines = [heading, *body][:room] + last[-max(height, 1) :]
+    for line in lines:
         line.truncate(width, overflow="ellipsis")
-    return shown
+    return lines
 
 
 def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Text]:
     """A row for each robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle.
 
-    At most `lines` with the header; if robots are left out, the last line counts them.
+    At most `lines` lines with the header; the last line counts the robots that are left out.
     """
     header = " ".join([_cell("name", name_width), *(_cell(*column) for column in COLUMNS)])
     rows = [Text(header, style="bold")]
-    shown = chosen(scene, max(lines - 1, 1))
+    robots_shown = chosen(scene, max(lines - 1, 1))
     marks = {robot: _mark(number) for number, robot in enumerate(scene.poses)}
-    for robot in shown:
+    for robot in robots_shown:
         rows.append(_row(scene, robot, marks.get(robot, " "), name_width))
-    if len(shown) < len(scene.order):
-        rows.append(Text(_rest(scene, shown), style="dim"))
+    if len(robots_shown) < len(scene.order):
+        rows.append(Text(_rest(scene, robots_shown), style="dim"))
     return rows
 
 
 def chosen(scene: Scene, rows: int) -> Sequence[str]:
-    """The robots to show in `rows`, one of which is kept for the count if not all fit.
+    """The robots to show in `rows` lines; if not all fit, one line is left for the count.
 
-    Without a cursor, robots that do not run are kept, since they need attention; others are left
-    out from the end.
+    With a cursor, the robots around it. Without a cursor, robots that do not run are kept, since
+    they need attention; of the others the last are left out.
     """
     robots = scene.order
     if len(robots) <= rows:
@@ -104,9 +104,9 @@ def chosen(scene: Scene, rows: int) -> Sequence[str]:
 
 
 def map_size(area: Area, width: int, height: int) -> tuple[int, int]:
-    """Columns and rows inside the frame with the area's aspect ratio; a character is 1 by 2.
+    """Columns and rows of the map with the area's aspect ratio, at most `width` by `height`.
 
-    At most `width` by `height`.
+    A character is half as wide as high.
     """
     length, depth = area.size
     columns = min(width, 2 * height * length / depth)
@@ -180,7 +180,7 @@ def _rest(scene: Scene, shown: Sequence[str]) -> str:
 
 
 def _name_width(scene: Scene, spare: int) -> int:
-    """The width of the first column: as the names need, with `spare` more than usual at most."""
+    """The width of the first column: as the names need, at most `spare` more than usual."""
     sign = 0 if scene.cursor is None else 2
     needed = max((len(robot) for robot in scene.order), default=0) + sign + 2
     return min(max(needed, NAME_WIDTH), NAME_WIDTH + max(spare, 0), MAX_NAME_WIDTH)

@@ -1,4 +1,4 @@
-"""A living swarm on a terminal: what is known of it is drawn, and keys become commands."""
+"""Shows a living swarm on a terminal, and turns keys into commands."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class TerminalView:
         self._known: Sequence[str] = ()
 
     async def run(self) -> int:
-        """Show the swarm; the exit code: 0, or 128 and the number of the signal that ended it."""
+        """Show the swarm; returns the exit code: 0, or 128 plus the number of an ending signal."""
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, self._end, 128 + number)
@@ -142,7 +142,7 @@ class TerminalView:
         self._changed.set()
 
     def _stop_process(self) -> None:
-        """Ctrl-Z: the shell gets its terminal; `fg` goes on here."""
+        """Ctrl-Z: restore the terminal and stop this process; `fg` continues here."""
         self._screen.suspend()
         os.kill(os.getpid(), signal.SIGSTOP)
         self._screen.resume()
@@ -234,7 +234,7 @@ class TerminalView:
         yield (f"{name}: {text}" if text else ""), ""
 
     def _told(self) -> Iterator[tuple[str, str]]:
-        """The answers to the last commands, and the keys if they are asked for."""
+        """The answers to the last commands, and the help on keys if it is open."""
         lines: list[tuple[str, str]] = []
         for verb, answer in self._answers.values():
             style = "green" if answer.is_good else "yellow"
@@ -247,7 +247,7 @@ class TerminalView:
 
 
 def answer_lines(answer: CommandProgress) -> list[str]:
-    """The count, then each text with the robots that gave it; texts of success are left out."""
+    """The count, then each text with its robots; texts of success are left out."""
     waiting = [] if answer.is_final or not answer.missing else [f"({names_of(answer.missing, 12)})"]
     lines = [" ".join([answer.line, *waiting])]
     by_text: dict[str, list[str]] = {}
@@ -258,7 +258,7 @@ def answer_lines(answer: CommandProgress) -> list[str]:
 
 
 def _note(member: SeenMember | None, known: tuple[Status, float] | None) -> str:
-    """What stands in place of a robot's state; empty if its status is the present one."""
+    """The text in place of a robot's state; empty if its status is present."""
     if member is None:
         return "" if known else absence(None)
     is_heard = member.contact in (Contact.ANSWERED, Contact.NO_ANSWER)

@@ -1,6 +1,6 @@
-"""Recordings of one robot or several, or a merged file, on one timeline.
+"""Puts recordings of one robot or several, or a merged file, on one timeline.
 
-Messages are decoded when they are asked for, so that an hour of recording opens at once.
+A message is decoded only when it is read, so that an hour of recording opens at once.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _TOPICS = frozenset(
 
 
 class Topic:
-    """The messages of one topic by time in s; each is decoded when it is asked for."""
+    """The messages of a topic by time in s; each is decoded when it is read."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -52,11 +52,11 @@ class Topic:
         self._payloads.append((kind, payload))
 
     def index(self, now: float) -> int:
-        """The number of the last message until a time; -1 before the first one."""
+        """The index of the last message until a time; -1 before the first message."""
         return bisect_right(self.times, now) - 1
 
     def get(self, index: int) -> Any | None:
-        """A message; None without one, or if it is malformed."""
+        """The message with this index; None if there is none, or if it is malformed."""
         if not 0 <= index < len(self._payloads):
             return None
         if index not in self._decoded:
@@ -74,7 +74,7 @@ class Topic:
 
 
 class Track:
-    """What one robot recorded: `about` as texts, topics by name, and the number of losses noted."""
+    """The recording of one robot: `about` as texts, topics by name, and the number of losses."""
 
     def __init__(self, about: Mapping[str, str], platform: Platform) -> None:
         self.about, self.platform = about, platform
@@ -93,7 +93,7 @@ class Track:
             self.topics[topic].add(at, kind, payload)
 
     def is_heard(self, now: float) -> bool:
-        """True if something was recorded within SILENCE before a time."""
+        """True if a message was recorded within SILENCE before a time."""
         last = bisect_right(self._heard, now) - 1
         return last >= 0 and now - self._heard[last] < SILENCE
 
@@ -113,7 +113,7 @@ class Track:
         return Pose(x, y, one.yaw + share * turn)
 
     def scan(self, now: float) -> Scan | None:
-        """The last scan until a time; None without one, or if its bearings are missing."""
+        """The last scan until a time; None without a scan, or if its bearings are missing."""
         message = self.topics["scan"].at(now)
         if message is None or not self.is_heard(now):
             return None
@@ -128,11 +128,11 @@ class Track:
         return None
 
     def decision(self, now: float) -> Any | None:
-        """The message of the last decision until a time; None before it, or if not recorded."""
+        """The message of the last decision until a time; None without such a message."""
         return self.topics["decision"].at(now) if self.is_heard(now) else None
 
     def events(self, now: float, most: int | None = None) -> list[tuple[float, str]]:
-        """The last events until a time, the last one first: time in s and text."""
+        """The last events until a time, as time in s and text; the latest comes first."""
         events = self.topics["event"]
         shown = range(events.index(now), -1, -1)[:most]
         found = [(events.times[i], events.get(i)) for i in shown]
@@ -143,16 +143,15 @@ class Track:
 class Timeline:
     """The tracks of robots by name; times in s from the first odometry.
 
-    What a robot logged before has negative times. `about`: texts on a merged file, otherwise empty.
-    `notes`: lines on what is damaged, or could not be placed in time. `is_shared`: all robots
-    recorded poses in one shared frame. Otherwise the frame of a robot is its own odometry's, and
-    its start is moved along y, APART from the next one.
+    Messages before the first odometry have negative times.
     """
 
     tracks: Mapping[str, Track]
-    about: Mapping[str, str]
-    notes: Sequence[str]
+    about: Mapping[str, str]  # texts of a merged file; otherwise empty
+    notes: Sequence[str]  # lines on damaged parts, and on messages without a time
     is_shared: bool
+    """All robots recorded poses in one shared frame. Otherwise each robot's pose is by its own
+    odometry, and the robots are moved along y, APART m from one another."""
 
     @property
     def duration(self) -> float:
@@ -171,7 +170,8 @@ class Timeline:
 def read_timeline(paths: Sequence[Path]) -> Timeline:
     """The robots of all files, in the order of their names.
 
-    ConfigError if a file is no recording, if none has a message, or for a merged file among others.
+    ConfigError if a file is no recording, if no file has a message, or if one of several files is a
+    merged file.
     """
     first = read_file(paths[0])
     is_merged = first.about.get("kind") == "merged"
@@ -204,7 +204,7 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
 def _placed(
     paths: Sequence[Path], notes: list[str]
 ) -> tuple[Mapping[str, Mapping[str, str]], list[tuple[int, str, str, bytes]]]:
-    """Texts by robot; and of each message the time in ns, topic with robot, type and bytes."""
+    """Texts by robot, and all messages: time in ns, topic with robot, type and bytes."""
     found = survey(paths)
     notes += [fault.replace("is merged", "is shown") for fault in found.faults]
     placed = place(found) if found.sources else []
@@ -223,7 +223,7 @@ def _placed(
 
 
 def _platform(about: Mapping[str, str], where: str) -> Platform:
-    """The platform as the robot recorded it; of another version, the installed one of its name."""
+    """The robot's platform as recorded; in another format, the installed one of its name."""
     try:
         return head_of(about, where).platform
     except ConfigError:
@@ -233,7 +233,7 @@ def _platform(about: Mapping[str, str], where: str) -> Platform:
 
 
 def _is_shared(tracks: Iterable[Track]) -> bool:
-    """True if each robot recorded shared poses, the first and the last of all in one frame."""
+    """True if each robot recorded shared poses, whose first and last have one common frame."""
     topics = [track.topics["pose"] for track in tracks]
     ends = [topic.get(i) for topic in topics for i in (0, len(topic.times) - 1)]
     return None not in ends and len({messages.pose_of(one).frame for one in ends}) == 1

@@ -57,9 +57,13 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     socket; rules on sources of the other family are left out. Returns an array of struct
     sock_filter as bytes.
 
-    First stage: the head of the datagram. Second stage, in this order: drop a share of urgent
-    datagrams of thinned sources; accept known sources; drop a share of all other urgent datagrams
-    and accept the rest of them; drop blocked sources; then drop if `only_known`, else accept.
+    The first stage tests the head of the datagram. The second stage, in this order:
+
+    1. Drop a share of the urgent datagrams of thinned sources.
+    2. Accept datagrams of known sources.
+    3. Drop a share of all other urgent datagrams, and accept the rest of them.
+    4. Drop datagrams of blocked sources.
+    5. Drop all others if `only_known`, else accept them.
     """
     heads = [
         (_DROP, [(_LOAD_LENGTH, 0, _EXCEEDS, _UDP_HEAD + MAX_DATAGRAM)]),

@@ -435,12 +435,12 @@ class Membership:
         living = known.living(self._lease, now)
         name, latest = next(reversed(known.lives.items()))
         if living:
-            shown = living[0], Presence.ALIVE
+            present = living[0], Presence.ALIVE
         else:
-            shown = name, Presence.LEFT if latest.left is not None else Presence.FAILED
-        if shown == known.shown:
+            present = name, Presence.LEFT if latest.left is not None else Presence.FAILED
+        if present == known.shown:
             return False
-        known.shown, known.since = shown, now
+        known.shown, known.since = present, now
         return True
 
 

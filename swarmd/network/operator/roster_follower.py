@@ -86,21 +86,21 @@ class RosterFollower:
         return identity is not None and robot in identity.roster.robots
 
     def _take(self) -> None:
-        shown = self.shown
-        if shown is not None and not self._is_known(shown[0]):
-            shown = None
-        elif shown is not None:
+        newer = self.shown
+        if newer is not None and not self._is_known(newer[0]):
+            newer = None
+        elif newer is not None:
             self.shown = None
         missing = set()
         while self._missing:  # the carrier's thread may add to it
             missing.add(self._missing.pop())
         identity, settings = self._operator.identity, self._operator.settings
-        if not (shown or missing) or identity is None or not self._is_on:
+        if not (newer or missing) or identity is None or not self._is_on:
             return
         from swarmd.network.operator.roster_update import pulled_keys, pulled_roster
 
-        if shown is not None:
-            taken, text = pulled_roster(settings, identity, *shown)
+        if newer is not None:
+            taken, text = pulled_roster(settings, identity, *newer)
             self.notices.append(text)
             if taken is not None:
                 self._operator.take_identity(taken)

@@ -28,9 +28,11 @@ def present_member(
     if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
         contact = Contact.OTHER_VERSION
     epoch = None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
-    instance, state, version = "unknown", "", heard.version if heard else ""
+    instance, state = "unknown", ""
+    version = heard.version if heard else ""
     if status is not None:
-        instance, state, version = status.instance, status.state, status.version
+        instance, state = status.instance, status.state
+        version = status.version
     elif beacon is not None:
         instance = beacon.instance.hex()
         state = STATES[beacon.state] if beacon.state < len(STATES) else ""

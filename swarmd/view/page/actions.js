@@ -54,7 +54,7 @@ export class Actions {
     for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset']]) element(id).textContent = `${verb} ${short}`;
   }
 
-  // A second click confirms: a dialog would keep the emergency stop from being clicked.
+  // A second click confirms: a dialog would cover the button of the emergency stop.
   reset(names, button) {
     if (names.length > 1 && this.armed !== button) {
       this.disarm();
@@ -92,7 +92,7 @@ export class Actions {
       this.answers.show(id, `${verb}: not sent: the map shows the past; go back to now`, [], true);
       return false;
     }
-    // The frame that the operator saw: the server refuses to start motion long after it.
+    // The number of the frame that the operator saw: if it is old, the server refuses to start motion.
     const isSent = this.send({ kind: 'act', id, verb, seen: this.model.sequence, ...fields });
     if (!isSent) this.answers.show(id, `${verb}: not sent: no link to the server`, [], true);
     else if (verb !== 'estop') { this.waiting.set(id, { verb, ...fields }); this.answers.show(id, `${verb} ...`); }
@@ -123,7 +123,7 @@ export class Actions {
 
   lacking() { return this.missing.length ? 'Not acknowledged until then:' : 'Which robots have acknowledged it is not known.'; }
 
-  // The first hello of a new link; if an emergency stop is under way, the server tells of it next.
+  // The first `hello` of a new link; the server sends an emergency stop under way next.
   returned() {
     if (!this.isCutOff) return;
     this.isCutOff = this.isStopping = false;
@@ -139,7 +139,7 @@ export class Actions {
     if (fields && fields.verb === 'run' && message.is_good) { this.form.ran(fields.pattern); this.ran(); }
   }
 
-  // The emergency stop under way, whichever page began it.
+  // Show the emergency stop under way, which any page may have begun.
   estopped(message) {
     this.isCutOff = false;
     this.isStopping = !message.is_final;

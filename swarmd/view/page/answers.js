@@ -1,4 +1,4 @@
-// The counted answers to commands: the last one in a strip of fixed height, all of them in a drawer.
+// The answers to commands, counted: the last answer in a strip of fixed height, all in a drawer.
 
 import { plain } from './states.js';
 
@@ -13,7 +13,7 @@ export const made = (tag, text, className = '') => {
 };
 
 export class Answers {
-  // `propose(proposal)` carries out what a button proposes: see `proposalOf`.
+  // `propose(proposal)` carries out the proposal of a button (`proposalOf`).
   constructor(propose) {
     this.propose = propose;
     this.box = document.getElementById('answer-list');
@@ -30,7 +30,7 @@ export class Answers {
     this.all.hidden = !this.box.children.length;
   }
 
-  // `groups`: text and robots of each kind of answer that tells more than `applied`.
+  // `groups`: text and robots of each answer other than `applied`.
   show(id, text, groups = [], isBad = false, proposal = null) {
     let line = document.getElementById(`answer-${id}`);
     if (!line) {
@@ -60,7 +60,7 @@ export class Answers {
   take(message, fields) {
     const groups = groupsOf(message);
     const isBad = message.is_final && !message.is_good;
-    // The names are below: of fifty robots they would fill the line.
+    // The names are shown below: names of fifty robots would fill the line.
     const counts = plain(message.line).replace(/ \([^)]*\)/g, '');
     const text = isBad ? counts.replace(' 0 applied,', '').replace(/(\d+) targeted, (?=\1 [a-z ]+$)/, '') : counts;
     const line = this.show(message.id, text, groups, isBad, isBad ? proposalOf(message, fields) : null);
@@ -69,7 +69,7 @@ export class Answers {
   }
 }
 
-// What robots answered, the same text once with its robots; without success that tells nothing more.
+// The answers by text, each with its robots; successes without further text are left out.
 function groupsOf({ replies, missing }) {
   const groups = new Map();
   const add = (text, name) => { if (!groups.has(text)) groups.set(text, []); groups.get(text).push(name); };
@@ -78,7 +78,7 @@ function groupsOf({ replies, missing }) {
   return [...groups];
 }
 
-// What the texts of an answer propose: a reset of the robots that need one, or a pattern of a like name.
+// The proposal in the texts of an answer: a reset of robots, or a pattern with a similar name.
 function proposalOf({ line, replies }, fields) {
   const close = [line, ...replies.map(([, , text]) => text)].map((text) => /no pattern '[^']*'; did you mean '([^']+)'/.exec(text)).find(Boolean);
   if (close && fields && fields.verb === 'run') return { text: `Choose ${close[1]}`, pattern: close[1] };

@@ -6,9 +6,9 @@ const PALETTE = ['#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00
 const STEPS = 64;
 const MAX_WORDS = 40; // texts with a colour of their own; a robot may report another one each second
 
-// The colour of each robot by one value: of words by palette, of numbers along one scale.
+// The colour of each robot by a value: words from a palette, numbers on a scale.
 export class Colouring {
-  // `low` and `high`: the least range of the scale, such as that of the field that robots measure.
+  // `low` and `high`: the range that the scale has at least, such as that of a measured field.
   constructor(key, low = Infinity, high = -Infinity) {
     Object.assign(this, { key, low, high });
     this.words = new Map();
@@ -37,7 +37,7 @@ export class Colouring {
     return this.words.get(word);
   }
 
-  // Entries with colour, text and, where these are few words, the robots.
+  // The entries of the legend: colour, text and, for few words, the robots.
   legend(robots) {
     const groups = new Map(), none = [];
     for (const robot of robots) {
@@ -64,7 +64,7 @@ export class Colouring {
 
 function isNone(value) { return value === undefined || value === null || value === ''; }
 
-// Dark blue to yellow, even in lightness.
+// From dark blue to yellow, with even steps of lightness.
 export function scale(share) {
   const t = Math.round(Math.min(Math.max(share, 0), 1) * STEPS) / STEPS;
   return `hsl(${230 - 180 * t} ${60 + 20 * t}% ${32 + 32 * t}%)`;

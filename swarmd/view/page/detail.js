@@ -1,4 +1,4 @@
-// One robot in detail: why it stands, what it asked for, what protection made of it, and its events.
+// The details of a robot: why it stands, requested and safe command, and events.
 
 import { colourOf, plain, reasonOf, signOf, wordOf } from './states.js';
 
@@ -73,7 +73,7 @@ export class Detail {
     }));
   }
 
-  // Ahead is up. Wide and grey: requested; narrow and coloured: safe. The arc outside is the turn.
+  // Forward is up. Wide and grey: the requested command. Narrow and coloured: the safe command. The outer arc: the turn.
   drawDial(robot) {
     const { requested, safe, limits } = robot.row;
     const rows = (robot.row.rows || []).filter((one) => one.every(Number.isFinite));

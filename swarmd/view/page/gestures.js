@@ -1,4 +1,4 @@
-// What fingers, mouse, wheel and keys do on the map: move, zoom, select, measure, and align robots.
+// Gestures on the map by touch, mouse, wheel and keys: move, zoom, select, measure, align robots.
 
 export class Gestures {
   constructor(map) {
@@ -51,7 +51,7 @@ export class Gestures {
     this.map.wake();
   }
 
-  // The robot below the mouse has its name.
+  // Show the name of the robot below the mouse.
   hover(event) {
     const robot = event.pointerType === 'mouse' ? this.robotAt(event) : null;
     if (robot === this.map.hovered) return;

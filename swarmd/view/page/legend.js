@@ -1,4 +1,4 @@
-// The legend: every colour and sign on the map, with the number of robots that have it.
+// The legend: each colour and sign on the map, with its number of robots.
 
 export class Legend {
   // `pick` selects the robots of an entry; without it entries are no buttons.

@@ -1,4 +1,4 @@
-// The list of robots: sorted, filtered, and drawn only where it is seen. It repeats what the map shows.
+// The list of robots: sorted, filtered, with only the visible rows in the document.
 
 import { colourOf, reasonOf, signOf, wordOf } from './states.js';
 
@@ -91,7 +91,7 @@ export class RobotList {
     return robots;
   }
 
-  // Only the rows that are seen, and of those only the cells that changed.
+  // Update only visible rows, and in them only cells that changed.
   draw() {
     const robots = this.chosen(), now = performance.now();
     this.shown = robots;

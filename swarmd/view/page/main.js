@@ -71,7 +71,7 @@ const plots = new Plots(model, (time) => timeline.to(time));
 
 const isByOdometry = () => ['live', 'recording'].includes(model.source);
 
-// A text that did not change is not read out again.
+// Set a text only if it has changed: screen readers would read it again.
 function show(id, text) { if (element(id).textContent !== text) element(id).textContent = text; }
 
 function counts() {
@@ -99,7 +99,7 @@ function clock() {
   return `${model.source === 'world' ? 'Simulated time' : 'Time of the run'} ${model.time.toFixed(1)} s`;
 }
 
-// A robot whose base is lost takes no command, also no stop: it is told at once, whatever its state.
+// A robot whose base is lost takes no command, not even a stop: show that at once, in any state.
 function lost() {
   const now = performance.now();
   const robots = [...model.robots.values()].filter((one) => one.row.lost && model.isHeard(one, now));
@@ -109,7 +109,7 @@ function lost() {
   element('lost').hidden = !robots.length;
 }
 
-// What robots report may be chosen as their colour, and a label selects its robots.
+// Reports may be chosen as the robots' colour, and a label selects its robots.
 function choices() {
   const keys = new Set(['state', 'pattern', 'protection', 'platform']), labels = new Set();
   for (const { row } of model.robots.values()) {
@@ -213,7 +213,7 @@ document.addEventListener('keydown', (event) => {
   }
 });
 
-// A key does what its button does; of the commands only on a page that may command.
+// A key acts as its button; keys of commands only on a page that may command.
 function isUsable(id) {
   if (element(id).closest('[hidden]')) return false;
   return id !== 'run-open' || document.body.matches('.operator');

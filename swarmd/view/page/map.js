@@ -1,4 +1,4 @@
-// The map: robots, trails, scans of the selected ones, walls and boxes, seen from above.
+// The map, seen from above: robots, trails, scans of selected robots, walls and boxes.
 
 import { Colouring, scale } from './colours.js';
 import { Gestures } from './gestures.js';
@@ -45,7 +45,7 @@ export class SwarmMap {
     model.addEventListener('hello', () => { if (!this.isTouched) this.hasFitted = false; });
   }
 
-  // Draw with the next picture of the screen, however much has changed until then.
+  // Draw once at the next animation frame, after any number of changes.
   wake() {
     if (this.isWaiting) return;
     this.isWaiting = true;
@@ -71,7 +71,7 @@ export class SwarmMap {
       this.centre[1] - (event.clientY - box.top - box.height / 2) / this.scale];
   }
 
-  // Colours and what they mean.
+  // The entries of the legend: colours and their meanings.
   legend() {
     const now = performance.now(), all = [...this.model.robots.values()];
     const heard = all.filter((one) => this.model.isHeard(one, now)), silent = all.filter((one) => !this.model.isHeard(one, now));
@@ -94,14 +94,14 @@ export class SwarmMap {
     return found;
   }
 
-  // Readings of a field have the colours of the field.
+  // Readings of a field use the colours of that field.
   colourBy(key) {
     const field = ((this.model.arena || {}).fields || {})[key.replace(/^readings:/, '')];
     this.colouring = new Colouring(key, ...(field && key.startsWith('readings:') ? rangeOf(field) : []));
     this.wake();
   }
 
-  // The field behind the robots: a picture with a pixel for each cell, from its lowest value to its highest.
+  // The field behind the robots: an image with a pixel for each cell, scaled from lowest to highest value.
   showField(name) {
     const values = name && this.model.arena.fields[name];
     this.field = name;
@@ -178,7 +178,7 @@ export class SwarmMap {
 
   grid(line, zoom) {
     const { ctx } = this;
-    // Few lines wherever robots say they are: odometry may be 1e9 m off.
+    // Bound the number of grid lines: a robot may report a pose 1e9 m away.
     const step = STEPS.find((one) => one * this.scale >= 45)
       || 10 ** Math.ceil(Math.log10(45 / this.scale));
     const [w, h] = [this.canvas.width / zoom / 2, this.canvas.height / zoom / 2];
@@ -257,7 +257,7 @@ export class SwarmMap {
     ctx.globalAlpha = 1;
   }
 
-  // Of many robots those of the selected ones, or only the last few places.
+  // With many robots: trails of selected robots, or only the last few places.
   drawTrails(robots, zoom) {
     const { ctx, model } = this, paths = new Map();
     const isMany = robots.length > MANY, some = isMany && model.selected.size;
@@ -290,7 +290,7 @@ export class SwarmMap {
     }
   }
 
-  // The obstacles that limit a robot: where they were seen, and a line to them.
+  // The obstacles that limit a robot: their places, and a line to each.
   drawLimits(robot, zoom) {
     const { ctx } = this;
     ctx.strokeStyle = LIMIT;
@@ -309,7 +309,7 @@ export class SwarmMap {
     }
   }
 
-  // The moving objects that a robot avoids: a circle, and where the object is in a second.
+  // The moving objects that a robot avoids: a circle, and a line to the place in one second.
   drawTracks(robot, zoom) {
     const { ctx } = this, c = Math.cos(robot.yaw), s = Math.sin(robot.yaw);
     ctx.strokeStyle = TRACK;
@@ -325,7 +325,7 @@ export class SwarmMap {
     ctx.stroke();
   }
 
-  // One path for each colour: a path for each robot takes longer to draw.
+  // One path for each colour is drawn faster than one path for each robot.
   drawRobots(robots, now, zoom, text) {
     const { ctx, model } = this, filled = new Map(), silent = new Path2D(), heads = new Path2D();
     const touched = new Path2D(), chosen = new Path2D(), lost = new Path2D(), shaded = new Map(), signs = new Map();
@@ -386,7 +386,7 @@ export class SwarmMap {
     stroke(touched, 4, CONTACT);
   }
 
-  // The robots in view if they are few, else the selected ones; always the robot below the mouse.
+  // Names of the robots in view if they are few, else of selected robots; always of the robot below the mouse.
   named(robots) {
     const [w, h] = [this.canvas.clientWidth / this.scale / 2, this.canvas.clientHeight / this.scale / 2];
     const seen = robots.filter((one) => Math.abs(one.x - this.centre[0]) < w && Math.abs(one.y - this.centre[1]) < h);
@@ -409,7 +409,7 @@ export class SwarmMap {
       const [x, y] = this.toScreen(robot.x, robot.y), far = reach(robot) * (isMarked(robot) || robot.row.lost ? 1.5 : 1); // its ring
       const word = robot === this.hovered ? ` ${this.model.isHeard(robot, performance.now()) ? wordOf(robot.row) : 'silent'}` : '';
       const half = ctx.measureText(robot.name + word).width / 2, beside = far + half + 0.4 * size;
-      // Below, above or beside the robot, where no robot and no other name is; of a robot without room no name.
+      // A name is put below, above or beside its robot, where it covers no robot and no name; else it is left out.
       const places = [[x, y + far + 0.9 * size], [x, y - far - 0.8 * size], [x + beside, y], [x - beside, y]];
       const isFree = ([u, v]) => taken.every(([a, b, width, height]) => Math.abs(u - a) > half + width || Math.abs(v - b) > high + height);
       const place = places.find(isFree) || (isMarked(robot) ? places[0] : null);
@@ -424,7 +424,7 @@ export class SwarmMap {
     ctx.textBaseline = 'alphabetic';
   }
 
-  // A bar of a round length above the legend.
+  // The scale bar above the legend, with a round length.
   drawScale(text, back) {
     const { ctx, ratio } = this, length = STEPS.findLast((step) => step * this.scale <= BAR) || STEPS[0];
     const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = 12 * ratio;
@@ -456,13 +456,13 @@ export class SwarmMap {
     ctx.fillText(`${Math.hypot(to[0] - from[0], to[1] - from[1]).toFixed(2)} m`, b[0] + 8, b[1] - 8);
   }
 
-  // The selected robots with a known place.
+  // The selected robots whose place is known.
   chosen() {
     return [...this.model.selected].map((name) => this.model.robots.get(name)).filter((one) => one && one.x === one.x);
   }
 }
 
-// The signs of robots that stand and do not mean to, as paths around a place; their shapes differ.
+// The signs of robots that stand against their will, as paths around a place; each has its own shape.
 const SIGNS = {
   estopped(path, x, y, size) {
     path.moveTo(x - size, y - size); path.lineTo(x + size, y + size);
@@ -477,7 +477,7 @@ const SIGNS = {
   },
 };
 
-// m from the axle to the outline of a footprint in a direction.
+// Distance in m from the axle to the outline of a footprint in a direction.
 function edge(footprint, bearing) {
   const [c, s] = [Math.cos(bearing), Math.sin(bearing)];
   let far = 0;

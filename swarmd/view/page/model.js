@@ -1,4 +1,4 @@
-// The robots as the server tells of them, and the selection that map and list share.
+// The robots by the server's messages, and the selection that map and list share.
 
 export const STALE = 5; // s without news after which a robot is shown as not heard
 const TRAIL = 300; // places kept for each robot
@@ -92,7 +92,7 @@ export class Model extends EventTarget {
     this.tell('rows');
   }
 
-  // Values of moments that follow those before, or begin anew.
+  // Values of moments that follow the earlier values, or replace them.
   plot({ first, times, values }) {
     const { plots } = this;
     if (first !== plots.next) this.plots = { times: [], values: {}, next: first };
@@ -165,15 +165,15 @@ export class Model extends EventTarget {
 
   forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }
 
-  // Seconds since the robot told something; Infinity if it never did.
+  // Seconds since the robot was last heard; Infinity if never.
   age(robot, now) { return this.playback ? 0 : this.past !== null ? robot.age : robot.age + (now - robot.heard) / 1000; }
 
   isHeard(robot, now) {
     return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;
   }
 
-  // True while two robots or more have places that the operator has not aligned; to one of them the
-  // others are aligned.
+  // True while at least two robots have places that the operator has not aligned; the others are
+  // aligned to one of them.
   isUnaligned() {
     const isFree = (robot) => robot.x === robot.x && robot.offset.every((value) => value === 0);
     return [...this.robots.values()].filter(isFree).length > 1;

@@ -1,10 +1,10 @@
-// What opens beside or over the map: the table, the commands, the looks, the time; and the map alone.
+// The panels beside or over the map: table, commands, display options, time; and the map alone.
 
 const element = (id) => document.getElementById(id);
 const kept = (key, value) => { try { if (value !== undefined) localStorage.setItem(key, value); return localStorage.getItem(key); } catch { return null; } };
 const PHONE = '(max-width: 900px)';
 
-// A button that shows and hides a panel; of those over the map one is open at a time.
+// A button that shows and hides a panel; only one panel over the map is open at a time.
 const PANELS = [['robots-open', 'list-pane'], ['run-open', 'commands'], ['look-open', 'look'], ['time-open', 'time']];
 const OVER = ['commands', 'look'];
 
@@ -38,14 +38,14 @@ export class Panels {
     document.body.classList.toggle(`with-${panel}`, isOpen);
   }
 
-  // Escape closes what is over the map; false if nothing was.
+  // Close the panel over the map on Escape; false if none was open.
   closed() {
     const open = OVER.filter((one) => !element(one).hidden);
     for (const one of open) this.set(one, false);
     return open.length > 0;
   }
 
-  // The map and its legend alone, for a projector.
+  // Show only the map and its legend, for a projector.
   present(isOn = !document.body.classList.contains('present')) {
     document.body.classList.toggle('present', isOn);
     element('present').setAttribute('aria-pressed', isOn);

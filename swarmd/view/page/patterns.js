@@ -30,13 +30,13 @@ export class PatternForm {
     this.draw();
   }
 
-  // The pattern that is typed or chosen, as it is named or shown; undefined for any other text.
+  // The pattern that is typed or chosen, by its name or its shown text; undefined for other texts.
   get chosen() {
     const typed = wordsOf(this.name.value);
     return this.patterns().find((one) => wordsOf(one.name) === typed);
   }
 
-  // Those of this computer, those that robots run besides, and those that the operator says robots have.
+  // The patterns of this computer, those that robots run, and those that the operator says robots have.
   patterns() {
     const { patterns, robots } = this.model, names = new Set(patterns.map((one) => one.name));
     const others = new Set([...robots.values()].map((one) => one.row.pattern).filter((name) => name && !names.has(name)));
@@ -44,7 +44,7 @@ export class PatternForm {
     return [...patterns, ...[...others].map((name) => ({ name, summary: 'On the robots, not on this computer.' }))];
   }
 
-  // As `run` takes them: only what was filled in, so that robots keep their own defaults.
+  // The parameters for `run`: only filled-in values, so that robots use their own defaults.
   params() {
     const free = this.fields.querySelector('[name="free"]');
     if (free) return free.value.trim();
@@ -59,7 +59,7 @@ export class PatternForm {
     if (row) row.scrollIntoView({ block: 'nearest' });
   }
 
-  // Remember a pattern that ran.
+  // Store the name of a pattern that ran.
   ran(name) {
     try { localStorage.setItem('recent', JSON.stringify([name, ...this.recent().filter((one) => one !== name)].slice(0, MAX_RECENT))); } catch { /* not kept */ }
     this.draw();
@@ -67,7 +67,7 @@ export class PatternForm {
 
   recent() { try { return JSON.parse(localStorage.getItem('recent')) || []; } catch { return []; } }
 
-  // Why robots that commands go to cannot run a pattern, and whether that is so of all of them.
+  // Why target robots cannot run a pattern, and whether that holds for all of them.
   refusal({ unfit = {} }) {
     const some = [...this.platforms].filter((one) => unfit[one]);
     return { text: some.map((one) => `${one}: ${unfit[one]}`).join('; '), isAll: some.length > 0 && some.length === this.platforms.size };
@@ -110,7 +110,7 @@ export class PatternForm {
     return row;
   }
 
-  // That no pattern matches, the pattern whose name is nearest, and that robots may have it.
+  // The text if no pattern matches: the nearest name, and that robots may have the pattern.
   nothing(typed, all) {
     const note = made('p', `No pattern here matches "${typed}".`), name = typed.replaceAll(' ', '_');
     const offer = (text, act) => {
@@ -132,7 +132,7 @@ export class PatternForm {
     const note = element('params-note');
     note.textContent = known && known.params ? `Empty: the default of the robot, here that of a ${known.platform}.` : '';
     if (known && known.params) {
-      // What this pattern has first, then what patterns of its kind share.
+      // At first the parameters of this pattern alone, then those that its kind shares.
       const order = [...known.params].sort((one, other) => Number(other.is_own) - Number(one.is_own));
       this.fields.replaceChildren(...order.map(fieldOf));
     } else if (known) {

@@ -1,4 +1,4 @@
-// What the swarm does over time: a lane for each value, a tick for events, and the time shown.
+// The plots over time: a lane for each value, ticks for events, and the shown time.
 
 import { plain } from './states.js';
 
@@ -18,7 +18,7 @@ const textOf = (key, value) => `${Number((factorOf(key) * value).toPrecision(2))
 const ago = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
 
 export class Plots {
-  // `seek(time)` moves a recorded run; a living swarm is looked back at.
+  // `seek(time)` moves a recorded run, or looks back at a living swarm.
   constructor(model, seek) {
     Object.assign(this, { model, seek });
     this.canvas = element('plots');
@@ -87,7 +87,7 @@ export class Plots {
     note.style.left = `${Math.min(Math.max(x, 20), Math.max(this.canvas.clientWidth - 320, 20))}px`;
   }
 
-  // The value of a lane at a time; null where it had none.
+  // The value of a lane at a time; null without a value.
   valueAt(key, time) {
     const { times, values } = this.model.plots;
     return (values[key] || [])[times.findLastIndex((one) => one <= time + 0.05)] ?? null;
@@ -98,7 +98,7 @@ export class Plots {
     return new Date(Date.now() - 1000 * (this.latest() - time)).toLocaleTimeString([], { hour12: false });
   }
 
-  // The lanes: what all swarms have, then what is chosen of reports and readings.
+  // The lanes: the values of all swarms, then chosen reports and readings.
   lanes() {
     const { values } = this.model.plots;
     const others = Object.keys(values).filter((key) => !TITLES[key]).sort();
@@ -144,7 +144,7 @@ export class Plots {
     this.drawBack();
   }
 
-  // The time that the map shows.
+  // Mark the time that the map shows.
   shown() {
     const { playback, past, time } = this.model;
     return playback ? time : past ?? this.latest();
@@ -170,14 +170,14 @@ export class Plots {
     }
   }
 
-  // The words below a line of the axis: s before now of a living swarm, s since the start of a recorded run.
+  // The label of a line of the axis: of a living swarm s before now, of a recorded run s since its start.
   words(mark, step) {
     if (this.model.playback) return step >= 60 ? ago(mark) : `${mark} s`;
     if (mark > -60) return mark ? `${mark} s` : 'now';
     return mark % 60 ? `-${ago(-mark)}` : `${mark / 60} min`;
   }
 
-  // The events by their ticks: `place` in pixels is that of the first event.
+  // The events grouped by tick; `place`: pixels of the first event.
   ticks(x, from, until) {
     const ticks = [];
     for (const mark of this.model.marks.filter(([at]) => at >= from && at <= until)) {

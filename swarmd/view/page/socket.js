@@ -1,4 +1,4 @@
-// The link to the server: reconnects by itself, and acknowledges frames so that the server paces them.
+// The WebSocket to the server: reconnects by itself, and acknowledges frames, by which the server sets their rate.
 
 const RETRY = [500, 1000, 2000, 5000]; // ms
 const WRONG_TOKEN = 4401, ENDED = 4410; // the server's codes, with a reason to show
@@ -67,7 +67,7 @@ export class Link {
     setTimeout(() => this.open(), wait);
   }
 
-  // False if there is no link: what could not be sent is not sent later.
+  // False without a link: the message is not sent later.
   send(message) {
     if (this.socket.readyState !== WebSocket.OPEN || !this.model.isConnected) return false;
     this.socket.send(JSON.stringify(message));
@@ -75,7 +75,7 @@ export class Link {
   }
 }
 
-// The token leaves the address, which a projector shows, and stays with this tab.
+// Remove the token from the address, which a projector may show; this tab keeps it.
 function ownToken() {
   const query = new URLSearchParams(location.search);
   try {

@@ -1,4 +1,4 @@
-// The states of robots as a page shows them, and what it makes of texts that are for swarmctl.
+// The states of robots as a page shows them, and the page's form of texts for swarmctl.
 
 // Each with a colour that people with colour blindness can tell apart (after Okabe and Ito 2008), a
 // sign, and its order in counts. A robot at rest is shaded: see `SHADE`.
@@ -18,7 +18,7 @@ export function signOf(state) { return (STATES[state] || ['', '\u2026'])[1]; }
 
 export function byOrder(one, other) { return ORDER.indexOf(one) - ORDER.indexOf(other); }
 
-// The state of a row in one word: a robot that runs may stand, at rest or held.
+// The state of a row in a word; of a running robot that stands, `at rest` or `held`.
 export function wordOf(row) { return row.stands || row.state || ''; }
 
 // Why a robot stands and since when, in a few words; `time` on the clock of `row.at`.

@@ -1,4 +1,4 @@
-// Recorded runs: which one, play, pause, speed and place. The server keeps the time.
+// The controls of recorded runs: run, play, pause, speed and time. The server keeps the time.
 
 const element = (id) => document.getElementById(id);
 
