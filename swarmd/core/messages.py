@@ -72,7 +72,7 @@ class Reason(StrEnum):
     STALE_SCAN = "stale_scan"
     SCAN_CONFLICT = "two_scan_sources"
     BASE_CONFLICT = "two_bases"
-    HAZARD = "hazard"  # the base reports a hazard, or its source of hazards is silent
+    HAZARD = "hazard"  # the base reports one, or its source of such reports is silent
     FROZEN_SCAN = "frozen_scan"
     FROZEN_STAMP = "frozen_stamp"  # scans differ, and their stamps do not
     CLOCK_SET = "clock_set"  # stamps jumped, so that scans are rejected or seem late

@@ -163,7 +163,7 @@ class Ticker:
         now: cython.double = effects.now
         sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
         is_routine: cython.bint = effects.is_routine
-        # The hold of the sensors, and the hazards that end a run.
+        # The hold of the sensors, and the hazard that ends a run.
         running = run.running
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
