@@ -143,7 +143,7 @@ def test_check_finds_problems_and_moves_nothing(tmp_path: Path) -> None:
     done = swarmd("--config", "r.yaml", "--check", cwd=tmp_path)
     assert done.returncode == 1
     found = {line[6:].split("  ")[0]: line[:4].strip() for line in done.stdout.splitlines()[:-1]}
-    assert found["settings"] == found["platform"] == found["pattern drive"] == "ok"
+    assert found["settings"] == found["platform"] == found["patterns"] == "ok"
     assert found["pattern broken"] == "FAIL"
     assert found["roster"] == "FAIL"
     assert "nothing_of_that_name" in done.stdout

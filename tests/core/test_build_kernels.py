@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -11,18 +10,28 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core.kernels import KERNELS, source_of
+
 pytest.importorskip("Cython")
 SETUP = Path(__file__).parents[2] / "setup.py"
 FALSE = shutil.which("false")
 
 
+def copy_setup(folder: Path) -> None:
+    """Copy setup.py, and the file with the list of the libraries."""
+    shutil.copy(SETUP, folder)
+    listed = folder / "swarmd" / "core" / "kernels.py"
+    listed.parent.mkdir(parents=True)
+    shutil.copy(SETUP.parent / "swarmd" / "core" / "kernels.py", listed)
+
+
 @pytest.mark.skipif(FALSE is None, reason="no program that always fails")
 def test_build_goes_on_without_a_kernel_that_does_not_compile(tmp_path: Path) -> None:
-    for source in re.findall(r'"([\w/]+\.py)"', SETUP.read_text()):
-        kernel = tmp_path / source
+    copy_setup(tmp_path)
+    for name in KERNELS:
+        kernel = tmp_path / source_of(name)
         kernel.parent.mkdir(parents=True, exist_ok=True)
         kernel.write_text("import cython\n")
-    shutil.copy(SETUP, tmp_path)
     command = [sys.executable, "setup.py", "build_ext", "--build-lib", "built"]
     environment = {**os.environ, "CC": str(FALSE)}
     done = subprocess.run(
@@ -35,7 +44,7 @@ def test_build_goes_on_without_a_kernel_that_does_not_compile(tmp_path: Path) ->
 
 def test_nothing_is_compiled_if_that_is_not_wanted(tmp_path: Path) -> None:
     """No Cython, no sources: `make demo` starts before the kernels are compiled."""
-    shutil.copy(SETUP, tmp_path)
+    copy_setup(tmp_path)
     (tmp_path / "Cython.py").write_text("raise ImportError('not installed yet')\n")
     command = [sys.executable, "setup.py", "build_ext", "--inplace"]
     environment = {**os.environ, "SWARMD_COMPILED": "0"}

@@ -109,7 +109,7 @@ def is_named_among_others(swarm: Swarm, verb: str) -> bool:
         ("id: R1", "'R1'"),
         ("roster: r1", "roster is 'r1'"),
         ("parameters: {robots: {r1: {drive: {speed: [1]}}}}", "parameters.robots.r1.drive.speed"),
-        ("labels: {r1: [red]}", "red: [r1]"),
+        ("id: r1\nlabels: {r1: [red]}", "red: [r1]"),
         ("parameters: {labels: {red: {}}}", "'red'"),
         ("labels: {red: [r9]}\nroster: [r1]", "'r9'"),
         ("a: b: c", "swarmd.yaml"),
