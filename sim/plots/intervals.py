@@ -77,7 +77,7 @@ def intervals_figure(
 
     One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
     with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
-    runs have the median of all runs instead. Rows of numbers stand at their value. One variant
+    runs have the median of all runs instead. PanelRows of numbers stand at their value. One variant
     with more than three metrics is a table. `width`: in inches, for a paper. `axis` names the rows.
     SwarmError if there is nothing to draw.
     """
@@ -97,7 +97,7 @@ def intervals_figure(
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class PanelRows:
     """Where the rows of variants stand: `places` (variants,), in rows below the first one.
 
     `is_log`: places are logarithms of the values.
@@ -107,13 +107,13 @@ class Rows:
     is_log: bool = False
 
 
-def rows_of(names: Sequence[str]) -> Rows:
-    """Rows at the values of variants that are rising numbers; else at equal distances.
+def rows_of(names: Sequence[str]) -> PanelRows:
+    """PanelRows at the values of variants that are rising numbers; else at equal distances.
 
     The closest two are one row apart. Where this would make a long figure, the logarithms of the
     values are tried, then equal distances. Two rows are always next to each other.
     """
-    equal = Rows(range(len(names)))
+    equal = PanelRows(range(len(names)))
     values = np.array([finite_number(name) for name in names])
     if len(names) < _FEWEST_ON_SCALE or not (np.diff(values) > 0.0).all():  # NaN: not a number
         return equal
@@ -121,7 +121,7 @@ def rows_of(names: Sequence[str]) -> Rows:
         scaled = np.log(values) if is_log else values
         places = (scaled - scaled[0]) / np.diff(scaled).min()
         if places[-1] <= _LONGEST * (len(names) - 1):
-            return Rows(places.tolist(), is_log)
+            return PanelRows(places.tolist(), is_log)
     return equal
 
 
@@ -137,7 +137,7 @@ def _runs_of(panels: Sequence[Panel]) -> dict[str, int]:
 
 
 def grid_of_panels(
-    count: int, labels: Sequence[str], width: float | None, places: Rows
+    count: int, labels: Sequence[str], width: float | None, places: PanelRows
 ) -> tuple[Figure, list[Axes]]:
     """A figure of so many panels, side by side as far as it is wide enough; one row a label.
 
@@ -160,7 +160,7 @@ def grid_of_panels(
     return figure, list(grid.flat[:count])
 
 
-def prepare_rows(axes: Axes, labels: Sequence[str], rows: Rows) -> None:
+def prepare_rows(axes: Axes, labels: Sequence[str], rows: PanelRows) -> None:
     """Name the rows of a panel, from above."""
     tidy(axes)
     axes.spines["left"].set_visible(False)
@@ -170,7 +170,7 @@ def prepare_rows(axes: Axes, labels: Sequence[str], rows: Rows) -> None:
     axes.set_ylim(rows.places[-1] + 0.5, rows.places[0] - 0.6)
 
 
-def _name_rows(grid: Sequence[Axes], axis: str, rows: Rows) -> None:
+def _name_rows(grid: Sequence[Axes], axis: str, rows: PanelRows) -> None:
     note = ", on a log scale" if rows.is_log else ""
     for axes in grid if axis else ():
         if axes.get_subplotspec().is_first_col():  # type: ignore[union-attr]
@@ -181,7 +181,7 @@ def _row_label(name: str, runs: int) -> str:
     return f"{name} (n = {runs})" if name else f"n = {runs}"
 
 
-def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int], rows: Rows) -> None:
+def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int], rows: PanelRows) -> None:
     prepare_rows(axes, [_row_label(*item) for item in runs.items()], rows)
     if panel.target is not None:
         axes.axvline(panel.target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1)
@@ -421,7 +421,7 @@ def differences_figure(
     # The first variant has no row.
     variants = [names[0].split(" - ", 1)[-1], *(name.split(" - ", 1)[0] for name in names)]
     _, *places = (placed := rows_of(variants)).places
-    rows = Rows([place - places[0] for place in places], placed.is_log)
+    rows = PanelRows([place - places[0] for place in places], placed.is_log)
     figure, grid = grid_of_panels(len(panels), names, width, rows)
     for axes, panel in zip(grid, panels, strict=True):
         _paint_differences(axes, panel, names, rows)
@@ -435,7 +435,7 @@ def differences_figure(
 
 
 def _paint_differences(
-    axes: Axes, panel: DifferencePanel, names: Sequence[str], rows: Rows
+    axes: Axes, panel: DifferencePanel, names: Sequence[str], rows: PanelRows
 ) -> None:
     prepare_rows(axes, names, rows)
     axes.axvline(0.0, color=GUIDE_COLOUR, linewidth=1.0, zorder=1.8)
