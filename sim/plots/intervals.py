@@ -77,7 +77,7 @@ def intervals_figure(
 
     One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
     with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
-    runs have the median of all runs instead. PanelRows of numbers stand at their value. One variant
+    runs have the median of all runs instead. Rows of numbers stand at their value. One variant
     with more than three metrics is a table. `width`: in inches, for a paper. `axis` names the rows.
     SwarmError if there is nothing to draw.
     """
@@ -108,7 +108,7 @@ class PanelRows:
 
 
 def rows_of(names: Sequence[str]) -> PanelRows:
-    """PanelRows at the values of variants that are rising numbers; else at equal distances.
+    """Rows at the values of variants that are rising numbers; else at equal distances.
 
     The closest two are one row apart. Where this would make a long figure, the logarithms of the
     values are tried, then equal distances. Two rows are always next to each other.
