@@ -156,7 +156,8 @@ class _Reader:
         mistyped, near = next(iter(hints.items()), ("", ""))
         meant = f"; did you mean {near!r}?" if near else ""
         _, text = fault_at(keys, f"has {has}; expected exactly one of {', '.join(tags)}{meant}")
-        self.faults.append(((*keys, mistyped or next(iter(given), "")), text))
+        place = mistyped or next(iter(given), "")  # the key whose line the fault names
+        self.faults.append(((*keys, place) if place else keys, text))
         return None
 
     def _fields(self, data: Data, kind: type[Struct], keys: Keys) -> dict[str, Any]:
