@@ -172,7 +172,7 @@ def poses_at(t: Array, poses: Array, time: float) -> Array:
 def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
     """Names of patterns, and (T, n) the index of the pattern that each robot runs or ran last.
 
-    The first name is the pattern that all robots run from the start; empty if there is none.
+    The first name is the pattern that all robots run from the start; empty without such a pattern.
     """
     names = [str(trace.meta.get("pattern", ""))]
     places = np.zeros(trace.pose.shape[:2], dtype=np.int16)

@@ -69,8 +69,8 @@ def linked_hubs(session: zenoh.Session) -> frozenset[str]:
 def ask_hub(session: zenoh.Session, on_answer: Callable[[], object]) -> None:
     """Call `on_answer` on a thread of Zenoh once the hub has answered; not called on a timeout.
 
-    The question is a query for a liveliness token that does not exist: the hub itself answers that
-    there is none, within 0.4 ms on loopback.
+    The question is a query for a liveliness token that does not exist: the hub itself answers
+    without a token, within 0.4 ms on loopback.
     """
     errors: list[zenoh.Reply] = []  # the only possible reply is the error of a timeout
 

@@ -97,7 +97,7 @@ class LeaderFollowingParams(Params, frozen=True, kw_only=True):
 
 
 class LeaderFollowing(Pattern[LeaderFollowingParams]):
-    """Follows the last sensed robot before it in the chain; leads if there is none."""
+    """Follows the last sensed robot before it in the chain; leads without such a robot."""
 
     group = "move together"
     params_type = LeaderFollowingParams

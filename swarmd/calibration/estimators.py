@@ -96,10 +96,10 @@ def mean_of(values: Sequence[float], why: str) -> Figure:
 
 
 def scale_of(ways: Sequence[tuple[float, float]], why: str) -> Figure:
-    """The way by odometry over that by scans, of pairs of both in m; `why` there is none if empty.
+    """The scale of odometry: distance by odometry over distance by scans; `why` without a pair.
 
-    The slope of least squares and the deviation from it: a place by a scan is some mm off whatever
-    the way, so that a short way tells less.
+    `ways`: pairs of both distances in m. The value is the slope of least squares, with its
+    deviation: a place by a scan is some mm off at any distance, so a short way tells less.
     """
     if not ways:
         return Figure(why=why)

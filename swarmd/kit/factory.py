@@ -17,7 +17,7 @@ from swarmd.kit.params import build
 from swarmd.kit.touch import check_zone
 
 Find: TypeAlias = Callable[[str], type[Pattern[Any]]]
-"""Gives the class of a pattern by name; PluginError if there is none."""
+"""Gives the class of a pattern by name; PluginError for an unknown name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

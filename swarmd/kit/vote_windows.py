@@ -181,7 +181,7 @@ def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generato
     """The most frequent opinion; `current` without opinions.
 
     Between equally frequent opinions `ties` decides: "random" draws one of these, "keep" gives
-    `current` (even if it is none of these), "lowest" gives the lowest.
+    `current` (also outside of these), "lowest" gives the lowest.
     """
     counts = tally(opinions)
     if not counts:

@@ -312,7 +312,7 @@ def _fault_of_memory(recorded: Iterable[RecordedMessage], head: RecordingHead) -
 
 
 def _other_program(head: RecordingHead) -> str:
-    """The differences between the recording program and this one that may change last bits."""
+    """The differences between the recording program and this program that may change last bits."""
     there = {"version": head.version, "kernels": head.kernels, "processor": head.machine}
     here = dict(zip(there, (version("swarmd"), describe_kernels(), machine()), strict=True))
     texts = [f"{key} {there[key]}, here {here[key]}" for key in there if there[key] != here[key]]

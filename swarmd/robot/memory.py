@@ -191,7 +191,7 @@ class _Writer:
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place of the node of an object or value; adds the node if there is none yet."""
+        """The place of the node of an object or value; adds a missing node."""
         place = self._places.get(id(value))
         if place is not None:
             return place

@@ -428,7 +428,7 @@ class RequestHandler:
 
 
 def under_way(lifecycle: Lifecycle) -> str:
-    """The load or trial request that is not answered yet, in words; empty if there is none."""
+    """The load or trial request that is not answered yet, in words; empty without a request."""
     loading, trial = lifecycle.pattern_run.loading, lifecycle.trial
     if loading is not None and loading.request is not None:
         return f"still loading {loading.pattern}, by {loading.request.operator}"

@@ -56,7 +56,7 @@ class Topic:
         return bisect_right(self.times, now) - 1
 
     def get(self, index: int) -> Any | None:
-        """The message with this index; None if there is none, or if it is malformed."""
+        """The message with this index; None for an unknown index or a malformed message."""
         if not 0 <= index < len(self._payloads):
             return None
         if index not in self._decoded:

@@ -62,7 +62,7 @@ S = TypeVar("S", bound=zenoh.Session | None)
 def open_session(
     settings: NetworkSettings, identity: Identity | None = None, *, late: Sequence[str] = ()
 ) -> zenoh.Session:
-    """Open the session of a daemon, which listens and dials nobody.
+    """Open the session of a daemon, which listens and opens no connection itself.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
     reads the addresses of interfaces once per process. So each late address is named: in the
@@ -233,7 +233,7 @@ def session_options(
         return _options(settings, "client", (), settings.routers, identity)
     options = _options(settings, "peer", _listen(settings), (), identity)
     if settings.answers_scouts(is_secured=identity is not None):
-        # The daemon answers scouts, and dials nobody: without a scout no further packet is sent.
+        # The daemon answers scouts and opens no connection: without a scout it sends no packet.
         options |= {
             **_SCOUTING,
             "scouting/multicast/autoconnect": [],
