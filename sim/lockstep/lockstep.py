@@ -271,10 +271,15 @@ class Lockstep:
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Send a pattern's message by radio, after a round trip through the codec."""
         try:
-            plain = decode_value(encode_value(value))
+            payload = encode_value(value)
+            plain = decode_value(payload)
         except CodecError:
             return
-        self._flights += self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
+        # One input for all receivers: no receiver changes it.
+        message = events.MessageInput(self.world.ids[row], name, plain, size=len(payload))
+        self._flights += self._radio.send(
+            row, name, message, now, self.world.poses(), self._boxes()
+        )
 
     def grip(self, row: int, is_closed: bool) -> None:
         """Close or open the gripper of a robot from the next step of the world on."""
@@ -325,10 +330,10 @@ class Lockstep:
         self._recorder.record_contacts(world.time)
 
     def _deliver(self, now: float) -> None:
-        for hearer, sender, name, value in self._radio.arrived(now):
+        for hearer, _, _, message in self._radio.arrived(now):
             shell = self.shells[hearer]
             if shell is not None:
-                shell.step(events.MessageInput(self.world.ids[sender], name, value), now)
+                shell.step(message, now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
             for shell in self._present(range(len(self.shells))):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct, structs
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Neighbor, Platform, Value
+from swarmd.core.values import Array, Neighbor, Platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import Indices
@@ -20,10 +20,10 @@ from swarmd.sim.world.line_of_sight import LineOfSight
 from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
-Arrival = tuple[int, int, str, Value]
-Flight = tuple[float, float, list[int], int, str, Value]
+Arrival = tuple[int, int, str, Any]
+Flight = tuple[float, float, list[int], int, str, Any]
 """A message in transit: time of arrival in s, rank, rows of the receivers, row of the sender, name
-and value. Of messages that arrive at one instant, those of lower rank arrive first."""
+and value of any type. Of messages that arrive at one instant, those of lower rank arrive first."""
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors without range and bearing."""
@@ -106,7 +106,7 @@ class Radio:
         self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
         self._bearing_rngs = [generator(seed, "bearings", robot) for robot in ids]
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
-        self._in_flight: DelayQueue[tuple[list[int], int, str, Value]] = DelayQueue()
+        self._in_flight: DelayQueue[tuple[list[int], int, str, Any]] = DelayQueue()
         self._all_others: dict[int, tuple[Neighbor, ...]] = {}
 
     def neighbors(
@@ -149,7 +149,7 @@ class Radio:
         self,
         row: int,
         name: str,
-        value: Value,
+        value: Any,
         now: float,
         poses: Array,
         movable_boxes: Array | None = None,

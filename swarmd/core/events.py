@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Count, Line, Name, Seconds, Word
+from swarmd.core.codec import MAX_MESSAGE
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
@@ -110,13 +111,15 @@ class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
 class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
     """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`.
 
-    `is_program`: the sender is a Zenoh program, not a robot.
+    `is_program`: the sender is a Zenoh program, not a robot. `size`: bytes of the encoded value;
+    0 if the shell does not know it, and the robot then encodes the value to measure it.
     """
 
     sender: Name
     channel: Annotated[str, Meta(max_length=127)]
     value: Value
     is_program: bool = False
+    size: Annotated[int, Meta(ge=0, le=MAX_MESSAGE)] = 0
 
 
 class PeersInput(Struct, frozen=True, array_like=True, tag="peers"):

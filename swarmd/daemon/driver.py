@@ -170,7 +170,7 @@ class DriverSink:
         except CodecError:
             self.dropped("message")
         else:
-            self._step(events.MessageInput(sender, channel, value))
+            self._step(events.MessageInput(sender, channel, value, size=len(payload)))
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False

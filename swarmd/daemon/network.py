@@ -503,7 +503,8 @@ class Network:
         except CodecError:
             self.drops.add("msg:malformed")
         else:
-            self._owner.on_input(MessageInput(message.robot, message.channel, value))
+            size = len(message.payload)
+            self._owner.on_input(MessageInput(message.robot, message.channel, value, size=size))
 
     def _ack(self, stop: Stop, source: Address, author: Author | None, reply: Reply) -> None:
         """Send the robot's reply to the sender of the stop, if an ack is due now."""

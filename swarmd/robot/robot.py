@@ -243,7 +243,9 @@ class Robot(Ticker):
         running = self._lifecycle.pattern_run.running
         channel = None if running is None else running.channel(one.channel)
         if channel is not None:
-            self._sensors.on_message(one.sender, channel, one.value, now, is_program=one.is_program)
+            self._sensors.on_message(
+                one.sender, channel, one.value, now, is_program=one.is_program, size=one.size
+            )
 
     def _on_driver(self, one: events.DriverInput, now: float) -> Actions:
         effects, sensors = self._begin(now), self._sensors

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import astuple
 
 from swarmd.core.codec import encode_value
@@ -52,13 +52,14 @@ MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
 MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are dropped first
 
 
-@dataclass(frozen=True, slots=True)
-class _Received:
+class _ReceivedMessage(Struct, frozen=True, gc=False):
+    """A message that waits for the next step of the pattern."""
+
     sender: str
     channel: str
     value: Value
-    at: float
-    size: int
+    received_at: float  # s
+    size: int  # bytes, with MESSAGE_OVERHEAD
 
 
 class Sensors(InputAges):
@@ -94,7 +95,7 @@ class Sensors(InputAges):
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self.hazards = HazardHolds()
-        self._inbox: deque[_Received] = deque()
+        self._inbox: deque[_ReceivedMessage] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
@@ -183,12 +184,20 @@ class Sensors(InputAges):
         return self.hazards.text(now)
 
     def on_message(
-        self, sender: str, channel: str, value: Value, now: float, *, is_program: bool = False
+        self,
+        sender: str,
+        channel: str,
+        value: Value,
+        now: float,
+        *,
+        is_program: bool = False,
+        size: int = 0,
     ) -> bool:
         """Keep a message for the next step of the pattern.
 
-        False (rejected) if the sender is neither a neighbour nor a program (`is_program`). Raises
-        CodecError if the encoded value is too large.
+        False (rejected) if the sender is neither a neighbour nor a program (`is_program`). `size`:
+        bytes of the encoded value; 0 if unknown, and the value is then encoded to measure it, with
+        CodecError if it is too large.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
@@ -196,8 +205,8 @@ class Sensors(InputAges):
         if not (is_neighbor or is_program):
             self.rejected += 1
             return False
-        size = MESSAGE_OVERHEAD + len(encode_value(value))
-        self._inbox.append(_Received(sender, channel, value, now, size))
+        size = MESSAGE_OVERHEAD + (size or len(encode_value(value)))
+        self._inbox.append(_ReceivedMessage(sender, channel, value, now, size))
         self._inbox_bytes += size
         while self._inbox_bytes > MAX_INBOX_BYTES:
             self._inbox_bytes -= self._inbox.popleft().size
@@ -258,7 +267,7 @@ class Sensors(InputAges):
     def _take_messages(self, now: float) -> tuple[Message, ...]:
         """The messages since the last step; empties the inbox."""
         messages = tuple(
-            Message(item.sender, item.channel, item.value, now - item.at) for item in self._inbox
+            [Message(m.sender, m.channel, m.value, now - m.received_at) for m in self._inbox]
         )
         self.forget_messages()
         return messages
