@@ -1,0 +1,421 @@
+"""`swarmctl mcp`: the verbs of swarmctl as tools of the Model Context Protocol, for agents.
+
+An agent is a program in which a language model chooses the next call. It starts `swarmctl mcp`, and
+speaks with it by standard input and output. Every agent may look at robots and simulate. It may
+command robots only by the verbs that a person allowed on the command line. Robots protect
+themselves from commands of an agent as from all others.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import re
+from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import wraps
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
+
+import click
+
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, describe_patterns
+from swarmd.client.connect import Connection
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.network.operator.operator_text import operator_name
+from swarmd.plugins import need
+from swarmd.security.roster import Role
+
+if TYPE_CHECKING:
+    from mcp.server.mcpserver import MCPServer
+
+    from swarmd.client.async_swarm import AsyncSwarm
+    from swarmd.client.swarm import Tell
+    from swarmd.core.messages import Epoch
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.operator.outcome import Outcome
+    from swarmd.sim.scenarios.scenario import Scenario
+
+P = ParamSpec("P")
+
+COMMANDS = ("run", "param", "stop", "estop", "reset")
+"""The verbs that a person may allow."""
+REASON = "by an agent"
+LEASE = 10.0
+"""Seconds after which the robots of a run stop if the server has ended."""
+MAX_RUN = 3600.0  # s
+REHEARSAL = 60.0
+"""The longest simulated time of a rehearsal in s; a longer run is rehearsed for this time."""
+MAX_SEEDS, MAX_SIMULATED = 20, 300.0
+_LISTEN = 1.0  # s in which robots answer with their last events
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_SAFE = {"failed_patterns": 0.0, "robot_contacts": 0.0, "arena_contacts": 0.0}
+"""The highest value of a metric with which a rehearsal confirms a run."""
+
+Values: TypeAlias = dict[str, bool | int | float | str]
+Answer: TypeAlias = dict[str, Any]
+Robots: TypeAlias = list[str] | None
+Rehearse: TypeAlias = Callable[[str, Mapping[str, Any], float], Answer]
+"""Simulates a run of a pattern with parameters for s, and returns what was measured."""
+
+INSTRUCTIONS = """Commands a swarm of ground robots. Each robot has a name such as tb3-03.
+`robots` are names, globs such as 'tb3-*' and ranges such as 'tb3-[01-07]'; without them all robots
+are meant. A request is answered with a count: targeted, applied, refused, failed and missing
+robots. A missing robot did not answer: it may or may not have applied the request.
+Only `exit_code` 0 means that all targeted robots applied it. A robot that does not move tells its
+reason in `describe`."""
+
+
+@click.command()
+@click.option(
+    "--allow",
+    multiple=True,
+    type=click.Choice(COMMANDS),
+    help="A verb by which the agent may command robots; may be repeated [none].",
+)
+@click.option(
+    "--rehearse",
+    "scenario",
+    metavar="SCENARIO",
+    help="Simulate each run in this scenario first, and refuse a run in which robots touch"
+    " something or a pattern fails.",
+)
+@common_options
+def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) -> None:
+    """Serve the verbs of swarmctl to an agent, by the Model Context Protocol on stdin and stdout.
+
+    The agent's program starts this command. Without --allow the agent looks and simulates, and no
+    robot moves. With keys, --allow needs an identity with role operator: give the agent an identity
+    of its own, since the audit log names it. Without keys, --allow needs profile dev (robots on
+    this machine).
+    """
+    need("mcp", "mujoco", extra="mcp")
+    settings, _, identity = options.network()
+    if allow and identity is None and settings.profile != "dev":
+        raise ConfigError(
+            f"--allow {allow[0]}: swarm {settings.swarm} has no keys, so nothing proves who"
+            " commands its robots; use an identity with role operator (`swarmctl keys`), or robots"
+            " on this machine (--profile dev)"
+        )
+    if allow and identity is not None and identity.role is not Role.OPERATOR:
+        raise ConfigError(
+            f"--allow {allow[0]}: {identity.name} has role {identity.role.value}; expected an"
+            " identity with role operator"
+        )
+    rehearse = None if scenario is None else Rehearsal.of(scenario).simulate
+
+    def operator(tell: Tell) -> Operator:
+        from swarmd.network.operator.operator import Operator
+
+        settings, roster, identity = options.network()
+        name = f"{operator_name()} by mcp"  # a proven name takes its place
+        return Operator(settings, roster=roster, identity=identity, name=name)
+
+    # stdout belongs to the protocol.
+    logging.basicConfig(level=logging.WARNING, format="%(message)s")
+    connection = Connection(operator, timeout=options.timeout)
+    with suppress(asyncio.CancelledError):
+        asyncio.run(_serve(connection, allow, rehearse))
+
+
+async def _serve(connection: Connection, allow: Collection[str], rehearse: Rehearse | None) -> None:
+    async with connection as swarm:
+        await make_server(SwarmTools(swarm, rehearse), allow).run_stdio_async()
+
+
+def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
+    """The server with all tools that look and simulate, and the allowed ones that command."""
+    from mcp.server.mcpserver import MCPServer
+    from mcp.server.mcpserver.exceptions import ToolError
+    from mcp_types import ToolAnnotations
+
+    def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
+        @wraps(method)
+        async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
+            try:
+                return await method(*args, **kwargs)
+            except SwarmError as error:
+                raise ToolError(
+                    f"nothing was sent: {error}" if is_command else str(error)
+                ) from error
+
+        is_harmless = method.__name__ in ("stop", "estop")
+        hints = ToolAnnotations(
+            read_only_hint=not is_command, destructive_hint=is_command and not is_harmless
+        )
+        server.add_tool(call, annotations=hints)
+
+    server = MCPServer(
+        "swarmd", instructions=INSTRUCTIONS, version=version("swarmd"), log_level="WARNING"
+    )
+    for method in (
+        tools.members,
+        tools.describe,
+        tools.goal,
+        tools.events,
+        tools.patterns,
+        tools.pattern,
+        tools.scenarios,
+        tools.simulate,
+    ):
+        tool(method, is_command=False)
+    for name in COMMANDS:
+        if name in allow:
+            tool(getattr(tools, name), is_command=True)
+    return server
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """Simulates a run in a scenario that is known to be like the place of the robots."""
+
+    scenario: Scenario
+    name: str
+
+    @classmethod
+    def of(cls, name: str) -> Rehearsal:
+        """The rehearsal in a scenario by name or file; ConfigError if it cannot be used."""
+        from swarmd.sim.scenarios.scenariofile import load_scenario
+
+        return cls(load_scenario(name), name)
+
+    def simulate(self, pattern: str, params: Mapping[str, Any], seconds: float) -> Answer:
+        """Simulate one run of `seconds` s, at most REHEARSAL; returns its metrics.
+
+        SwarmError if a metric is beyond its bound in _SAFE. Blocks until the run has ended.
+        """
+        values = {"duration": min(seconds, REHEARSAL)}
+        overrides = {**values, **_pattern_of_all(self.scenario, pattern, params)}
+        metrics = _simulated(self.name, overrides, seeds=1, metrics=tuple(_SAFE))
+        (variant,) = metrics["variants"]
+        measured = {name: one["mean"] for name, one in variant["metrics"].items()}
+        faults = [
+            f"{name} {measured[name]:g}"
+            for name, highest in _SAFE.items()
+            if measured.get(name) is not None and not measured[name] <= highest
+        ]
+        if faults:
+            raise SwarmError(
+                f"the rehearsal of {pattern} in {self.name} has {', '.join(faults)}; change the"
+                " parameters, or choose another pattern"
+            )
+        return {"scenario": self.name, "seconds": values["duration"], "metrics": measured}
+
+
+class SwarmTools:
+    """The tools of an agent, each a method whose docstring the agent reads.
+
+    A run is sent only if no stop came since the agent asked for it: neither by this server nor, as
+    far as their status tells, by anybody else to one of its robots.
+    """
+
+    def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
+        """`rehearse` simulates each run before it is sent, and raises SwarmError to refuse it."""
+        self._swarm, self._rehearse = swarm, rehearse
+        self._stops = 0  # asked for by the agent
+
+    # Look
+
+    async def members(self) -> Answer:
+        """The robots of the swarm: state, reason, pattern, age of status; who did not answer."""
+        members = await self._swarm.members()
+        return {
+            "robots": members.rows(),
+            "did_not_answer": list(members.missing),
+            "notes": list(members.notes),
+            "exit_code": members.exit_code,
+        }
+
+    async def describe(self, robot: str) -> Answer:
+        """One robot in detail: why it moves or stands, its sensors, protection and assumptions."""
+        description = await self._swarm.describe(robot)
+        return {"robot": robot, "why": description.why, "text": str(description)}
+
+    async def goal(self) -> Answer:
+        """What each robot is to do beside what it does."""
+        rows = [
+            {
+                "robot": one.robot,
+                "actual": one.actual,
+                "reason": one.reason,
+                "is_as_desired": one.is_as_desired,
+            }
+            for one in await self._swarm.goal()
+        ]
+        return {"robots": rows}
+
+    async def events(self, seconds: float = 60.0) -> Answer:
+        """What happened to robots in the last `seconds` s; each robot keeps its last 10 events."""
+        lines = []
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_LISTEN):
+                async for line in self._swarm.events(since=seconds):
+                    lines.append({"robot": line.robot, "text": line.text})
+        return {"events": lines}
+
+    async def patterns(self) -> Answer:
+        """The behaviours (patterns) that are installed on this computer, with what each needs."""
+        rows = await asyncio.to_thread(describe_patterns, (), None, "waffle_pi", DESCRIBE_TIMEOUT)
+        keys = ("name", "kind", "summary", "needs", "error")
+        return {"patterns": [{key: row[key] for key in keys if key in row} for row in rows]}
+
+    async def pattern(self, name: str, platform: str = "waffle_pi") -> Answer:
+        """One pattern with its parameters: default, bounds, unit and meaning on a platform."""
+        _check_pattern(name)
+        (row,) = await asyncio.to_thread(
+            describe_patterns, (name,), None, platform, DESCRIBE_TIMEOUT
+        )
+        return dict(row)
+
+    async def scenarios(self) -> Answer:
+        """The scenarios that `simulate` knows, with what happens in each."""
+        from swarmd.sim.scenarios.scenariofile import scenario_names
+
+        return {"scenarios": list(scenario_names())}
+
+    async def simulate(
+        self,
+        scenario: str,
+        pattern: str | None = None,
+        params: Values | None = None,
+        seconds: float = 60.0,
+        seeds: int = 3,
+    ) -> Answer:
+        """Simulate a scenario by name and measure it; moves no robot.
+
+        `pattern` with `params` takes the place of the scenario's patterns. `seeds`: how many runs,
+        at most 20. `seconds`: simulated time of a run, at most 300.
+        """
+        _check_bounds("seconds", seconds, MAX_SIMULATED)
+        _check_bounds("seeds", seeds, MAX_SEEDS)
+        overrides: dict[str, Any] = {"duration": seconds}
+        if _NAME.fullmatch(scenario) is None:  # a file may name code
+            raise ConfigError(f"scenario {scenario!r}; expected a name that `scenarios` lists")
+        if pattern is not None:
+            _check_pattern(pattern)
+            loaded = await asyncio.to_thread(_load, scenario)
+            overrides |= _pattern_of_all(loaded, pattern, params or {})
+        return await asyncio.to_thread(_simulated, scenario, overrides, seeds=seeds)
+
+    # Command
+
+    async def run(
+        self,
+        pattern: str,
+        seconds: float,
+        robots: Robots = None,
+        params: Values | None = None,
+    ) -> Answer:
+        """Start a pattern on robots for `seconds` s (at most 3600); they stop by themselves then.
+
+        They also stop within 10 s if this server ends.
+        """
+        _check_pattern(pattern)
+        _check_bounds("seconds", seconds, MAX_RUN)
+        stops, epochs = self._stops, await self._epochs()
+        rehearsal: Answer | None = None
+        if self._rehearse is not None:
+            rehearsal = await asyncio.to_thread(self._rehearse, pattern, params or {}, seconds)
+            self._check_unstopped(stops, epochs, await self._epochs())
+        outcome = await self._swarm.run(
+            pattern, robots, params=params, seconds=seconds, lease=LEASE
+        )
+        answer = _counted(outcome)
+        return answer if rehearsal is None else {**answer, "rehearsal": rehearsal}
+
+    async def param(self, values: Values, robots: Robots = None) -> Answer:
+        """Change parameters of running patterns, until the next run."""
+        return _counted(await self._swarm.param(values, robots))
+
+    async def stop(self, robots: Robots = None) -> Answer:
+        """Stop robots at once; they need a `run` to move again. Never waits for another call."""
+        self._stops += 1
+        return _counted(await self._swarm.stop(robots))
+
+    async def estop(self, reason: str, robots: Robots = None) -> Answer:
+        """Emergency-stop robots. They stay stopped, also after a restart, until a `reset`."""
+        self._stops += 1
+        return _counted(await self._swarm.estop(robots, reason=f"{reason} ({REASON})"))
+
+    async def reset(self, reason: str, robots: Robots = None) -> Answer:
+        """Clear emergency stops and faults of robots, which become idle; moves nothing."""
+        return _counted(await self._swarm.reset(robots, reason=f"{reason} ({REASON})"))
+
+    async def _epochs(self) -> Mapping[str, Epoch]:
+        """The epoch of each robot that answered; a stop changes it."""
+        members = await self._swarm.members()
+        return {name: one.status.epoch for name, one in members.items() if one.status is not None}
+
+    def _check_unstopped(
+        self, stops: int, before: Mapping[str, Epoch], after: Mapping[str, Epoch]
+    ) -> None:
+        """SwarmError if a stop, or another request, came during the rehearsal."""
+        changed = sorted(name for name in before if before[name] != after.get(name, before[name]))
+        if self._stops != stops:
+            raise SwarmError("a stop came during the rehearsal; ask again for the run")
+        if changed:
+            raise SwarmError(
+                f"{', '.join(changed)} had another request during the rehearsal; look at the"
+                " robots, and ask again for the run"
+            )
+
+
+def _counted(outcome: Outcome) -> Answer:
+    """An outcome as a table of the count and the reply of each robot."""
+    replies = {
+        name: {"code": reply.code.value, "refusal": reply.refusal, "text": reply.text}
+        for name, reply in sorted(outcome.replies.items())
+    }
+    return {
+        "line": outcome.line,
+        "exit_code": outcome.exit_code,
+        "applied": list(outcome.applied),
+        "refused": list(outcome.refused),
+        "failed": list(outcome.failed),
+        "missing": list(outcome.missing),
+        "replies": replies,
+        "warnings": list(outcome.warnings),
+    }
+
+
+def _check_pattern(name: str) -> None:
+    """ConfigError unless `name` can be that of an installed pattern; a path could name code."""
+    if _NAME.fullmatch(name) is None:
+        raise ConfigError(f"pattern {name!r}; expected a name that `patterns` lists")
+
+
+def _check_bounds(name: str, value: float, highest: float) -> None:
+    if not 0 < value <= highest:
+        raise ConfigError(f"{name} is {value:g}; expected more than 0, at most {highest:g}")
+
+
+def _pattern_of_all(scenario: Scenario, pattern: str, params: Mapping[str, Any]) -> dict[str, Any]:
+    """The overrides with which all robots of a scenario run `pattern`."""
+    overrides: dict[str, Any] = {}
+    for group in scenario.groups:
+        overrides[f"groups.{group}.pattern"] = pattern
+        overrides[f"groups.{group}.parameters"] = dict(params)
+    return overrides
+
+
+def _load(scenario: str) -> Scenario:
+    from swarmd.sim.scenarios.scenariofile import load_scenario
+
+    return load_scenario(scenario)
+
+
+def _simulated(
+    scenario: str,
+    overrides: Mapping[str, Any],
+    *,
+    seeds: int,
+    metrics: Sequence[str] | None = None,
+) -> Answer:
+    """The document of an experiment's results, simulated in processes of their own."""
+    from swarmd.sim.experiments.simulate import simulate
+
+    # Two workers: with one, this process would do the runs, and answer no stop meanwhile.
+    results = simulate(scenario, seeds, set=overrides, jobs=2, traces=False)
+    return results.document(metrics)

@@ -1,0 +1,191 @@
+"""An agent: a program that commands real daemons by the tools of `swarmctl mcp`."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import pytest
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+
+import swarmd
+from swarmd.core.errors import SwarmError
+from swarmd.core.messages import State
+from swarmd.sim.cli.mcp import COMMANDS, Rehearsal, SwarmTools, make_server
+from tests.support.keys import SwarmKeys
+from tests.support.processes import CAP
+from tests.support.swarmctl import SWARMCTL, swarmctl
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+BOTH = ("r1", "r2")
+LOOKS = {"members", "describe", "goal", "events", "patterns", "pattern", "scenarios", "simulate"}
+
+
+async def called(client: Client, name: str, **arguments: Any) -> tuple[bool, Any]:
+    """Whether a call failed; its answer, or the text of its failure."""
+    result = await client.call_tool(name, arguments)
+    (content,) = result.content
+    text: str = content.text  # type: ignore[union-attr]
+    return bool(result.is_error), text if result.is_error else result.structured_content
+
+
+def served(swarm: Swarm, *options: str) -> StdioServerParameters:
+    """How an agent's program starts `swarmctl mcp`."""
+    command, *words = SWARMCTL
+    environ = {**os.environ, **swarm.environ()}
+    return StdioServerParameters(command=command, args=[*words, "mcp", *options], env=environ)
+
+
+@pytest.fixture
+def two(swarm: Swarm) -> Swarm:
+    """Two connected robots."""
+    for robot in BOTH:
+        swarm.spawn(robot, swarm.body(robot))
+    for robot in BOTH:
+        swarm.await_status(robot, "connected", lambda one: one.health.driver_up)
+    return swarm
+
+
+@pytest.mark.integration
+def test_an_agent_may_look_and_only_a_person_allows_commands(swarm: Swarm) -> None:
+    async def agent() -> None:
+        async with Client(stdio_client(served(swarm))) as client:
+            assert {tool.name for tool in (await client.list_tools()).tools} == LOOKS
+            assert await called(client, "run", pattern="drive", seconds=1.0) == (
+                True,
+                "Unknown tool: run",
+            )
+            failed, text = await called(client, "describe", robot="r9")
+            assert failed
+            assert "no daemon" in text or "no robot" in text
+        async with Client(stdio_client(served(swarm, "--allow", "stop"))) as client:
+            assert {tool.name for tool in (await client.list_tools()).tools} == LOOKS | {"stop"}
+
+    asyncio.run(asyncio.wait_for(agent(), CAP))
+
+
+@pytest.mark.integration
+def test_answers_are_counted_audited_and_a_run_ends_with_its_server(two: Swarm) -> None:
+    async def agent() -> None:
+        allowed = [word for name in COMMANDS for word in ("--allow", name)]
+        async with Client(stdio_client(served(two, *allowed))) as client:
+            for arguments in (
+                {"pattern": "drive"},
+                {"pattern": "drive", "seconds": -1.0},
+                {"pattern": "drive", "seconds": 1e9},
+                {"pattern": "/tmp/own.py", "seconds": 5.0},
+                {"pattern": "drive", "seconds": 5.0, "robots": []},
+                {"pattern": "drive", "seconds": 5.0, "robots": ["r9"]},
+                {"pattern": "drive", "seconds": 5.0, "params": {"speed": [1]}},
+            ):
+                failed, text = await called(client, "run", **cast("Mapping[str, Any]", arguments))
+                assert failed, arguments
+                assert text
+            assert {two.status(robot).state for robot in BOTH} == {State.IDLE}
+            failed, answer = await called(
+                client, "run", pattern="drive", seconds=600.0, params={"speed": 0.05}
+            )
+            assert (failed, answer["line"]) == (False, "2 targeted, 2 applied"), answer
+            two.await_state("r1", State.RUNNING)
+            failed, answer = await called(client, "estop", reason="a person")
+            assert (failed, answer["applied"], answer["exit_code"]) == (False, [*BOTH], 0)
+            failed, answer = await called(client, "run", pattern="drive", seconds=5.0)
+            assert (failed, answer["refused"]) == (False, [*BOTH])
+            assert {one["refusal"] for one in answer["replies"].values()} == {"estopped"}
+            assert (await called(client, "reset", reason="it is gone"))[1]["applied"] == [*BOTH]
+            failed, answer = await called(client, "run", pattern="drive", seconds=600.0)
+            assert (failed, answer["applied"]) == (False, [*BOTH]), answer
+
+    asyncio.run(asyncio.wait_for(agent(), 4 * CAP))
+    for robot in BOTH:  # no server renews the lease
+        two.await_status(robot, "stopped", lambda one: one.state is not State.RUNNING)
+    entries = [one for one in two.audit("r1") if one["verb"] in ("run", "estop", "reset")]
+    assert {"run", "estop", "reset"} == {one["verb"] for one in entries}
+    assert all(one["operator"].endswith("by mcp") for one in entries), entries
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("stopped_by", ["the agent", "another agent", "a person", "nobody"])
+def test_a_stop_during_the_rehearsal_ends_the_run(two: Swarm, stopped_by: str) -> None:
+    has_begun, may_end = threading.Event(), threading.Event()
+
+    def rehearse(pattern: str, params: Mapping[str, Any], seconds: float) -> dict[str, Any]:
+        has_begun.set()
+        assert may_end.wait(CAP)
+        return {}
+
+    async def agent() -> tuple[bool, Any]:
+        async with swarmd.connect(two.name) as first, swarmd.connect(two.name) as second:
+            server = make_server(SwarmTools(first, rehearse), COMMANDS)
+            other = make_server(SwarmTools(second), COMMANDS)
+            async with Client(server) as client, Client(other) as colleague:
+                call = called(client, "run", pattern="drive", seconds=60.0)
+                running = asyncio.create_task(call)
+                assert await asyncio.to_thread(has_begun.wait, CAP)
+                if stopped_by == "the agent":
+                    assert (await called(client, "stop"))[1]["applied"] == [*BOTH]
+                elif stopped_by == "another agent":
+                    assert (await called(colleague, "stop"))[1]["applied"] == [*BOTH]
+                elif stopped_by == "a person":
+                    assert (await asyncio.to_thread(two.ctl, "stop")).code == 0
+                may_end.set()
+                return await running
+
+    failed, answer = asyncio.run(asyncio.wait_for(agent(), 4 * CAP))
+    if stopped_by == "nobody":
+        assert (failed, answer["applied"]) == (False, [*BOTH]), answer
+        return
+    assert failed, answer
+    assert "during the rehearsal" in answer
+    assert {two.status(robot).state for robot in BOTH} == {State.STOPPED}
+
+
+HEAD_ON = """
+duration: 20
+arena: {size: [4, 4]}
+platforms:
+  bold: {extends: burger, protection: {mode: MODE}}
+groups:
+  tb3: {platform: bold, count: 2, pattern: drive}
+start: {layout: ring, radius: 0.6, heading_deg: 180.0}
+"""
+
+
+@pytest.mark.parametrize(("mode", "is_confirmed"), [("off", False), ("barrier", True)])
+def test_a_rehearsal_refuses_a_run_in_which_robots_touch(
+    tmp_path: Path, mode: str, is_confirmed: bool
+) -> None:
+    file = tmp_path / "head_on.yaml"
+    file.write_text(HEAD_ON.replace("MODE", mode), encoding="utf-8")
+    rehearsal = Rehearsal.of(str(file))
+    if is_confirmed:
+        answer = rehearsal.simulate("drive", {"speed": 0.1}, 8.0)
+        assert (answer["seconds"], answer["metrics"]["robot_contacts"]) == (8.0, 0.0)
+    else:
+        with pytest.raises(SwarmError, match=r"rehearsal of drive .* robot_contacts 1;"):
+            rehearsal.simulate("drive", {"speed": 0.1}, 8.0)
+
+
+def test_commands_need_an_operator_or_robots_on_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    keys = SwarmKeys(tmp_path / "keys", "meadow", ["r1"], operators=["alice"], viewers=["eve"])
+    field = ("--swarm", "meadow", "--profile", "field", "--interface", "lo")
+    viewer = ("--swarm", "meadow", "--identity", str(keys.folder_of("eve")))
+    for words, wanted in (
+        ((*field, "mcp", "--allow", "run"), "--allow run: swarm meadow has no keys"),
+        ((*viewer, "mcp", "--allow", "stop"), "--allow stop: eve has role viewer"),
+        (("mcp", "--allow", "fly"), "'fly' is not one of"),
+        (("mcp", "--rehearse", "nowhere"), "nowhere"),
+    ):
+        done = swarmctl(*words)
+        assert (done.code, done.out) == (2, ""), done
+        assert wanted in done.err
