@@ -14,7 +14,15 @@ CONTENTS = {
     "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
     "Experiments": _inside("docs", "experiments", "tuning", "figures", "benchmark_suite", "paper"),
     "Operating": _inside(
-        "docs", "operating", "watching", "recording", "python", "zenoh", "configuration", "trouble"
+        "docs",
+        "operating",
+        "watching",
+        "recording",
+        "python",
+        "zenoh",
+        "agents",
+        "configuration",
+        "trouble",
     ),
     "Robots": [
         *_inside("docs", "installation", "field", "security", "ros", "ros_faults", "drivers"),

@@ -68,7 +68,7 @@ Only `exit_code` 0 means that all targeted robots applied it. A robot that does 
 reason in `describe`."""
 
 
-@click.command()
+@click.command(epilog="Example: swarmctl mcp --allow stop")
 @click.option(
     "--allow",
     multiple=True,
