@@ -1,8 +1,9 @@
 """Measures the arrival delay of messages that another clock stamped, without a common time. Pure.
 
 Each difference of arrival time and stamp is an unknown clock offset plus the delay of the message.
-The least difference so far belongs to the fastest message; the excess of any other message over it
-is that message's extra delay. The estimate rises slowly, so that clock drift is forgotten.
+The least difference so far belongs to the fastest message. The extra delay of a message is its
+difference less the least difference. The estimate of the least difference rises slowly, so that
+clock drift is forgotten.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Bytes on the wire: one version byte, then MessagePack, within a size limit.
 
-From payloads of another version only a stable subset is read: `..Header` structs of messages.py.
+Of a payload of another version only a stable subset is read: the `..Header` structs of messages.py.
 
 Bytes from the network are decoded into typed structs, whose bounds also refuse NaN and infinity.
 Decoding raises nothing but `CodecError`. No numpy here, since swarmctl imports this module.

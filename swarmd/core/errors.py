@@ -80,9 +80,9 @@ class IdHeldError(NetworkError):
 
 
 class RequestError(SwarmError):
-    """An operator's request, or query of all robots, that failed as a whole.
+    """An operator's request, or a query of all robots, that failed as a whole.
 
-    The answers of single robots are in an `Outcome`. `exit_code`: of swarmctl, see
+    The answers of single robots are in an `Outcome`. `exit_code`: the exit code of swarmctl; see
     `swarmd.network.operator.exit_codes`.
     """
 

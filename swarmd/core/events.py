@@ -89,7 +89,7 @@ class DetectionsInput(Struct, frozen=True, array_like=True, tag="detections"):
 class HazardsInput(Struct, frozen=True, array_like=True, tag="hazards"):
     """All hazards that the base senses now.
 
-    Without such an input the base has no hazards, or cannot sense them. A driver whose source of
+    Without such an input the base has no hazards, or cannot sense hazards. A driver whose source of
     hazards falls silent while the base is connected reports the hazard NOT_HEARD.
     """
 

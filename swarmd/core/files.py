@@ -41,8 +41,8 @@ def partial_path(path: Path) -> Path:
 def whole_file(path: Path) -> Iterator[Path]:
     """A temporary path to write to in the block.
 
-    After the block the file gets its name; after an exception it is removed. After a power cut the
-    file may be empty, unless the caller has called fsync.
+    After the block, the temporary file replaces the file. After an exception, the temporary file is
+    removed. After a power cut the file may be empty, unless the caller has called fsync.
     """
     partial = partial_path(path)
     try:
@@ -92,7 +92,7 @@ def open_folder(path: str | Path, within: int | None = None) -> Iterator[int]:
 def remove_whole(path: Path) -> None:
     """Remove a folder with its content, or the link in its place; errors are ignored.
 
-    First the owner of the folder becomes the user of this process: another owner could add files
+    First the folder gets the user of this process as its owner: another owner could add files
     during the removal.
     """
     with suppress(OSError):

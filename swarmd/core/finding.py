@@ -17,10 +17,10 @@ class Level(StrEnum):
 
 
 class Finding(Struct, frozen=True):
-    """One result of a check: `text` about `subject`; `remedy`: the next step if not `is_well`.
+    """The result of a check: `text` about `subject`, and the next step `remedy` if not `is_well`.
 
-    `is_measured` False: nothing could be measured, so that neither health nor a fault is known.
-    `is_minor`: if not well, the finding is a warning and no fault.
+    `is_measured` False: the check could measure nothing, so neither health nor a fault is known.
+    `is_minor`: a result that is not well is a warning, not a fault.
     """
 
     subject: str

@@ -48,8 +48,8 @@ class ForkedProcess:
     def poll(self) -> int | None:
         """The exit code; None while the process runs.
 
-        After the end of the server multiprocessing returns 255: the kernel has then killed the
-        process, too.
+        After the end of the server, multiprocessing returns 255. Then the kernel has killed the
+        process, too, so the result is that of SIGKILL.
         """
         code = self._process.exitcode
         return -signal.SIGKILL if code == _SERVER_IS_GONE else code
@@ -110,18 +110,26 @@ def fork_main(
     `--die-with-parent` with the id of the server. Its standard input is empty; its output is
     appended to the files `stdout` (None: dropped) and `stderr`.
     """
-    out, err = (os.path.abspath(path or os.devnull) for path in (stdout, stderr))
-    for path in (out, err):
+    stdout_path, stderr_path = (os.path.abspath(path or os.devnull) for path in (stdout, stderr))
+    for path in (stdout_path, stderr_path):
         open(path, "a").close()  # the file exists once this function returns
-    words = (name, module, tuple(arguments), out, err, os.getcwd(), dict(os.environ))
-    process = multiprocessing.get_context("forkserver").Process(target=_run, args=words)
-    main = sys.modules["__main__"]
+    run_arguments = (
+        name,
+        module,
+        tuple(arguments),
+        stdout_path,
+        stderr_path,
+        os.getcwd(),
+        dict(os.environ),
+    )
+    process = multiprocessing.get_context("forkserver").Process(target=_run, args=run_arguments)
+    main_module = sys.modules["__main__"]
     # Keeps multiprocessing from running the caller's main module again in the fork.
     sys.modules["__main__"] = ModuleType("__main__")
     try:
         process.start()
     finally:
-        sys.modules["__main__"] = main
+        sys.modules["__main__"] = main_module
     return ForkedProcess(process)
 
 
@@ -129,26 +137,40 @@ def _run(
     name: str,
     module: str,
     arguments: tuple[str, ...],
-    out: str,
-    err: str,
+    stdout: str,
+    stderr: str,
     folder: str,
-    environ: dict[str, str],
+    environment: dict[str, str],
 ) -> None:
-    # The server ends once this pipe has no writer: only the first process must keep it open.
+    """In the fork: set up a process of its own, then run `main()` of `module`.
+
+    Args:
+        name: the name that `ps` shows.
+        module: the module with `main()`.
+        arguments: the command line behind the name of the module.
+        stdout, stderr: files to which standard output and error are appended.
+        folder: the current folder.
+        environment: the environment.
+    """
+    # 1. The server ends once this pipe has no writer: only the first process must keep it open.
     os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
+
+    # 2. A session of its own, with SIGINT as in a new process, and a name.
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # discards a SIGINT from before the session
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     Path("/proc/self/comm").write_text(name)  # the kernel keeps 15 characters
+
+    # 3. Folder, streams, environment and arguments; then the program.
     os.chdir(folder)
-    for number, path in enumerate((os.devnull, out, err)):
-        flags = os.O_RDONLY if number == 0 else os.O_WRONLY | os.O_CREAT | os.O_APPEND
-        file = os.open(path, flags, 0o644)
-        os.dup2(file, number)
+    for descriptor, stream_path in enumerate((os.devnull, stdout, stderr)):
+        flags = os.O_RDONLY if descriptor == 0 else os.O_WRONLY | os.O_CREAT | os.O_APPEND
+        file = os.open(stream_path, flags, 0o644)
+        os.dup2(file, descriptor)
         os.close(file)
     os.environ.clear()
-    os.environ.update(environ)
+    os.environ.update(environment)
     sys.argv = [module, *arguments, "--die-with-parent", str(os.getppid())]
     gc.freeze()  # a garbage collection would write to shared pages, and so copy them
     import_module(module).main()

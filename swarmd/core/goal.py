@@ -36,7 +36,7 @@ class Goal(Record, frozen=True, kw_only=True):
     - `on_join`: the action of a robot that receives the goal from a peer. `offer` shows the goal;
       `run` runs the pattern while the goal is younger than `valid` seconds.
     - `lease`: seconds without a message of the operator after which the run ends.
-    - `undoes`: the id of the goal that this goal revokes; no robot carries that goal out any more.
+    - `undoes`: the id of a goal that this goal revokes: no robot carries out the revoked goal.
     - `signature`: of the bytes of the goal without the signature.
     """
 
@@ -74,7 +74,7 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
     - `ended`: why the run of the own goal ended; empty if it did not end.
     - `may_join`: neither a stop nor a reset came after the own goal.
     - `stood`: when the robot was last stopped, emergency-stopped or reset, in s on `clock`.
-    - `ran`: the own goal was loading or running, and nothing has ended that since.
+    - `ran`: the run of the own goal was loading or running, and has not ended since.
     - `labels`: None: the labels of the swarm file.
     """
 
@@ -106,9 +106,9 @@ class GoalStatus(Struct, frozen=True, kw_only=True):
 
     - `held`: the greatest goal that the robot has seen.
     - `before`: the goal that `held` replaced, with another id.
-    - `own`: the greatest goal for this robot; None without.
-    - `state`: what the robot does about `own`; None without.
-    - `reason`: why the robot does not do what `own` wants, empty if it does.
+    - `own`: the greatest goal for this robot; None without a goal.
+    - `state`: how far the robot has carried out `own`; None without a goal.
+    - `reason`: why the robot does not carry out `own`; empty if the robot does.
     - `superseded`: the goal that ended the last run, such as `goal 7 of bob: flocking`.
     - `lease_left`: s until the run ends if its operator is not heard.
     """

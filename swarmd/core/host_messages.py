@@ -1,7 +1,7 @@
 """Messages between the daemon and its pattern host.
 
-The tagged ones cross the socket (`swarmd.pattern_host.wire`). Each carries the generation of the
-run that it belongs to; messages of another generation are dropped.
+The tagged structs cross the socket (`swarmd.pattern_host.wire`). Each message carries the
+generation of its run; messages of another generation are dropped.
 """
 
 from __future__ import annotations

@@ -179,8 +179,8 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: the
     judged command came from recovery, which leads around an obstacle, not from the pattern. `duty`:
     the share of ticks since `run` in which protection was active. `speed_share`: the factor of the
-    speed limits, below 1 after a violated assumption.
-    `avoiding`: what avoidance does, such as `avoiding tb3-04` or `passes an opening`; else empty.
+    speed limits, below 1 after a violated assumption. `avoiding`: what avoidance does, such as
+    `avoiding tb3-04` or `passes an opening`; else empty.
     """
 
     mode: Word = "potential_field"
@@ -306,9 +306,9 @@ class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
     `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage`: of the daemon.
-    `pattern_usage`: of its pattern host. Both are None in the first second. `storage`: why a
-    restart would lose latches; empty if it would not. `sandbox`: of the pattern host; None until
-    the first host has started.
+    `pattern_usage`: of the daemon's pattern host. Both are None in the first second. `storage`: why
+    a restart would lose latches; empty if latches are on disk. `sandbox`: of the pattern host; None
+    until the first host has started.
     """
 
     scan_rate: Rate = 0.0
@@ -357,10 +357,11 @@ class Body(Struct, frozen=True, kw_only=True):
 
 
 class PeerFinding(Struct, frozen=True, kw_only=True):
-    """A property of the peer `robot` for which protection of the own robot is not made.
+    """A property of the peer `robot` for which this robot's protection is not made.
 
     `kind`: unseen (the lidar misses the peer), faster (than assumed), or unknown (the peer does not
-    report enough of its body). `text`: in one line. `holds`: the finding holds the own robot.
+    report enough of its body). `text`: the finding in one line. `holds`: the finding holds this
+    robot.
     """
 
     robot: Name
@@ -386,15 +387,15 @@ class KeySummary(Struct, frozen=True, kw_only=True):
 class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
-    `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1;
-    `stale_readings`: those without a fresh value. `version`:
-    of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
-    beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
-    `passage`: what protection lets it through; None if its mode has no such width. `findings`: the
-    violated assumptions for which it drives slower, each with its evidence. `not_following`: how
-    its base does not follow its commands, or follows late. `goal`: None before the robot has
-    seen any. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness
-    tokens it sees.
+    `readings`: the latest values of the robot's scalar sensors, such as `battery` from 0 to 1.
+    `stale_readings`: the sensors without a fresh value. `version`: of the daemon's package.
+    `kernels`: which code decides, see `describe_kernels`. `body`: the body that the robot's beacons
+    report. `peers`: the peers that the robot may not see, or that are faster than the robot
+    assumes. `passage`: the narrowest widths that protection lets the robot through; None if the
+    protection mode has no such width. `findings`: the violated assumptions for which the robot
+    drives slower, each with its evidence. `not_following`: how the base does not follow its
+    commands, or follows late. `goal`: None before the robot has seen a goal. `keys`: None in an
+    insecure swarm. `programs`: the Zenoh programs whose liveliness tokens the robot sees.
     """
 
     robot: Name

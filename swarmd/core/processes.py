@@ -59,9 +59,10 @@ def how_it_ended(returncode: int | None) -> str:
 def limit_growth(growth: int, pid: int | None = None) -> None:
     """Limit the address space of a process to its present size plus `growth` bytes.
 
-    Beyond the limit the process gets a MemoryError. Without `pid` the limit of this process is set,
-    which it cannot raise again. With `pid` the limit of that process of this user is set; a later
-    call may change it. ProcessLookupError or FileNotFoundError if that process has ended.
+    Beyond the limit the process gets a MemoryError. Without `pid` the call limits this process,
+    which cannot raise its limit again. With `pid` the call limits another process of the same user,
+    and a later call may change the limit. ProcessLookupError or FileNotFoundError if the other
+    process has ended.
     """
     import resource  # not on Windows, where lockstep runs without workers
 
@@ -86,10 +87,10 @@ def keep_limits() -> None:
 
 @contextmanager
 def without_openssl() -> Iterator[None]:
-    """Hide OpenSSL (4 MB) from imports in the block: asyncio, hashlib, hmac, secrets need none.
+    """Hide OpenSSL (4 MB) from imports in the block: asyncio and hashlib work without OpenSSL.
 
-    Imports after the block find OpenSSL, such as `import ssl` of a robot with keys. Hides nothing
-    if this Python has no built-in hash functions.
+    Imports after the block find OpenSSL, such as `import ssl` of a robot with keys. The function
+    hides nothing if this Python has no built-in hash functions.
     """
     has_own = any(map(find_spec, ("_sha2", "_sha256")))  # of Python 3.12 and later, of 3.11
     hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()

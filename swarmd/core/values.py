@@ -324,10 +324,11 @@ class ScanSpec:
 
     @property
     def max_scan_delay(self) -> float:
-        """The longest delay in s beyond `latency` with which protection works; more is a hold.
+        """The longest delay of scans in s beyond `latency` with which protection works.
 
-        Protection is computed for delay plus age up to `stale_after`. The age takes one and a half
-        periods of that time; the rest is this delay.
+        A longer delay holds the robot. Protection is computed for a sum of delay and age up to
+        `stale_after`. The age takes up to one and a half scan periods of this sum; the rest is the
+        delay.
         """
         return max(self.stale_after - 1.5 / self.rate, 0.05)
 

@@ -31,17 +31,23 @@ class Awaited:
 
 
 def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
-    """Read conditions such as `state=running`; ConfigError, with `option`, for a wrong word."""
+    """Read the conditions of a wait, such as `state=running`, `goal` and `count=5`.
+
+    `words`: a condition each: `goal` without a value, or KIND=VALUE with a kind of KINDS. `option`:
+    the option of the command line, for messages.
+
+    ConfigError for a wrong or repeated condition.
+    """
     values: dict[str, str] = {}
     for word in words:
-        kind, sign, value = word.partition("=")
+        kind, equals_sign, value = word.partition("=")
         if kind not in KINDS:
             raise ConfigError(f"{option} {word}: {unknown('condition', kind, KINDS)}")
         if kind in values:
             raise ConfigError(f"{option} {word}: {kind} is there already; keep one")
-        if bool(sign) == (kind == "goal"):
-            wanted = "goal, without a value" if kind == "goal" else f"{kind}=VALUE"
-            raise ConfigError(f"{option} {word}: expected {wanted}")
+        if bool(equals_sign) == (kind == "goal"):  # of all kinds, only goal has no value
+            expected = "goal, without a value" if kind == "goal" else f"{kind}=VALUE"
+            raise ConfigError(f"{option} {word}: expected {expected}")
         if kind in _VALUES and value not in _VALUES[kind]:
             raise ConfigError(f"{option} {word}: {unknown(kind, value, _VALUES[kind])}")
         if kind == "pattern" and not is_id(value):
@@ -67,8 +73,8 @@ def meeting(view: MembersView, names: Iterable[str], awaited: Awaited) -> tuple[
 def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str, str]:
     """The robots in `names` that do not meet the conditions, each with its present state in words.
 
-    With `count`: empty once `count` robots meet them; otherwise one entry with an empty name and
-    the number of robots that do.
+    With `count`: empty once `count` robots meet the conditions. Otherwise an entry with an empty
+    name has the number of robots that meet the conditions.
     """
     names = tuple(names)
     texts = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}
@@ -82,6 +88,7 @@ def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str
 
 
 def _unmet_by(view: MembersView, name: str, member: SeenMember | None, awaited: Awaited) -> str:
+    """The present state of a robot that does not meet the conditions; empty if the robot does."""
     if member is None:
         return absence(None)
     status = member.status if member.contact is Contact.ANSWERED else None

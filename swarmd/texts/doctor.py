@@ -56,7 +56,11 @@ def _disk(disk: DiskFacts) -> Finding:
 
 
 def of_network(facts: NetworkFacts, *, is_robot: bool) -> Iterator[Finding]:
-    """Findings of the interface, ports and packet filters."""
+    """Findings of the interface, ports and packet filters.
+
+    `is_robot`: the facts are those of a robot, whose port must be free for its daemon. An interface
+    that is absent has no further findings.
+    """
     name = facts.interface
     addresses = ", ".join(facts.addresses)
     if not facts.exists:
@@ -116,12 +120,19 @@ def of_robot(
     now: float,
     roster: int | None = None,
 ) -> Iterator[Finding]:
-    """The findings of a robot.
+    """The findings of a robot: its clock, version, identity, network, pattern host and machine.
 
-    `skew`: its wall clock against this machine's in s, with a bound `error`. `version`: of this
-    swarmctl. `ways`: the ways by which this machine hears the robot. `others`: the number of other
-    robots alive. `now`: s since 1970. `roster`: the generation of the roster here.
+    Args:
+        reply: what the robot's daemon answered.
+        skew: s, the robot's wall clock less that of this machine.
+        error: s, the bound of the error of `skew`.
+        version: the version of this swarmctl.
+        ways: how this machine hears the robot, such as `multicast`.
+        others: the number of other robots that are alive.
+        now: s since 1970.
+        roster: the generation of the roster on this machine; None: this machine has no roster.
     """
+    # 1. Clock, software and keys.
     yield _skew(skew, error)
     if reply.version != version:
         text = f"{reply.version}, this swarmctl {version}"
@@ -132,9 +143,13 @@ def of_robot(
     if roster is not None and reply.roster is not None and reply.roster != roster:
         text = f"it has roster {reply.roster}, this machine {roster}"
         yield warning("roster", text, "swarmctl keys push")
+
+    # 2. The network between robot and machine, and between robots.
     yield _heard_here(ways, reply.profile)
     if reply.profile != "routed":
         yield _hears(reply, others)
+
+    # 3. The robot itself.
     if reply.storage:
         remedy = "make the state folder writable, then repeat the estop; see docs/trouble.md"
         yield Finding("latches", False, reply.storage, remedy)

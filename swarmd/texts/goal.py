@@ -82,9 +82,10 @@ def content_of(goal: Goal) -> dict[str, Any]:
 
 
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
-    """The expected robots of goal `before`, and the robots of only goal `present` that run it.
+    """The robots of two goals: those of goal `before`, and those that only goal `present` has.
 
-    A robot whose labels are not known is matched only by its name.
+    Only expected robots count. The second list is empty if `present` has no pattern. A robot whose
+    labels are not known is matched by its name alone.
     """
     labels = {
         name: member.status.labels

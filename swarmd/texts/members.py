@@ -24,8 +24,12 @@ _NOW = 1.0  # figures that are newer than this are `now`, in s
 
 
 def row(member: SeenMember) -> tuple[str, ...]:
-    """The line of a member."""
-    status, header = member.status, member.header
+    """The cells of a member's line in the table, below HEADER.
+
+    A member that answered shows its status. For any other member, STATE says why there is no
+    status, and REASON and PATTERN come from its last beacon.
+    """
+    status, beacon = member.status, member.header
     if member.contact is Contact.ANSWERED and status is not None:
         return (
             member.robot,
@@ -36,15 +40,15 @@ def row(member: SeenMember) -> tuple[str, ...]:
             _seen(member),
             _report(status.report if status.state is State.RUNNING else {}),
         )
-    states = {
+    state_texts = {
         Contact.GONE: member.presence.value,
         Contact.OTHER_VERSION: member.state or "other version",
     }
     return (
         member.robot,
-        states.get(member.contact, member.contact.value),
-        (header.reason if header else None) or NOTHING,
-        (header.pattern if header else None) or NOTHING,
+        state_texts.get(member.contact, member.contact.value),
+        (beacon.reason if beacon else None) or NOTHING,
+        (beacon.pattern if beacon else None) or NOTHING,
         NOTHING,
         _seen(member),
         NOTHING,
@@ -70,13 +74,29 @@ def wide_cells(member: SeenMember) -> tuple[str, ...]:
 
 
 def health(view: MembersView) -> Iterator[str]:
-    """The count of living robots, then a line for each problem."""
-    members, alive = view.members, [view.members[name] for name in view.alive]
-    yield f"{len(alive)}/{len(members.keys() | view.roster)} alive"
+    """Lines on the swarm: the number of living robots, then a line for each problem."""
+    alive = [view.members[name] for name in view.alive]
+    statuses = [member.status for member in alive if member.status is not None]
+    yield f"{len(alive)}/{len(view.members.keys() | view.roster)} alive"
     if view.programs:
         yield f"programs: {', '.join(sorted(view.programs))}"
+    yield from _missing(view, alive)
+    yield from _reported_faults(statuses)
+    yield from incompatible(statuses)
+    yield from offered(statuses)
+    yield from key_warnings(statuses, time.time())
+    if insecure := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:
+        yield f"WARNING: insecure: anyone on this network can drive {', '.join(insecure)}"
+
+
+def _missing(view: MembersView, alive: Iterable[SeenMember]) -> Iterator[str]:
+    """A line for each kind of robots whose status this machine cannot get, and for shared ids.
+
+    `alive` are the living robots of `view`.
+    """
+    alive = tuple(alive)
     for presence in (Presence.FAILED, Presence.LEFT):
-        gone = [m for m in members.values() if m.presence is presence]
+        gone = [m for m in view.members.values() if m.presence is presence]
         if gone:
             yield f"{presence}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
     silent = [m for m in alive if m.contact is Contact.NO_ANSWER]
@@ -84,9 +104,9 @@ def health(view: MembersView) -> Iterator[str]:
         heard = (f"{m.robot} (heard {seconds(m.age)} ago, {m.state})" for m in silent)
         yield f"alive, but no answer: {', '.join(heard)}"
     distant = [m for m in alive if m.contact is Contact.UNREACHABLE]
-    if distant:
-        words = (f"{m.robot} (alive by {m.by}'s word, {seconds(m.age)} ago)" for m in distant)
-        yield f"not reachable from here: {', '.join(words)}"
+    if distant:  # another robot hears these robots
+        relayed = (f"{m.robot} (alive by {m.by}'s word, {seconds(m.age)} ago)" for m in distant)
+        yield f"not reachable from here: {', '.join(relayed)}"
     for m in alive:
         if m.contact is Contact.OTHER_VERSION:
             yield f"other version: {m.robot} speaks {m.wire}, this swarmctl {codec.VERSION}"
@@ -94,18 +114,16 @@ def health(view: MembersView) -> Iterator[str]:
         yield f"in the roster and never seen: {', '.join(view.absent)}"
     if view.duplicates:
         yield f"two daemons have one id: {', '.join(sorted(view.duplicates))}; stop one of each"
-    statuses = [m.status for m in alive if m.status is not None]
-    down = ((s.robot, s.health.driver or s.driver) for s in statuses if not s.health.driver_up)
-    for text, names in _by_text(down).items():
+
+
+def _reported_faults(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for each fault of drivers or of storage, with the robots that report the fault."""
+    statuses = tuple(statuses)
+    lost = ((s.robot, s.health.driver or s.driver) for s in statuses if not s.health.driver_up)
+    for text, names in _by_text(lost).items():
         yield f"driver lost: {', '.join(names)} ({text})"
     for text, names in _by_text((s.robot, s.health.storage) for s in statuses).items():
         yield f"an emergency stop would not outlive a restart: {', '.join(names)} ({text})"
-    yield from incompatible(statuses)
-    yield from offered(statuses)
-    yield from key_warnings(statuses, time.time())
-    if open_to_all := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:
-        unsafe = ", ".join(open_to_all)
-        yield f"WARNING: insecure: anyone on this network can drive {unsafe}"
 
 
 def _by_text(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:

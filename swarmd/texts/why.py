@@ -74,7 +74,8 @@ _LASTING_HOLDS = {
 
 
 def why(member: SeenMember) -> str:
-    """One sentence: the state, and if the robot does not move, the reason and what to do."""
+    """One sentence: the state of a robot; if the robot stands, the reason and what to do."""
+    # 1. A robot without a present status.
     status = member.status
     if member.contact is Contact.UNREACHABLE:
         return f"alive by {member.by}'s word, {seconds(member.age)} ago; not reachable from here"
@@ -86,19 +87,26 @@ def why(member: SeenMember) -> str:
     if status is None:
         heard = f"heard {seconds(member.age)} ago"
         return f"{heard}, {member.state or 'alive'}, but it sent no status; try again"
+
+    # 2. A robot that moves.
     reason = status.reason
     if reason is None:
-        way = " around an obstacle" if status.decision.is_recovering else ""
+        manoeuvre = " around an obstacle" if status.decision.is_recovering else ""
         if status.decision.avoiding:
-            way = f", {status.decision.avoiding}"
-        return (
-            f"{status.state} {status.pattern or 'no pattern'}, moving{way}{_limit(status.decision)}"
-        )
+            manoeuvre = f", {status.decision.avoiding}"
+        pattern = status.pattern or "no pattern"
+        return f"{status.state} {pattern}, moving{manoeuvre}{_limit(status.decision)}"
+
+    # 3. A run that ended because a hold lasted: in the past tense, since the hold may be over.
     detail = f" ({status.detail})" if status.detail else ""
     if status.state is not State.RUNNING and reason in _LASTING_HOLDS:
         start = _START.format(robot=member.robot)
-        lasting = f"{status.state}: {_LASTING_HOLDS[reason]}{detail}; when that is solved, {start}"
-        return lasting + _lost(status)
+        past_hold = (
+            f"{status.state}: {_LASTING_HOLDS[reason]}{detail}; when that is solved, {start}"
+        )
+        return past_hold + _lost(status)
+
+    # 4. A robot that stands: the sentence of its reason, with its fields filled in.
     issuers = sorted({latch.issuer for latch in status.latches.values()})
     age = status.decision.scan_age
     sentence = SENTENCES[reason].format(
@@ -150,7 +158,7 @@ def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingO
 
 
 def activity(decision: DecisionSummary) -> str:
-    """The `protection_word`, with the speed share of the assumption monitor if that is below 1.
+    """The `protection_word`, with the share of the speed if that share is below 1.
 
     For example `active, speed 60%`.
     """
