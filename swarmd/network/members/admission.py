@@ -90,9 +90,11 @@ class Admission:
         *,
         is_claiming: bool,
     ) -> Datagram | Flaw:
-        """The datagram as far as it is accepted, or the flaw for which it is refused.
+        """Check a datagram whose signature by `author` is verified; returns it, or its flaw.
 
-        `is_claiming`: this robot does not own its id yet, so that beacons of rivals are judged.
+        A member list comes back without the robots that the roster lacks; every other datagram
+        comes back unchanged. `is_claiming`: this robot does not own its id yet, so that beacons of
+        other claimers of the id are checked.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
@@ -101,12 +103,12 @@ class Admission:
             case Beacon():
                 return self._beacon(body, now, is_claiming=is_claiming)
             case Stop():
-                return body if _is_in_its_name(body, author) else Flaw.FORGED
+                return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
                 return body if body.operator == author.name else Flaw.FORGED
             case Solicit() | ClockQuery() | Swarm():
-                return body
-            case MemberList():
+                return body  # a repeated question costs an answer, which is limited
+            case MemberList():  # must answer a question of this robot, by its echo
                 is_fresh = self.freshness.is_own_echo(body.echo, now)
                 is_fresh &= membership.is_present(body.robot, body.instance)
                 body = only_names(body, self.names)
@@ -118,7 +120,7 @@ class Admission:
                 is_fresh = is_fresh and self.freshness.is_new_place(
                     body.robot, body.instance, body.sent
                 )
-            case Latches():
+            case Latches():  # must be those of the sender's newest beacon, by their digest
                 is_fresh = membership.latches_of(body.robot, body.instance) == body.digest
             case GoalReport():
                 is_fresh = membership.is_present(body.robot, body.instance)
@@ -127,6 +129,7 @@ class Admission:
         return body if is_fresh else Flaw.REPEATED
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
+        """The beacon, or its flaw: no robot of the roster, or perhaps replayed."""
         if beacon.robot not in self.names:
             return Flaw.FORGED
         if beacon.flags & Flag.JOINING and not (is_claiming and beacon.robot == self._own):
@@ -134,8 +137,8 @@ class Admission:
         return self.freshness.on_beacon(beacon, now) or beacon
 
 
-def _is_in_its_name(stop: Stop, author: Author) -> bool:
-    """True if the operator signed the stop, or a robot that hands the stop on."""
+def _may_send_stop(stop: Stop, author: Author) -> bool:
+    """True if the author is the operator of the stop, or a robot that relays the stop."""
     if author.role is Role.ROBOT:
         return stop.hops > 0
     return stop.hops == 0 and stop.operator == author.name
