@@ -45,13 +45,16 @@ def make_bare_driver(settings: DaemonSettings) -> Driver:
 
 
 def make_driver(settings: DaemonSettings) -> Driver:
-    """The daemon's driver, not yet connected, with a watchdog process if its options need one.
+    """The daemon's driver, not yet connected, with a watchdog process if the base needs one.
 
-    Raises SwarmError if the driver or its options are wrong.
+    A base with a command timeout stops by itself when commands cease. For a base without one
+    (command_timeout: none) a watchdog process sends zero if the daemon hangs or is killed. Raises
+    SwarmError if the driver or its options are wrong, ConfigError if they leave the base without
+    such a stop.
     """
     name = settings.driver
     base = base_options(settings.driver_options, f"driver {name}")
-    driver = make_bare_driver(settings)
+    driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
     if base.idle_output == "silent":
@@ -64,8 +67,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
             f"driver {name}: command_timeout is none, and this driver has no watchdog;"
             " give command_timeout: base, or its seconds, if this base stops by itself"
         )
-    spec = driver.zero_sender()
-    if spec is None:
+    spec = driver.zero_sender()  # how the watchdog process sends zero to the base
+    if spec is None:  # a process of the driver itself sends zero
         return driver
     from swarmd.driver_api.watchdog_client import WatchedDriver
 

@@ -20,6 +20,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Collection, Coroutine
 from functools import partial
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -53,6 +54,14 @@ MAX_QUEUE = 4
 MAX_UPLOADS = 2  # incomplete pushed patterns that are kept
 # Refusals that do not concern the code: the same push may succeed later.
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
+
+
+class _CheckedTable(NamedTuple):
+    """The result of the check of a pulled table."""
+
+    trusted: list[Entry]  # new entries with a valid signature
+    new_count: int
+    has_false_signature: bool  # of an operator of the roster; the check ended there
 
 
 class PatternIntake:
@@ -165,32 +174,40 @@ class PatternIntake:
     async def _take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None
     ) -> None:
+        """Check, write and try one pushed pattern, or carry out a removal; reply to the push.
+
+        `entry`: the signed manifest. `source`: where the code came from, in words. `request`: the
+        push that the reply answers; None: the code was pulled from a peer.
+        """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun
 
         def refuse(code: Code, text: str) -> None:
+            """Reply after an error in this method."""
             refusal = Refusal.PATTERN_FAILED if code is Code.REFUSED else None
             reply = self._refused(id, Refusal.PATTERN_FAILED, text)
             self._state.control.reply(replace(reply, code=code, refusal=refusal))
 
         with self._drops.refusing("control/push", refuse):
-            fault = self._refusal_of(entry)  # again, since the entry may have waited
+            # The entry may have waited in the queue, so that its manifest is checked again.
+            refusal_and_text = self._refusal_of(entry)
             reply = None
             try:
                 await asyncio.to_thread(self._state.files.prune, self._state.in_use())
-                fault = fault or await asyncio.to_thread(self._write_checked, entry, code)
-                if fault is not None:
-                    refusal, text = fault
+                if refusal_and_text is None:
+                    refusal_and_text = await asyncio.to_thread(self._write_checked, entry, code)
+                if refusal_and_text is not None:
+                    refusal, text = refusal_and_text
                     if refusal is Refusal.PATTERN_FAILED:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)
+                    reply = await self._adopt(id, entry)  # needs no trial
             finally:
                 self._is_taking = False
             if reply is not None:
                 self._state.control.reply(reply)
-            else:
+            else:  # the reply follows after the trial
                 self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
 
@@ -387,9 +404,9 @@ class PatternPull:
             self._pull_code(robot, address, now)
 
     def _pull_table(self, robot: str, digest: bytes, address: Address, now: float) -> bool:
-        def on_done(blob: Blob, why: str) -> None:
+        def on_done(blob: Blob, reason: str) -> None:
             if blob is None:
-                log.info("the pushed patterns of %s are not known: %s", robot, why)
+                log.info("the pushed patterns of %s are not known: %s", robot, reason)
                 self._asks.wait((robot, digest), now + CODE_PERIOD)
             else:
                 self._checking = asyncio.get_running_loop().create_task(
@@ -428,43 +445,46 @@ class PatternPull:
             return
 
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
+        """Check a table that was pulled from `robot`, and take its signed entries.
+
+        `blob`: the encoded table, one signed manifest an entry. Then the code of a missing pattern
+        is pulled from `robot` at `address`. An entry with a false signature of an operator of the
+        roster ends the check, and no table of `robot` is pulled for FALSE_PERIOD.
+        """
         known, operators = set(self._state.table), self._state.operators()
 
-        def trusted() -> tuple[list[Entry], int, bool]:
-            """The trusted new entries, the count of new entries, and whether a signature is false.
-
-            Ends at the first false signature of an operator of the roster.
-            """
-            new, good = [entry for entry in decode_table(blob) if entry not in known], list[Entry]()
+        def check_signatures() -> _CheckedTable:
+            new = [entry for entry in decode_table(blob) if entry not in known]
+            trusted: list[Entry] = []
             for entry in new:
                 if self._state.is_trusted(entry):
-                    good.append(entry)
+                    trusted.append(entry)
                 elif operators is not None and entry.manifest.issuer in operators:
-                    return good, len(new), True
-            return good, len(new), False
+                    return _CheckedTable(trusted, len(new), has_false_signature=True)
+            return _CheckedTable(trusted, len(new), has_false_signature=False)
 
         def refuse(code: Code, text: str) -> None:
             log.warning("%s: %s", robot, text)
 
         with self._drops.refusing(f"shared/{TABLE}", refuse):
             try:
-                good, count, is_false = await asyncio.to_thread(trusted)
+                checked = await asyncio.to_thread(check_signatures)
             finally:
                 self._checking = None
-            if is_false:
+            if checked.has_false_signature:
                 self._asks.wait(robot, boottime() + FALSE_PERIOD)
-            if len(good) < count:
+            if len(checked.trusted) < checked.new_count:
                 log.warning(
                     "%s has patterns that no operator of the roster signed; they are left out",
                     robot,
                 )
-            if good:
-                self._store.merge(good)
+            if checked.trusted:
+                self._store.merge(checked.trusted)
                 self._pull_code(robot, address, boottime())
 
-    def _on_code(self, robot: str, entry: Entry, blob: Blob, why: str) -> None:
+    def _on_code(self, robot: str, entry: Entry, blob: Blob, reason: str) -> None:
         if blob is None:
-            log.info("%s is not pulled yet: %s", entry.manifest.label, why)
+            log.info("%s is not pulled yet: %s", entry.manifest.label, reason)
         elif not self._store.is_busy:
             self._on_taken(robot, entry)
             self._store.take(entry, blob, robot)

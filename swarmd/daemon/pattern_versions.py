@@ -423,15 +423,17 @@ class PushedRuns:
         self._ran_to: tuple[int, float] = (-1, 0.0)  # generation, time
 
     def overlay(
-        self, found: Mapping[str, Origin], load: Load, is_trial: bool
+        self, installed: Mapping[str, Origin], load: Load, is_trial: bool
     ) -> Mapping[str, Origin]:
-        """The patterns for a load, by name: the robot's own (`found`) and the pushed patterns.
+        """The origin of each pattern for a load by the pattern host, by name.
 
-        A restart takes the version with which the run began, a trial the candidate. Raises
-        ChangedCodeError if the pushed code of the pattern is damaged; an own pattern of the same
-        name is not loaded instead.
+        `installed`: the origins of the robot's own patterns, to which this method adds the pushed
+        patterns. A load takes the current version. A restart takes the version with which the run
+        began. A trial (`is_trial`) takes the candidate, a version that was just pushed. Raises
+        ChangedCodeError if the pushed code of the load's pattern is damaged; an installed pattern
+        of the same name is not loaded instead.
         """
-        origins = dict(found)
+        origins = dict(installed)
         candidate = self._state.candidate if is_trial else None
         for name, code in self._state.versions.items():
             version = code.current
@@ -441,20 +443,23 @@ class PushedRuns:
                 if name == load.pattern and candidate is None:
                     raise ChangedCodeError(f"{code.fault}; push it again")
                 origins.pop(name, None)
-            if version is None or not self._lay(origins, name, version, found):
-                continue
-            if not is_trial:
+            is_added = version is not None and self._add(origins, name, version, installed)
+            if version is not None and is_added and not is_trial:
                 self._note_load(load, name, version)
         if candidate is not None:
-            self._lay(origins, load.pattern, candidate.version, found)
+            self._add(origins, load.pattern, candidate.version, installed)
         return origins
 
-    def _lay(
-        self, origins: dict[str, Origin], name: str, version: Version, own: Mapping[str, Origin]
+    def _add(
+        self,
+        origins: dict[str, Origin],
+        name: str,
+        version: Version,
+        installed: Mapping[str, Origin],
     ) -> bool:
-        """Add a version to the origins; False if the robot's own pattern must stay."""
+        """Add a version to `origins`; False if an installed pattern of this name must stay."""
         manifest = pattern_manifest.read_entry(version.signed).manifest
-        if name in own and not manifest.replaces:
+        if name in installed and not manifest.replaces:
             return False
         value, is_file = self._state.files.place(manifest)
         source = f"{manifest.label} of {manifest.issuer}"

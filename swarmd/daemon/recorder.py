@@ -140,9 +140,10 @@ class Recorder:
         return self._open is not None
 
     def start(self, folder: Path, name: str, about: Mapping[str, str], limits: FileLimits) -> None:
-        """Start a recording process; called only while `is_on` is False. OSError if that fails.
+        """Start a process that writes entries to files in `folder`; call it while `is_on` is False.
 
-        `about`: texts on the robot, for the head of each file.
+        `name`: the begin of the file names. `about`: texts on the robot, for the head of each file.
+        `limits`: of the sizes of files. OSError if the process cannot be started.
         """
         recorder = self._open = _Process()
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
@@ -151,19 +152,20 @@ class Recorder:
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
-        at = self.began = boottime()
+        began = self.began = boottime()
         self.add(
             frames.Begin(
-                at=at,
+                at=began,
                 folder=str(folder),
                 name=name,
                 about=dict(about),
-                wall=time.time() - (boottime() - at),
+                wall=time.time() - (boottime() - began),  # at `began`
                 limits=limits,
             )
         )
+        # A replay begins with the inputs that still hold, then with the robot's memory.
         for input in list(self._lasting.values()):
-            self.input(input, at)
+            self.input(input, began)
         self._is_memory_due = True
 
     def stop(self) -> None:
@@ -481,9 +483,11 @@ def _is_told(name: str) -> bool:
 
 
 def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
-    """The entry of a file; `lost`: dropped entries so far if the file is being written, else None.
+    """The entry of a recording in the reply to an operator; None if the file was removed.
 
-    None if the file has been removed meanwhile.
+    `path`: the .mcap file. `lost`: the count of entries dropped so far, if the file is being
+    written; else None. A finished file has an index beside it, with its checksum and times. A file
+    that is being written or was cut off has no index.
     """
     try:
         size = path.stat().st_size
@@ -492,7 +496,8 @@ def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
     name = path.name
     try:
         index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
-        begin, end = (clock_of(index["about"], int(index[key])) for key in ("begin_ns", "end_ns"))
+        begin = clock_of(index["about"], int(index["begin_ns"]))
+        end = clock_of(index["about"], int(index["end_ns"]))
         return verbs.RecordingFile(
             name=name,
             size=size,
