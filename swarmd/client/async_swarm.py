@@ -114,7 +114,12 @@ class AsyncSwarm:
 async def _from_thread(
     make: Callable[[], Iterator[R]], cancelled: threading.Event
 ) -> AsyncGenerator[R, None]:
-    """The items of an iterator that runs on a thread; an error of the iterator is raised here."""
+    """Yield the items of an iterator that runs on a thread of its own.
+
+    `make` makes the iterator, on that thread. An error of the iterator is raised here. `cancelled`
+    is set at the end of this generator, so that the iterator and its thread end soon. At most
+    MAX_WAITING items wait for the reader; then the thread waits.
+    """
     loop = asyncio.get_running_loop()
     items: asyncio.Queue[R] = asyncio.Queue()
     room = threading.Semaphore(MAX_WAITING)
@@ -128,21 +133,21 @@ async def _from_thread(
                 return
             loop.call_soon_threadsafe(items.put_nowait, item)
 
-    done = asyncio.wrap_future(begin(work))
+    thread_end = asyncio.wrap_future(begin(work))
     try:
         while True:
-            taking = asyncio.ensure_future(items.get())
-            both: set[asyncio.Future[Any]] = {taking, done}
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-            if not taking.done():
-                taking.cancel()
+            next_item = asyncio.ensure_future(items.get())
+            either: set[asyncio.Future[Any]] = {next_item, thread_end}
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+            if not next_item.done():  # the thread has ended
+                next_item.cancel()
                 while not items.empty():
                     yield items.get_nowait()
-                done.result()
+                thread_end.result()  # raises the error of the iterator
                 return
             room.release()
-            yield taking.result()
+            yield next_item.result()
     finally:
         cancelled.set()
-        taking.cancel()  # it would wait on in a loop that goes on, such as that of a notebook
-        done.cancel()  # its thread may end after the loop
+        next_item.cancel()  # the loop of a notebook goes on, and the task would wait for ever
+        thread_end.cancel()  # the thread may end after the loop

@@ -203,14 +203,17 @@ class Swarm:
         exclude: Words = (),
         timeout: float | None = None,
     ) -> Outcome:
-        """Start a pattern on robots; it becomes their goal.
+        """Start a pattern on robots; the run becomes the goal of these robots.
 
-        A robot answers `applied` when the pattern is loaded and will be stepped. `seconds`: the run
-        ends after this time. `until`: conditions as of `swarmctl run --until`; the first that is
-        met ends the run. `at`: all robots start at one moment, in so many s. `canary`: first this
-        robot, or so many, for `canary_time` s (10); the others if it runs well. `lease`: robots
-        stop when this connection is closed, or its program has ended, for so many s. `on_join`
-        "run": robots that join within `valid` s run it, too.
+        A robot answers `applied` once the pattern is loaded and will be stepped. Times are in s.
+
+        `robots`, `labels`, `exclude`: the targets; without these all robots. `seconds`: duration of
+        the run; None: until a stop. `until`: conditions as in `swarmctl run --until`; the first
+        condition that is met ends the run. `at`: the time from now at which all robots start at one
+        moment. `canary`: the name, or the number, of robots that run first, for `canary_time` s
+        (default 10); the other robots follow if the canaries run well. `lease`: robots stop if this
+        connection was closed, or its program has ended, that long ago. `on_join` "run": robots that
+        join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
         """
         from swarmd.client.runs import Run, carry_out, goal_targets
 
@@ -234,7 +237,7 @@ class Swarm:
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
             if lease is not None and outcome.applied and not session.is_cancelled():
-                # The operator goes on renewing the lease until the connection is closed.
+                # The lease is renewed until the connection is closed, not only in this method.
                 self._pool.keep_lease(outcome.applied, opened.pop_all())
             return targeted.counted(outcome)
 
@@ -360,10 +363,12 @@ class Swarm:
         exclude: Words = (),
         timeout: float | None = None,
     ) -> tuple[str, ...]:
-        """Wait until robots meet each condition, for `timeout` s (30); gives those that do.
+        """Wait until robots meet all conditions, at most `timeout` s (default 30).
 
-        `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`, as of
-        `swarmctl wait --for`. RequestError with exit code 5, naming each robot that does not.
+        `conditions`: `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`,
+        as in `swarmctl wait --for`. `robots`, `labels`, `exclude`: the robots; without these all
+        robots. Returns the names of the robots that meet the conditions. Raises RequestError with
+        exit code 5 after the timeout; its text names each robot that does not meet them.
         """
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited

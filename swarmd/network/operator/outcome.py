@@ -17,7 +17,6 @@ from swarmd.network.operator.exit_codes import MISTAKES, code_of_outcome
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
 _CODES = frozenset(Code)
-_REFUSALS = frozenset(Refusal)
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
@@ -148,8 +147,8 @@ class Acks:
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
         if code is not Code.APPLIED:
-            is_known = ack.refusal in _REFUSALS
-            refusal = Refusal(ack.refusal) if is_known else Refusal.OTHER_VERSION
+            known_refusals = [known for known in Refusal if known == ack.refusal]
+            refusal = known_refusals[0] if known_refusals else Refusal.OTHER_VERSION
         reply = Reply(
             id=ack.id,
             robot=ack.robot,
