@@ -55,13 +55,13 @@ def _iterated(
 class AsyncSwarm:
     """A swarm, as `swarmd.connect` gives it in an `async with` block.
 
-    It has the methods of `Swarm`, with the same parameters and results. `events` and `states` are
-    async iterators; all other methods are awaited. Each method runs on a thread, so that the event
-    loop does not wait for robots. A stop waits for no other method. SwarmError if 8 requests are
-    under way.
+    The methods, their parameters and results are those of `Swarm`. `events` and `states` are async
+    iterators; all other methods are awaited. Each method runs on a thread, so that the event loop
+    does not wait for robots. A stop waits for no other method. SwarmError if 8 requests are under
+    way.
 
-    If a task is cancelled, it no longer waits, but robots may have applied its request. Three
-    methods also end: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
+    A cancelled task no longer waits, but robots may have applied its request. The cancellation also
+    ends three methods: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
     later moment, whose robots are stopped before they start.
     """
 
@@ -100,8 +100,8 @@ class AsyncSwarm:
     async def close(self) -> None:
         """Leave the network; see `Swarm.close`.
 
-        Waits up to 6 s for calls under way. A cancelled call may still have to stop its robots,
-        which the end of the program would prevent.
+        Waits up to 6 s for calls under way: a cancelled call may still have to stop its robots, and
+        the end of the program would prevent that stop.
         """
 
         def close() -> None:

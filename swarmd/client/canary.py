@@ -25,10 +25,11 @@ MAX_STATUS_WAIT = 0.5  # s of one wait for a status
 def choose_canaries(
     wanted: int | str, names: Iterable[str], option: str = "canary"
 ) -> tuple[str, ...]:
-    """The canaries among the targets: the first `wanted` robots, or the robot with that name.
+    """Choose the canaries (robots that run a pattern first) among the targets `names`.
 
-    RequestError if that robot is no target. ConfigError for a number below 1, and if no target is
-    left for the run after the canaries. Each error names `option`.
+    `wanted`: a number of canaries, which are the first names, or the name of the only canary.
+    RequestError if the named robot is no target. ConfigError for a number below 1, and if no target
+    is left for the run after the canaries. `option`: the option's name, for errors.
     """
     known = tuple(names)
     is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)
@@ -43,9 +44,10 @@ def choose_canaries(
 
 
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
-    """Why a canary does not run well; empty if it does. Pure.
+    """The reason why a canary does not run well; empty if it runs well. Pure.
 
-    `before`: its status before the run. `first`: its first status in the run.
+    `before`: the canary's status before the run. `first`, `now`: its first and its newest status in
+    the run.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:

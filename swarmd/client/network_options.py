@@ -40,11 +40,11 @@ class NetworkOptions:
         return cls(config=Path(config) if config else None)
 
     def in_context(self) -> Self:
-        """These options, completed from the context in use.
+        """These options; options that are not set come from the context in use.
 
-        The context counts only for options that neither the command line nor $SWARM sets. A swarm
-        file that the options or $SWARM_CONFIG name replaces the context. A context of one swarm is
-        not used for another swarm. ConfigError if the context does not exist.
+        A context is a named set of options. It sets no option that the command line or $SWARM sets.
+        It is not used if the options or $SWARM_CONFIG name a swarm file, and if the context belongs
+        to another swarm. ConfigError if the context does not exist.
         """
         import msgspec
 
@@ -66,10 +66,10 @@ class NetworkOptions:
         return replace(self, **missing)
 
     def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
-        """A session in the swarm's network, a context manager.
+        """An operator in the swarm's network, a context manager.
 
-        `tell` takes a line if the own certificate ends soon. ConfigError for a wrong file or
-        option, NetworkError if there is no session.
+        `tell` takes a line for the user if the operator's certificate ends soon. ConfigError for a
+        wrong file or option, NetworkError if the network cannot be used.
         """
         from swarmd.network.operator.operator import Operator
 

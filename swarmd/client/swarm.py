@@ -32,17 +32,17 @@ Places: TypeAlias = Callable[[], Mapping[str, Pose]]
 class Swarm:
     """A swarm, as `swarmd.connect` gives it in a `with` block; each method waits for its answer.
 
-    `robots` are names, globs such as `tb3-*` and ranges such as `tb3-[01-07]`: one word or several;
+    `robots`: names, globs such as `tb3-*` and ranges such as `tb3-[01-07]`, as one text or several.
     None means all robots, and an empty list no robot. `labels` adds robots with any of these
-    labels, `exclude` leaves robots out. `timeout` in s bounds one method.
+    labels, `exclude` leaves robots out. `timeout`: the longest time in s that the method takes.
 
-    Methods that ask robots to change give an `Outcome`, as `swarmctl` counts it: `line`, `applied`,
+    Methods that change robots return an `Outcome`, counted as by `swarmctl`: `line`, `applied`,
     `refused`, `failed`, `missing`, `replies` with the code and text of each robot, `exit_code`. A
-    robot that refuses or does not answer raises no error. RequestError (with the exit code of
-    swarmctl) if no robot is targeted, NetworkError if no daemon is reached, ConfigError for a
-    wrong value: nothing was sent then. SwarmError, the base of all, if the connection is closed or
-    8 requests are under way. Several threads may use one object; a stop waits for no
-    other method.
+    robot that refuses or does not answer raises no error. If nothing was sent, a method raises
+    RequestError (with the exit code of swarmctl) because no robot is targeted, NetworkError because
+    no daemon is reached, or ConfigError because a value is wrong. SwarmError, the base of these
+    errors, if the connection is closed or 8 requests are under way. Several threads may use one
+    object; a stop waits for no other method.
     """
 
     def __init__(
@@ -174,10 +174,11 @@ class Swarm:
             yield from follow_states(session, targets, seconds=seconds, poses=poses)
 
     def frame(self, states: Iterable[RobotState] | None = None) -> Any:
-        """A pandas DataFrame: a row for each of `states`; without them, one for each robot now.
+        """A pandas DataFrame with a row for each of `states`.
 
-        Reports and readings are columns `report.NAME` and `reading.NAME`. PluginError without
-        pandas (`pip install 'swarmd[table]'`).
+        `states` None: a row for each robot, with its present state. Reports and readings are
+        columns `report.NAME` and `reading.NAME`. PluginError without pandas (`pip install
+        'swarmd[table]'`).
         """
         from swarmd.client.frames import members_frame, states_frame
 
@@ -279,10 +280,11 @@ class Swarm:
         exclude: Words = (),
         timeout: float | None = None,
     ) -> Outcome:
-        """Clear emergency stops and faults of robots, which become idle; moves nothing.
+        """Clear emergency stops and faults of robots. The robots become idle, and do not move.
 
-        Only those that are seen now; a later one stays. With `findings` also those of the
-        assumption monitor: the robots then drive at full speed again.
+        Only emergency stops and faults that the robots report now are cleared; a later emergency
+        stop stays. With `findings`, also clear the findings of the assumption monitor, so that the
+        robots may drive at full speed again.
         """
         from swarmd.client.changes import reset
 

@@ -39,10 +39,10 @@ HANDED_ON = "handed on by "
 
 
 class Audit:
-    """Makes a log line and an audit entry for each request, and counts those beyond the rates.
+    """Makes a log line and an audit entry for each request, within limits of the rates.
 
-    `write` takes a line, `keep` an entry. `clock` names the clock of `now`. `wall` returns s since
-    1970.
+    Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock` names the
+    clock from which callers read `now`. `wall` returns s since 1970.
     """
 
     def __init__(
@@ -169,8 +169,8 @@ _decoder = msgspec.json.Decoder(AuditEntry)
 class AuditLog:
     """The audit files in `folder`, each of at most `max_bytes`.
 
-    A thread writes the entries. On this thread `on_event` takes a line when the disk fails, and
-    when the disk works again.
+    A thread of its own writes the entries. That thread calls `on_event` with a line for the user
+    when the disk fails, and when the disk works again.
     """
 
     def __init__(
@@ -205,11 +205,13 @@ class AuditLog:
     def read(
         self, query: AuditQuery, age_of: Callable[[AuditEntry], float | None]
     ) -> tuple[list[AuditEntry], bool, str]:
-        """The matching entries, oldest first; whether older entries match; a fault of the disk.
+        """Read the entries that match a query, oldest first.
 
-        Blocks for up to READ_TIMEOUT until the queued entries are written; if this takes longer,
-        the fault says that the newest entries are missing. `since` of the query leaves out entries
-        that are older or of unknown age. Damaged lines are left out.
+        Also returns whether older entries match, and a fault of the disk (empty without a fault).
+        `age_of` returns the age of an entry in s; None: unknown. With `query.since`, entries that
+        are older or of unknown age are left out. Damaged lines are left out. Blocks until the
+        queued entries are written, at most READ_TIMEOUT: then the fault says that the newest
+        entries are missing.
         """
         slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
         is_whole = self._await_queued()

@@ -135,8 +135,8 @@ class NetworkConnection:
     def watch_for_flood(self, now: float) -> None:
         """Let only known hosts connect while too many connections wait; called on each tick.
 
-        A known host has sent a signed datagram. Reopens the session, which ends the connections
-        that wait.
+        A known host has sent a signed datagram. At the begin of a flood this method also reopens
+        the session, which ends the connections that wait.
         """
         flood, session = self._flood, self._session
         if flood is None or session is None or not flood.is_due(now):
@@ -307,10 +307,10 @@ class NetworkConnection:
         self._set_gate(now)
 
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
-        """The UDP carrier, and a session that listens on the same port number.
+        """Open the UDP carrier, and a session that listens on the same port number by TCP.
 
-        Peers dial the port from which beacons come. Without a configured port, a port that is
-        taken for the session is replaced by another, up to MAX_PORT_TRIES times.
+        Peers dial the port from which beacons come. Without a configured port: if the TCP port is
+        in use, another port is tried for both, up to MAX_PORT_TRIES times.
         """
         settings = self._settings
         listen = settings.listen or (default_listen(settings),)

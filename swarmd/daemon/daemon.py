@@ -512,10 +512,10 @@ class Daemon:
     # Pushed patterns
 
     def _operators(self) -> Mapping[str, bytes] | None:
-        """The public keys of the operators whose pushed code is accepted.
+        """The public keys of the operators whose pushed code is accepted, by name.
 
-        None: code needs no signature. In a swarm without keys this is so only on loopback, since on
-        a network anyone could run code here; there the mapping is empty.
+        None: code needs no signature, in a swarm without keys on loopback. Empty, so that no code
+        is accepted, in a swarm without keys on a network: anyone could run code here.
         """
         identity = self._rosters.identity
         if identity is not None:

@@ -41,11 +41,11 @@ class StopCounters(Struct, frozen=True):
 
 
 class DatagramGuard:
-    """Signs and verifies with the keys of the present identity.
+    """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
-    `counters`: the file of `StopCounters`. `on_event` takes a line for the log. `on_newer_roster`
-    takes robot name, address and roster generation of an unverified beacon that shows a newer
-    roster.
+    `counters`: the file with the greatest counters of stops (`StopCounters`). `on_event` takes a
+    line for the log. `on_newer_roster` takes robot name, address and roster generation of an
+    unverified beacon that shows a newer roster.
     """
 
     def __init__(

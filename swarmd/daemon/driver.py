@@ -80,7 +80,7 @@ RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
 
 
 class DriverOutput:
-    """Sends commands to the driver called `name`.
+    """Runs the driver called `name`, and sends commands to the base through it.
 
     `idle_output`: the output of an idle robot, as in `BaseOptions`. `on_crash` takes an exception
     that the driver raised for a command; `command` itself never raises.
@@ -108,9 +108,9 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of `actions`, unless `idle_output` keeps an idle robot silent.
 
-        `may_repeat` False: do not send the same command twice in a row. A simulated base waits for
-        a command after each scan, so its commands are repeated all the same, except the zero of an
-        idle or stopped robot.
+        `may_repeat` False: do not send a command that equals the last command. A simulated base
+        waits for a command after each scan. So commands to a simulated base are repeated in any
+        case, except the zero of an idle or stopped robot.
         """
         stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped
@@ -142,10 +142,10 @@ class DriverOutput:
 
 
 class DriverSink:
-    """The sink of the driver: turns its measurements into inputs for `step`.
+    """Takes the measurements of the driver, and hands them as inputs to `step`.
 
-    `neighborhood` marks the sensed robots that are in reach. `has_neighbors`: the driver senses
-    robots itself. `drops`: counts of unreadable inputs by kind.
+    `neighborhood` marks the sensed robots that are in reach. `has_neighbors`: the driver itself
+    senses other robots. `drops`: counts of unreadable inputs by kind.
     """
 
     def __init__(

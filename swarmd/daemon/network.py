@@ -121,10 +121,11 @@ class NetworkRobot:
 
 
 class Network:
-    """The network of one daemon. `drops` counts messages that could not be read, handled or sent.
+    """The network of one daemon: sends and receives, and hands results to the daemon.
 
-    With an `identity` the swarm is secured. Then `stop_counters` is required: the file of the
-    greatest counters of stops, by which replayed stops are refused.
+    `drops` counts messages that could not be read, handled or sent. With an `identity` the swarm is
+    secured. Then `stop_counters` is required: the file of the greatest counters of stops, by which
+    replayed stops are refused.
     """
 
     def __init__(
@@ -375,8 +376,8 @@ class Network:
     def take_identity(self, identity: Identity) -> None:
         """Use roster, keys and certificate of `identity` from now on.
 
-        The network is reopened after a moment in which pending answers are sent. The network stays
-        closed for an identity that is no longer on the roster.
+        Carrier and session are reopened after a moment, in which pending answers are sent. They
+        stay closed if the roster lacks the identity's name.
         """
         self._roster = identity.roster.robots
         if self._guard is not None:

@@ -3,10 +3,10 @@
 1. A thread checks signature and SHA-256 of the code, and writes its files.
 2. The robot tries the code in a pattern host of its own, as for a reload.
 3. After a successful trial a thread writes the record of the new version to disk.
-4. Only then the version is current, and the robot acts on the end of the trial.
+4. After this write the version is current, and the robot acts on the end of the trial.
 
 A push starts and stops no run, with one exception: the robot may join a valid goal that it could
-not join before for lack of the code (`robot/goals.py`).
+not join before because it lacked the code (`robot/goals.py`).
 
 Robots also pull from each other. A beacon shows a digest of the table (all signed manifests). A
 robot that joined late, was cut off or restarted pulls the table of a peer with another digest,
@@ -152,10 +152,11 @@ class PatternIntake:
     def take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None = None
     ) -> None:
-        """Queue code to check, write and try, or a removal to carry out; answers `request`, if any.
+        """Queue code to check, write and try, or a removal to carry out.
 
-        The entries of the queue are handled in turn: a robot may pull a pattern from a peer while
-        an operator pushes the same pattern.
+        `source`: where the code came from, in words. `request`: the push to answer at the end;
+        None: the code came from a peer. Entries are handled one by one: a robot may pull a pattern
+        from a peer while an operator pushes the same pattern.
         """
         self._queue.append((entry, code, source, request))
         self._take_next()
@@ -268,10 +269,10 @@ class PatternIntake:
         )
 
     def on_event(self, event: HostEvent) -> HostEvent | None:
-        """Filter an event of the pattern host before the robot gets it.
+        """Take an event of the pattern host before the robot gets the event.
 
-        Returns the event, or None for a successful trial: the robot gets that event once the
-        version is on disk.
+        Returns the event for the robot. None for a successful trial: the robot gets this event
+        later, once the version is on disk.
         """
         if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
             self.check_again()
@@ -302,9 +303,10 @@ class PatternIntake:
         state.control.end_trial(event)
 
     def on_reply(self, reply: Reply) -> Reply:
-        """Filter a reply of the robot; the reply to the trial ends the trial.
+        """Take a reply of the robot before it is sent; returns the reply to send.
 
-        The text of a successful reply then also says that the version is provisional.
+        The reply to a trial ends the trial. If the trial succeeded, the text of the reply then also
+        says that the version is provisional.
         """
         candidate = self._state.candidate
         if candidate is None or reply.id != candidate.id:
@@ -350,9 +352,9 @@ takes 4 ms of a core, and an honest robot keeps only verified entries."""
 
 
 class PatternPull:
-    """Pulls missing manifests and code from peers, and serves the own ones to peers.
+    """Pulls missing manifests and code from peers, and serves this robot's to peers.
 
-    `puller` fetches the code that `state` lacks, and `store` takes it. `on_taken(robot, entry)` is
+    `puller` fetches what `state` lacks, and `store` takes the code. `on_taken(robot, entry)` is
     called when code from a peer goes into its trial. `drops` counts unreadable tables.
     """
 

@@ -1,10 +1,10 @@
 """Records a robot by a process of its own, and hands recordings to operators.
 
 The recorder sends entries (inputs, decisions, events) to that process by a socket, and never blocks
-the loop. Entries are gathered and sent twice a second: a process that wakes at each tick finds its
-code out of the caches, and costs twice as much. If the disk is slower than the robot, the socket
-fills; then a batch is dropped and counted. If the process ends, an event says so and the robot
-continues.
+the loop. Entries are sent in batches, twice a second: if the process wakes at each tick, its code
+has left the CPU's caches each time, and the recording costs twice as much. If the disk is slower
+than the robot, the socket fills; then a batch is dropped and counted. If the process ends, an event
+reports the end, and the robot continues.
 """
 
 from __future__ import annotations
@@ -109,10 +109,10 @@ class _Process:
 
 
 class Recorder:
-    """Records one robot between `start` and `stop`. `on_event` takes a line for the robot's log.
+    """Records one robot between `start` and `stop`.
 
-    `dropped`: the count of entries that the recording lost. `fault`: why the recording ended, empty
-    after `stop`.
+    `on_event` takes a line for the robot's log. `dropped`: the count of entries that are missing in
+    the recording. `fault`: why the recording ended by itself; empty after `stop`.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, on_event: Callable[[str], None]) -> None:

@@ -1,8 +1,8 @@
 """Decodes the requests of operators, hands them to the robot or a service, and sends the replies.
 
 The table of `core/verbs.py` names the part of the daemon that answers a verb. The daemon refuses a
-request of another version, or with a missing, mistyped or out-of-bounds field. It drops a payload
-that is no map, or that does not target the robot.
+request of another version, or with a missing, mistyped or out-of-bounds field. The daemon drops a
+payload that is no map, and a request that does not target the robot.
 """
 
 from __future__ import annotations
@@ -68,11 +68,12 @@ class SendReply(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Services:
-    """The services of a daemon that answer verbs; a `Handler` of core/verbs.py names each field.
+    """The services of a daemon that answer verbs.
 
-    A service has a method `on_<verb>` for each of its verbs. `on_<verb>(request, answer)` carries
-    out a request. `on_<verb>(question)` returns the answer to a question, or a function that makes
-    the answer in a thread.
+    The table of core/verbs.py names for each verb the field of its service. A service has a method
+    `on_<verb>` for each of its verbs. `on_<verb>(request, answer)` carries out a request.
+    `on_<verb>(question)` returns the answer to a question, or a function that makes the answer in a
+    thread.
     """
 
     recording: RecordingService
@@ -91,7 +92,7 @@ class RequestServer:
     """Answers the requests and questions to one robot. `on_request` hands a request to the robot.
 
     1. An operator repeats a request until a reply comes. A repeat is not carried out again: it gets
-       the reply of its id, as soon as there is one. Stop and estop are carried out each time.
+       the reply to the first request with its id. Stop and estop are carried out each time.
     2. Beyond MAX_PENDING requests without a reply, further requests are dropped, except stop and
        estop.
     3. `audit` takes each answered request.

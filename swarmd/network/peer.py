@@ -1,8 +1,8 @@
 """The datagram protocol of one robot. Pure: datagrams and times in, `PeerActions` out.
 
-`Peer` combines the claim of the robot id, the membership, the spread of latches and goals, the
-relay of stops and the loss count of pattern messages. The daemon sends the datagrams in
-`PeerActions.sends`, and carries out the other actions.
+`Peer` combines the claim of the robot id, the membership, the spread of latches (held emergency
+stops) and goals, the relay of stops, and the loss count of pattern messages. The daemon sends the
+datagrams in `PeerActions.sends`, and carries out the other fields of `PeerActions`.
 """
 
 from __future__ import annotations

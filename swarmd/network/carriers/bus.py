@@ -83,10 +83,10 @@ class ZenohQuery:
         return "an unknown address"
 
     def reply(self, payload: bytes) -> None:
-        """Answer; a second call has no effect.
+        """Send `payload` (MessagePack) as the answer; a second call has no effect.
 
-        The answer is JSON if the selector has `_format=json`, since the REST server of `zenohd`
-        would show MessagePack as base64.
+        If the selector of the query has `_format=json`, the answer is JSON: the REST server of
+        `zenohd` would show MessagePack as base64.
         """
         query, self._query = self._query, None
         if query is None:

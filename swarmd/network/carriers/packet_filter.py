@@ -1,10 +1,10 @@
 """Programs of the kernel's packet filter for the sockets of a swarm. Pure but for `attach_filter`.
 
 The programs are classic BPF (linux/filter.h; Documentation/networking/filter.rst). A program has
-stages, and a stage is a sequence of blocks. The first block whose tests all hold decides: accept,
-drop, or go to the next stage. A datagram for which no block decides is dropped. Offset 0 is the UDP
-head of the datagram. Programs are short, since old kernels give a socket no more than 20 kB for its
-filters (net.core.optmem_max).
+stages. A stage is a sequence of blocks, and a block is a sequence of tests with a verdict: accept,
+drop, or go to the next stage. The first block whose tests all hold decides. A datagram for which no
+block decides is dropped. Offset 0 is the UDP head of the datagram. Programs are short, since old
+kernels give a socket no more than 20 kB for its filters (net.core.optmem_max).
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     hold decides. The first stage tests the head of the datagram. The blocks of the second stage
     stand in this order:
 
-    1. Drop a share of the urgent datagrams (stops, acks, latches) of thinned sources.
+    1. Drop a share of the urgent datagrams (`URGENT`) of thinned sources.
     2. Accept datagrams of known sources.
     3. Drop a share of the urgent datagrams of other sources, and accept the rest of the urgent.
     4. Drop datagrams of blocked sources.

@@ -4,7 +4,7 @@ A program is a Zenoh session that is no robot, without body and place. It may de
 `swarm/<swarm>/<program>`, and put messages on
 `swarm/<swarm>/<program>/message/<pattern>/<channel>`. Zenoh's ring channel keeps the last MAX_TAKEN
 messages of all programs without running Python, and `take` reads them at each tick. So a flood
-costs the daemon a bounded time; the oldest messages are lost.
+costs the daemon a bounded time. In a flood the oldest messages are lost.
 """
 
 from __future__ import annotations
@@ -40,11 +40,12 @@ class ProgramMessage(NamedTuple):
 
 
 class Programs:
-    """The programs that one robot hears, on one session; built on the loop's thread.
+    """The Zenoh programs that one robot hears on its session; build it on the loop's thread.
 
-    `is_robot(name)`: True for a robot, whose messages come as datagrams; a put in its name is
-    refused. `drops` counts refused messages, for example as `message:robot` and `message:limit`.
-    `takes_messages` False: messages are neither taken from programs nor published.
+    `is_robot(name)`: True if the name belongs to a robot. Robots send messages as datagrams, so
+    that a Zenoh message in a robot's name is refused. `drops` counts refused messages, for example
+    as `message:robot` and `message:limit`. `takes_messages` False: messages are neither taken from
+    programs nor published.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """The link of a simulated robot and its daemon: named frames on a TCP connection of their own.
 
-The daemon dials the process that simulates the robot, and its first frame is a `Hello`. Each frame
-has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). No side waits for
-the other: a frame for which the send buffer has no room is dropped. Receivers use the newest frame
-of a name.
+The daemon dials the process that simulates the robot. The daemon's first frame is a `Hello`. Each
+frame has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). Neither
+process waits for the other: a frame for which the send buffer has no room is dropped. Receivers use
+the newest frame of a name.
 
 A frame on the wire: the length of its name (1 byte), the length of its payload (4 bytes,
 little-endian), the name, the payload.
@@ -169,8 +169,9 @@ class Connection:
 class RobotServer:
     """The simulator's side: accepts the connections of the robots' daemons.
 
-    `dropped`: frames that were dropped, of both directions. `endpoint`: the address in use, with
-    the port that the kernel chose for port 0. One thread must call all methods except `send`.
+    `dropped`: the count of frames that were dropped, in either direction. `endpoint`: the address
+    in use, with the port that the kernel chose for port 0. One thread must call all methods except
+    `send`.
     """
 
     def __init__(
@@ -278,10 +279,10 @@ class RobotServer:
             self._take(accepted.fileno(), connection, received)
 
     def _welcome(self, connection: Connection, name: str, payload: bytes) -> None:
-        """Answer the hello of a connection; end the connection if the hello is refused.
+        """Answer the first frame of a connection, a hello; end the connection if it is refused.
 
-        Refused are: another frame, a hello to another swarm or to an unknown robot, and one more
-        connection than MAX_CONNECTIONS_OF_ROBOT.
+        Refused are a first frame that is no hello, a hello to another swarm or to an unknown robot,
+        and a connection beyond MAX_CONNECTIONS_OF_ROBOT.
         """
         try:
             hello = _hello(payload)

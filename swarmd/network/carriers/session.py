@@ -65,9 +65,9 @@ def open_session(
     """Open the session of a daemon, which listens and opens no connection itself.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
-    reads the addresses of interfaces once per process. So each late address is named: in the
-    scouting options, to join the multicast group of scouts there, and as an endpoint, so that
-    Zenoh programs learn of it. Raises NetworkError in one line.
+    reads the addresses of interfaces once per process. So this function names each late address in
+    the scouting options, which joins the multicast group of scouts there, and as an endpoint, which
+    Zenoh programs learn. Raises NetworkError in one line if the session cannot be opened.
     """
     options = session_options(settings, identity)
     if late:
@@ -83,8 +83,9 @@ def open_operator_session(
 ) -> zenoh.Session:
     """Open a session that dials `endpoints` in the background; takes about 1 ms.
 
-    Zenoh dials all endpoints at once, again and again while the session is open. No endpoint can be
-    added: robots that are found later need a further session. Raises NetworkError in one line.
+    Zenoh dials all endpoints at the same time, and again while the session is open. No endpoint can
+    be added: robots that are found later need a further session. Raises NetworkError in one line if
+    the session cannot be opened.
     """
     return _open(settings, operator_options(settings, endpoints, identity))
 
@@ -174,10 +175,10 @@ def open_listening(
 
 
 async def open_in_thread(open_it: Callable[[], S]) -> S:
-    """The session that `open_it` opens in a thread.
+    """Call `open_it` in a thread; returns the session that it opens.
 
-    If the caller is cancelled, the session is closed once it is open, even if the loop has ended by
-    then: an open session would keep the process alive.
+    If the caller is cancelled meanwhile, the session is closed as soon as it is open, even if the
+    loop has ended by then: an open session would keep the process alive.
     """
     import asyncio
     from concurrent.futures import Future

@@ -12,12 +12,12 @@ A datagram to all goes
 - by unicast to seeds and to peers that are not heard by multicast (`Recipients`).
 
 A datagram waits in its socket while the process is frozen or busy. The kernel's time of arrival
-(SO_TIMESTAMPNS, on the wall clock) gives the wait. The wall clock may be set meanwhile: the wait is
-at most the time since the sockets were last empty.
+(SO_TIMESTAMPNS, on the wall clock) gives this wait. If the wall clock is set meanwhile, the wait is
+wrong; so it counts as at most the time since the sockets were last empty.
 
-Of two copies of a datagram that arrive by two ways, the later copy is dropped. Sockets are bound to
-the interface and not to an address, so that they work on after a change of addresses. Profile dev
-uses loopback, without broadcast and IPv6.
+If two copies of a datagram arrive by two ways, the later copy is dropped. Sockets are bound to the
+interface and not to an address, so that a change of addresses leaves them working. Profile dev uses
+loopback, without broadcast and IPv6.
 
 swarmctl imports this module and must start fast, so asyncio is not imported.
 """
@@ -121,11 +121,11 @@ _PASSING = Kind.MESSAGE, Kind.PLACE  # kinds that go only to addresses that are 
 
 
 class UdpCarrier:
-    """Sends and receives the datagrams of a swarm; raises NetworkError if it cannot be opened.
+    """Sends and receives the datagrams of a swarm; NetworkError if the sockets cannot be opened.
 
     `port`: the unicast port, from which all datagrams are sent; 0: a free port. One thread may send
-    while another receives. `is_secured`: the source of a beacon gets datagrams only after
-    `confirm`.
+    while another thread receives. `is_secured`: the source of a beacon gets datagrams only after
+    the caller has called `confirm`.
     """
 
     def __init__(
@@ -300,11 +300,11 @@ class UdpCarrier:
         return received
 
     def _weigh(self, now: float) -> None:
-        """Update the weight: the ratio of arrived to read datagrams, above 1 in an overload.
+        """Update the weight of a datagram in the flood limits: arrived over read datagrams.
 
-        A process with little CPU time reads less of a flood than the budgets of `FloodLimits`
-        permit, and the kernel drops the rest, stops included. Without the weight the flood would
-        count as usual traffic.
+        The weight is 1, and above 1 in an overload. A process with little CPU time reads less of a
+        flood than the budgets of `FloodLimits` permit, and the kernel drops the rest, stops
+        included. Without the weight the flood would count as usual traffic.
         """
         if now - self._emptied_at < OVERLOAD_TIME:
             self._weight = 1.0
@@ -660,10 +660,11 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
 
 
 def _count_lost(sock: socket.socket) -> int | None:
-    """Datagrams that the kernel has dropped at a socket; None unless its queue is nearly full.
+    """The count of datagrams that the kernel has dropped at a socket since it was opened.
 
-    The count includes datagrams that the packet filter refused, also while the queue has room: only
-    a queue that is nearly full shows an overload.
+    None unless the socket's queue is nearly full: the count includes datagrams that the packet
+    filter has refused, so that a count without a full queue shows no overload. None also for a
+    kernel without this count.
     """
     try:
         info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))

@@ -1,14 +1,14 @@
 """Which datagrams a robot of a secured swarm accepts, and which are forged or replayed. Pure.
 
-Verified datagrams and times go in. A signature shows the role of the signer. A datagram is accepted
-if its signer's role may send this kind, the robot in the datagram is on the roster, and the
-datagram is fresh. The kinds are fresh as follows:
+Datagrams come in with verified signatures. A signature shows the role of the signer. A datagram is
+accepted if its signer's role may send this kind, the robot in the datagram is on the roster, and
+the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. Fresh are:
 
-- a beacon: by the rules of `beacon_freshness.py`; the sender of an unproven beacon is asked,
-- a message, place or goal: from the instance that is the member now,
-- latches: from that instance, with the digest of its newest beacon,
-- a member list: as the answer to a question of this robot,
-- a stop: by the rules of `stop_freshness.py`. It names the operator that signed it. A robot that
+- a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon is asked,
+- a message, place or goal from the instance that is the member now,
+- latches from the instance that is the member now, with the digest of its newest beacon,
+- a member list that answers a question of this robot,
+- a stop by the rules of `stop_freshness.py`. A stop names the operator that signed it. A robot that
   relays a stop keeps the operator's name and signs with its own key.
 """
 
@@ -64,8 +64,9 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
 class Admission:
     """The checks of the robot `own`.
 
-    `names`: the robots on the roster. `echoes` returns a number that was never used before.
-    `counters`: the counters of stops that `StopFreshness` kept from the robot's earlier life.
+    `names`: the robots on the roster. `lease`: s of silence after which a robot has failed.
+    `echoes` returns a number that was never used before. `counters`: the greatest counter of stops
+    by origin, which a file kept from the robot's earlier life (`StopFreshness`).
     """
 
     def __init__(

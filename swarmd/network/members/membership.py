@@ -9,8 +9,8 @@ operator judges for itself. A member is
   or is forgotten.
 
 An indirect member is a robot that only the member lists of other robots name: its beacons do not
-arrive here. A robot hands indirect members on with their age and the number of hops; they are no
-neighbors. An operator owns no id, and keeps the reports of robots in `operator/member_reports.py`.
+arrive here. A robot hands indirect members on with their age and the number of hops. Indirect
+members are no neighbors. An operator keeps the reports of robots in `operator/member_reports.py`.
 Times are in s on the caller's monotonic clock.
 """
 
@@ -143,10 +143,12 @@ class IndirectMember(Struct, frozen=True):
 
 
 class Membership:
-    """The other robots of a swarm; `own` is never among them, and empty for an operator.
+    """The other robots of a swarm, as this robot or operator hears them.
 
-    Bounded: beyond MAX_MEMBERS a new robot replaces the robot that is gone the longest. If all are
-    alive, the new robot is ignored, and counted in `ignored`.
+    `own`: the name of this robot, which is never a member; empty for an operator. `lease`: s of
+    silence after which a member has failed. At most MAX_MEMBERS: a new robot replaces the robot
+    that is gone the longest. If no robot may be replaced, the new robot is ignored, and counted in
+    `ignored`.
     """
 
     def __init__(self, own: str, lease: float) -> None:
@@ -278,9 +280,9 @@ class Membership:
         return {robot: member for robot, member in members if member is not None}
 
     def bodies(self) -> dict[str, Body | None]:
-        """The body that each member heard here reported; None: no report so far.
+        """By robot, the body (outline and sensor heights) that the robot reported; None without.
 
-        Members that left or failed are included until they are forgotten: their bodies still stand
+        Members that left or failed are included until they are forgotten: such robots still stand
         somewhere. The report of an earlier instance holds until a newer instance reports a body.
         """
         return {

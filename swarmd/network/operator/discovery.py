@@ -3,8 +3,9 @@
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
 (`status_table.py`), and rosters. A look is complete once every expected robot has answered itself,
-and either all views agree or nothing new has come for `quiet_time`. A look that does not become
-complete ends after a time that follows from the measured round trip and loss (`ends_at`).
+and the answers agree on the members. If they do not agree, the look is complete once nothing new
+has come for `quiet_time`. Any other look ends after a time that follows from the measured round
+trip and loss of datagrams (`ends_at`).
 """
 
 from __future__ import annotations

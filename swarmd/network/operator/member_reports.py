@@ -36,9 +36,9 @@ class PeerReport(Struct, frozen=True):
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
     """The address of a robot in the report of another robot; None if the address is not valid.
 
-    The host must be an IP literal; only a link-local IPv6 host may have a scope, which must be a
-    number. With `is_local` the host must be in 127.0.0.0/8, otherwise it must be no loopback
-    address.
+    The host must be an IP address, and no multicast address. Only a link-local IPv6 address may
+    have a scope, and the scope must be a number. With `is_local` the host must be in 127.0.0.0/8,
+    else it must not be a loopback address.
     """
     try:
         ip = ipaddress.ip_address(host)

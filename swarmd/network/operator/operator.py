@@ -77,12 +77,12 @@ StopVerb = Literal["stop", "estop"]
 
 
 class Operator:
-    """An operator in a swarm; a context manager.
+    """An operator in a swarm: finds robots, sends requests and stops; a context manager.
 
-    `settings`: of the swarm. `identity`: makes the swarm secured, and gives the operator's name.
-    `roster`: robots that are expected even if no daemon has heard them. `takes_rosters` False: keep
-    the identity's roster even if robots show a newer roster. Raises NetworkError in one line if the
-    network cannot be used.
+    `settings`: of the swarm. `identity`: keys and name of the operator in a secured swarm; None: a
+    swarm without keys. `roster`: robots that are expected even if no daemon has heard them.
+    `takes_rosters` False: keep the identity's roster even if robots show a newer roster. Raises
+    NetworkError in one line if the network cannot be used.
     """
 
     def __init__(
@@ -342,10 +342,11 @@ class Operator:
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
-        """The answer of a robot to the query `control/<name>`; None without an answer.
+        """Query `control/<name>` of a robot, which moves nothing; returns the answer's bytes.
 
-        The query is repeated for `timeout` s, and moves nothing. Call `members` first. Raises
-        ConfigError as `request` does.
+        None without an answer within `timeout` s, for which the query is repeated. Call `members`
+        first, which finds the robots. Raises ConfigError if the role of the own identity does not
+        permit the query.
         """
         return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
 

@@ -1,6 +1,6 @@
 """Which datagrams of robots an operator or viewer of a secured swarm accepts. Pure.
 
-1. A robot counts once it has answered a solicit of the look (`beacon_freshness.py`).
+1. A robot counts as alive once it has answered a solicit of this operator (`beacon_freshness.py`).
 2. An answer is accepted only if the robot itself signed it for this operator.
 3. An ack is accepted only in a datagram that a robot of this roster signed, with a proof for this
    operator by the robot that acks. So another robot can hand an ack on, but cannot make an ack.
@@ -32,7 +32,7 @@ MAX_MISSING_KEYS = 4096
 
 
 class OperatorAdmission:
-    """Signs the operator's datagrams, and checks those of robots.
+    """Signs the operator's datagrams, and checks the datagrams of robots.
 
     `on_newer_roster(robot, address, generation)`: a robot may have a newer roster.
     `on_missing_key(robot, address)`: this identity has no key that it shares with the robot.

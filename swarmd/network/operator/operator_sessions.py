@@ -72,8 +72,8 @@ class OperatorSessions:
     def take_identity(self, identity: Identity) -> None:
         """Dial as this identity from now on.
 
-        Sessions to robots are closed: their access rules follow from the roster. A session to
-        routers has no such rules, and stays open for the carrier that uses it.
+        Sessions to robots are closed, since their access rules follow from the identity's roster. A
+        session to routers has no such rules. It stays open for the carrier of datagrams.
         """
         self._identity = identity
         if self.needs_links:

@@ -103,11 +103,11 @@ def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Out
 
 
 class Acks:
-    """Collects the replies to one request.
+    """Collects the replies to one request; acks of a stop count as replies.
 
-    Two replies with one robot id but different instances come from two daemons. The worse reply
-    counts, and the id is among the outcome's `duplicates`. A stopped robot counts as failed until
-    an ack says that its base rests.
+    Replies with one robot id and different instances come from two daemons with this id. The worse
+    reply counts, and the id is among the outcome's `duplicates`. A robot that acked a stop counts
+    as failed until an ack says that its base rests.
     """
 
     def __init__(self, request_id: str) -> None:

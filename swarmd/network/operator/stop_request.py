@@ -31,12 +31,14 @@ STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
 
 
 class PendingStop:
-    """One stop or estop that is repeated until every expected robot acked.
+    """A stop or emergency stop that is repeated until every expected robot has acked.
 
-    - `select` picks the targets from the names known so far; None: a stop of all robots, which
-      needs no membership.
+    - `discovery`: the robots that are known so far.
+    - `select` picks the targets from the names known so far. None: all robots are targets, and
+      the stop needs no list of names.
     - `names`: targets from the start, whether or not they are known.
-    - `renew`: gives the stop a new origin if a robot refuses the stop as replayed.
+    - `renew` returns a new origin and counter, for the case that a robot refuses the stop as
+      replayed.
 
     Every repeat has the same id.
     """
